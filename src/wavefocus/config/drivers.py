@@ -129,7 +129,7 @@ def with_drivers(section: type[Section], registry: Registry[Any]) -> type[Sectio
         hints = get_type_hints(driver)
         for key in fields(driver):
             about = key.metadata
-            described = Field(default=None, title=about["title"], description=about["description"])
+            described = Field(default=None, description=about["description"])
             checked: Any = Union[_checked(hints[key.name], about), None]  # noqa: UP007
             mark = {"free": FREE, "always": ALWAYS}.get(about["in_plan"])
             keys[key.name] = (Annotated[checked, mark] if mark else checked, described)

@@ -49,8 +49,7 @@ class QualityLimits(Table):
         'stay valid. "auto" and "never" are of earlier versions and mean the same',
     )
     reference_db: Annotated[Positive, Field(le=20)] = Field(
-        default=0.1,
-        description="Largest deviation of the reference's level; from its calibration 2.5 times that",
+        default=0.1, description="Largest deviation of the reference's level; from its calibration 2.5 times that"
     )
 
     @property

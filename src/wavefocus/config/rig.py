@@ -38,10 +38,7 @@ from wavefocus.config.rig_instruments import (
 class CalibrationSection(Table):
     """Which calibration file holds, and for how long it is trusted without a word."""
 
-    file: Text | None = Field(
-        default=None,
-        description="File of wavefocus calibrate; what it has measured wins",
-    )
+    file: Text | None = Field(default=None, description="File of wavefocus calibrate; what it has measured wins")
     stale_after_days: Positive = Field(default=90.0, description="Age from which a calibration is warned of")
     measured: CalibrationRecord | None = None
     """What the file holds; filled in on loading, so that a bank needs no other file."""
@@ -197,8 +194,7 @@ class Surface(Table):
     """The outline of the plate, its length along x; all but a polygon are centred on the origin."""
 
     kind: Annotated[Kind, ALWAYS] = Field(
-        default="stadium",
-        description="A stadium is a rectangle with a half disk at either end",
+        default="stadium", description="A stadium is a rectangle with a half disk at either end"
     )
     length_mm: Annotated[Positive, Field(le=100_000), ALWAYS] = Field(
         default=250.0, description="Length along x, or diameter of a disk"

@@ -20,8 +20,8 @@ Row = tuple[Finite, Finite, Finite]
 Matrix = tuple[Row, Row, Row]
 
 
-class MirrorSection(DriverTable):
-    """The scanning mirror and the map from the surface to its angles."""
+class SerialSection(DriverTable):
+    """A device at a serial port."""
 
     shared_keys: ClassVar[Mapping[str, str]] = {
         "port": 'it, such as "/dev/ttyUSB0", "COM3", "socket://10.0.0.7:4001" or "serial-number:ABC123"',
@@ -37,8 +37,25 @@ class MirrorSection(DriverTable):
         default=None, description="Bits per second; by default the driver's own"
     )
     identity: Annotated[Text | None, FREE] = Field(
-        default=None, description="Text that the device's own identification must contain"
+        default=None, description="Text that the device's own identification, or its decoder's name, must contain"
     )
+
+    @model_validator(mode="after")
+    def _of_a_port(self) -> SerialSection:
+        """A port that is written like a network port or a serial number is one."""
+        for beginning, pattern, allowed in (
+            ("socket:", r"socket://[^\s/:]+:\d{1,5}", "must be socket://HOST:PORT"),
+            ("serial-number:", r"serial-number:\S+", "must be serial-number: and the number itself"),
+        ):
+            port = self.port or ""
+            if port.lower().startswith(beginning) and not re.fullmatch(pattern, port):
+                raise mistake("port", port, allowed)
+        return self
+
+
+class MirrorSection(SerialSection):
+    """The scanning mirror and the map from the surface to its angles."""
+
     distance_mm: Annotated[Positive, DERIVED] = Field(
         default=DEFAULT_DISTANCE_MM,
         description="Distance from the mirror to the surface's centre, the beam square to it",
@@ -68,8 +85,6 @@ class MirrorSection(DriverTable):
 
     @model_validator(mode="after")
     def _possible(self) -> MirrorSection:
-        if self.port is not None:
-            check_port("port", self.port)
         if self.map is not None:
             if self.distance_mm != DEFAULT_DISTANCE_MM:
                 raise mistake("distance_mm", self.distance_mm, "must be left out where map is given")
@@ -84,19 +99,6 @@ class MirrorSection(DriverTable):
 
 if not TYPE_CHECKING:
     MirrorSection = with_drivers(MirrorSection, MIRRORS)
-
-
-def check_port(key: str, port: str) -> None:
-    """Refuse a serial port that is written like a network port or a serial number, but is none.
-
-    Raises PydanticCustomError: A mistake that names the key.
-    """
-    for beginning, pattern, allowed in (
-        ("socket:", r"socket://[^\s/:]+:\d{1,5}", "must be socket://HOST:PORT"),
-        ("serial-number:", r"serial-number:\S+", "must be serial-number: and the number itself"),
-    ):
-        if port.lower().startswith(beginning) and not re.fullmatch(pattern, port):
-            raise mistake(key, port, allowed)
 
 
 AnalogInput = Annotated[Text, like(*ANALOG_INPUT)]
@@ -132,23 +134,10 @@ class RecorderSection(DriverTable):
         return {**data, "trigger": None} if isinstance(data, dict) and data.get("trigger") == "" else data
 
 
-class VibrometerSection(DriverTable):
+class VibrometerSection(SerialSection):
     """The laser vibrometer's calibration: typed in, or read from the device."""
 
-    shared_keys: ClassVar[Mapping[str, str]] = {
-        "port": 'the serial port of its controller, such as "COM4"',
-        "baud": "",
-        "identity": "",
-    }
-
     driver: Annotated[str, FREE] = "fixed"
-    port: Annotated[Text | None, FREE] = Field(default=None, description="As of the mirror")
-    baud: Annotated[Annotated[Whole, Field(ge=300, le=10_000_000)] | None, FREE] = Field(
-        default=None, description="Bits per second; by default the driver's own"
-    )
-    identity: Annotated[Text | None, FREE] = Field(
-        default=None, description="Text that the name of the device or of its decoder must contain"
-    )
     sensitivity_m_s_per_v: Annotated[Positive | None, ALWAYS] = Field(
         default=None,
         description="m/s per volt at the DAQ; optional where a port is given, and must then agree with the device",
@@ -163,12 +152,6 @@ class VibrometerSection(DriverTable):
     def _fixed(cls, data: Any) -> Any:
         fixed = isinstance(data, dict) and data.get("driver", "fixed") == "fixed"
         return {"sensitivity_m_s_per_v": 0.125, **data} if fixed else data
-
-    @model_validator(mode="after")
-    def _possible(self) -> VibrometerSection:
-        if self.port is not None:
-            check_port("port", self.port)
-        return self
 
 
 if not TYPE_CHECKING:

@@ -52,8 +52,7 @@ class Grid(Table):
         default=None, description="CSV file with the header x_mm,y_mm, in place of a lattice"
     )
     regular_positions: Annotated[Whole | None, FREE, Field(ge=1)] = Field(
-        default=None,
-        description="Positions on the lattice, in banks of earlier versions that were refined",
+        default=None, description="Positions on the lattice, in banks of earlier versions that were refined"
     )
     check_positions: Annotated[Whole, Field(ge=0, le=1000), DERIVED] | None = Field(
         default=None,

@@ -29,7 +29,7 @@ else:
 class SceneTable(Table):
     """What the scene is called."""
 
-    name: Text = Field(default="scene", title="Name", description="For pictures and reports")
+    name: Text = Field(default="scene", description="For pictures and reports")
 
 
 class PointTable(Table):
@@ -37,9 +37,7 @@ class PointTable(Table):
 
     kind: Literal["point"] = "point"
     at_mm: PointMm = Field(
-        title="At",
-        description="Position on the surface, x to the right and y up from its centre",
-        examples=[(0.0, 0.0)],
+        description="Position on the surface, x to the right and y up from its centre", examples=[(0.0, 0.0)]
     )
 
 
@@ -47,20 +45,18 @@ class LineTable(Table):
     """A straight line."""
 
     kind: Literal["line"] = "line"
-    start_mm: PointMm = Field(title="Start", description="Start of the line", examples=[(-30.0, 0.0)])
-    end_mm: PointMm = Field(title="End", description="End of the line", examples=[(30.0, 0.0)])
+    start_mm: PointMm = Field(description="Start of the line", examples=[(-30.0, 0.0)])
+    end_mm: PointMm = Field(description="End of the line", examples=[(30.0, 0.0)])
 
 
 class CircleTable(Table):
     """An arc or several turns of a circle, anticlockwise where turns are positive."""
 
     kind: Literal["circle"] = "circle"
-    centre_mm: PointMm = Field(default=(0.0, 0.0), title="Centre", description="Centre of the circle")
-    radius_mm: NonNegative = Field(title="Radius", description="Radius of the circle", examples=[20.0])
-    turns: Finite = Field(default=1.0, title="Turns", description="Number of turns; negative: clockwise")
-    start_deg: Finite = Field(
-        default=0.0, title="Start angle", description="Direction of the start from the centre, anticlockwise from x"
-    )
+    centre_mm: PointMm = Field(default=(0.0, 0.0), description="Centre of the circle")
+    radius_mm: NonNegative = Field(description="Radius of the circle", examples=[20.0])
+    turns: Finite = Field(default=1.0, description="Number of turns; negative: clockwise")
+    start_deg: Finite = Field(default=0.0, description="Direction of the start from the centre, anticlockwise from x")
 
 
 class PolylineTable(Table):
@@ -68,38 +64,33 @@ class PolylineTable(Table):
 
     kind: Literal["polyline"] = "polyline"
     points_mm: tuple[PointMm, ...] = Field(
-        title="Vertices",
         description="Corners in order",
         min_length=1,
         max_length=1_000_000,
         examples=[((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))],
     )
-    closed: Switch = Field(
-        default=False, title="Closed", description="Whether a last line leads back to the first vertex"
-    )
+    closed: Switch = Field(default=False, description="Whether a last line leads back to the first vertex")
 
 
 class SvgTable(Table):
     """A path of an SVG file."""
 
     kind: Literal["svg"] = "svg"
-    file: Text = Field(title="File", description="SVG file, relative to the scene file", examples=[""])
-    path_id: str = Field(default="", title="Path", description="Id of the path in the drawing; empty: the first one")
-    scale: Positive = Field(default=1.0, title="Scale", description="Millimetres per unit of the drawing")
-    origin_mm: PointMm = Field(
-        default=(0.0, 0.0), title="Origin", description="Position of the drawing's (0, 0) on the surface"
-    )
+    file: Text = Field(description="SVG file, relative to the scene file", examples=[""])
+    path_id: str = Field(default="", description="Id of the path in the drawing; empty: the first one")
+    scale: Positive = Field(default=1.0, description="Millimetres per unit of the drawing")
+    origin_mm: PointMm = Field(default=(0.0, 0.0), description="Position of the drawing's (0, 0) on the surface")
 
 
 class TextTable(Table):
     """The strokes of a text."""
 
     kind: Literal["text"] = "text"
-    string: Text = Field(title="Text", description="Letters and signs of DejaVu Sans", examples=["text"])
+    string: Text = Field(description="Letters and signs of DejaVu Sans", examples=["text"])
     height_mm: Positive = Field(
-        title="Height", description="Height of the drawn letters, from lowest to highest point", examples=[20.0]
+        description="Height of the drawn letters, from lowest to highest point", examples=[20.0]
     )
-    centre_mm: PointMm = Field(default=(0.0, 0.0), title="Centre", description="Centre of the text")
+    centre_mm: PointMm = Field(default=(0.0, 0.0), description="Centre of the text")
 
 
 class TrajectoryTable(Table):
@@ -107,7 +98,6 @@ class TrajectoryTable(Table):
 
     kind: Literal["trajectory"] = "trajectory"
     file: Text = Field(
-        title="File",
         description="CSV file with the header time_s,x_mm,y_mm or time_s,x_mm,y_mm,amplitude, relative to the scene"
         " file; times count from start_s",
         examples=[""],
@@ -125,9 +115,9 @@ class SineTable(Table):
 
     kind: Literal["sine"] = "sine"
     frequency_hz: Positive = Field(
-        title="Frequency", description="Frequency of the sine, below half the bank's sample rate", examples=[200.0]
+        description="Frequency of the sine, below half the bank's sample rate", examples=[200.0]
     )
-    duration_s: Positive = Field(title="Duration", description="Duration of the sine", examples=[0.1])
+    duration_s: Positive = Field(description="Duration of the sine", examples=[0.1])
 
 
 class NoiseTable(Table):
@@ -135,18 +125,11 @@ class NoiseTable(Table):
 
     kind: Literal["noise"] = "noise"
     band_hz: tuple[NonNegative, Positive] = Field(
-        title="Band",
-        description="Lower and upper edge of the band, up to half the bank's sample rate",
-        examples=[(50.0, 450.0)],
+        description="Lower and upper edge of the band, up to half the bank's sample rate", examples=[(50.0, 450.0)]
     )
-    duration_s: Positive = Field(title="Duration", description="Duration of the noise", examples=[0.015])
+    duration_s: Positive = Field(description="Duration of the noise", examples=[0.015])
     seed: Whole = Field(
-        default=0,
-        title="Seed",
-        description="The same seed gives the same noise on every computer",
-        ge=0,
-        le=2**63 - 1,
-        examples=[1],
+        default=0, description="The same seed gives the same noise on every computer", ge=0, le=2**63 - 1, examples=[1]
     )
 
     @model_validator(mode="after")
@@ -160,7 +143,7 @@ class FileTable(Table):
     """A sound file, resampled and scaled to peak 1."""
 
     kind: Literal["file"] = "file"
-    path: Text = Field(title="File", description="Sound file, relative to the scene file", examples=[""])
+    path: Text = Field(description="Sound file, relative to the scene file", examples=[""])
 
 
 # `examples` of a field are what the window begins a new path or signal with.
@@ -181,34 +164,26 @@ def tables_by_kind(union: Any) -> dict[str, Any]:
 class SourceTable(Table):
     """One source: what it emits, where it goes and how fast."""
 
-    start_s: NonNegative = Field(default=0.0, title="Start time", description="Start time in the scene")
+    start_s: NonNegative = Field(default=0.0, description="Start time in the scene")
     speed_mm_s: NonNegative | None = Field(
-        default=None, title="Speed", description="Speed along the path; not needed for a point or a trajectory"
+        default=None, description="Speed along the path; not needed for a point or a trajectory"
     )
     step_mm: Positive | None = Field(
         default=None,
-        title="Step",
         description="Distance d between path points; one is emitted every d / v; not needed for a point or a"
         " trajectory",
     )
     amplitude: Finite = Field(
-        default=1.0,
-        title="Amplitude",
-        description="Factor on the signal; with normalisation, response of an impulse at the focus",
+        default=1.0, description="Factor on the signal; with normalisation, response of an impulse at the focus"
     )
-    path: PathTable = Field(title="Path", description="Path of the source")
-    signal: SignalTable = Field(
-        title="Signal", description="Signal that the source emits; its peak is 1 before the amplitude"
-    )
+    path: PathTable = Field(description="Path of the source")
+    signal: SignalTable = Field(description="Signal that the source emits; its peak is 1 before the amplitude")
     emission: Literal["per_point", "continuous"] = Field(
-        default="continuous",
-        title="Emission",
-        description="Continuous along the path, or the whole signal anew at every path point",
+        default="continuous", description="Continuous along the path, or the whole signal anew at every path point"
     )
 
     repeat: Switch = Field(
         default=False,
-        title="Repeat",
         description="Whether the signal of a continuous source begins anew at its end, as long as the source moves",
     )
 
@@ -228,18 +203,16 @@ INDEPENDENT_LEVEL_DB = -30.0
 class QuietTable(Table):
     """A place where the response is kept low."""
 
-    at_mm: PointMm | None = Field(default=None, title="At", description="Place on the surface; or a path")
-    path: PathTable | None = Field(default=None, title="Path", description="Path of a place that moves from time 0 on")
+    at_mm: PointMm | None = Field(default=None, description="Place on the surface; or a path")
+    path: PathTable | None = Field(default=None, description="Path of a place that moves from time 0 on")
     speed_mm_s: NonNegative | None = Field(
-        default=None, title="Speed", description="Speed along the path; not needed for a point or a trajectory"
+        default=None, description="Speed along the path; not needed for a point or a trajectory"
     )
     radius_mm: Annotated[NonNegative, Field(le=100)] = Field(
-        default=0.0, title="Radius", description="Radius of a disc, as of a fingertip; 0: a point"
+        default=0.0, description="Radius of a disc, as of a fingertip; 0: a point"
     )
     level_db: Annotated[Finite, Field(lt=0, ge=-200)] = Field(
-        default=INDEPENDENT_LEVEL_DB,
-        title="Level",
-        description="Energy of the response there over that at the loudest focus",
+        default=INDEPENDENT_LEVEL_DB, description="Energy of the response there over that at the loudest focus"
     )
 
     @model_validator(mode="after")
@@ -256,17 +229,11 @@ class Regularisation(Table):
     """How weak and strong actuators are evened out, and whether sources keep quiet at one another."""
 
     saturation: NonNegative = Field(
-        default=0.0, title="Saturation", description="C of eq. (14) as a fraction of the bank's median rms; 0: off"
+        default=0.0, description="C of eq. (14) as a fraction of the bank's median rms; 0: off"
     )
-    saturation_absolute: NonNegative = Field(
-        default=0.0, title="Saturation level", description="C of eq. (14) in the unit of the bank; 0: off"
-    )
-    normalise: Switch = Field(
-        default=True, title="Normalise", description="Equal response to an impulse at every focus (eq. 15)"
-    )
-    independent: Switch = Field(
-        default=False, title="Independent", description="Whether each source is quiet where the other sources are"
-    )
+    saturation_absolute: NonNegative = Field(default=0.0, description="C of eq. (14) in the unit of the bank; 0: off")
+    normalise: Switch = Field(default=True, description="Equal response to an impulse at every focus (eq. 15)")
+    independent: Switch = Field(default=False, description="Whether each source is quiet where the other sources are")
 
     @model_validator(mode="after")
     def _one_saturation(self) -> Regularisation:
@@ -287,23 +254,17 @@ class Output(Table):
 
     interpolation: InterpolationName = Field(
         default="nearest",
-        title="Interpolation",
         description="Method for Green's functions between the bank's positions; waves works on coarse grids and needs"
         " the actuators' places, auto takes the cheapest whose expected error is below 2 %",
     )
     limit_v: Positive | None = Field(
-        default=None,
-        title="Peak limit",
-        description="Largest drive of any actuator; beyond it all drives are scaled down together",
+        default=None, description="Largest drive of any actuator; beyond it all drives are scaled down together"
     )
     limit_rms_v: Positive | None = Field(
-        default=None,
-        title="RMS limit",
-        description="Largest rms of any actuator's drive over any second; beyond it all are scaled down",
+        default=None, description="Largest rms of any actuator's drive over any second; beyond it all are scaled down"
     )
     most_energy: Annotated[Finite, Field(ge=1)] = Field(
         default=10.0,
-        title="Most energy",
         description="Largest energy of the drives of a scene with quiet places over that of plain time reversal; beyond"
         " it the level that can be reached is taken and reported",
     )

@@ -32,56 +32,46 @@ Amplitudes = Annotated[tuple[Finite, ...], BeforeValidator(_listed), Field(min_l
 class TrialsTable(Table):
     """The question, its answers, and the order and number of trials."""
 
-    name: Name = Field(default="trials", title="Name", description="Name of the experiment, for files and pages")
-    instruction: str = Field(
-        default="", title="Instruction", description="Text of the first page: what participants feel and do"
-    )
-    question: Text = Field(title="Question", description="Question asked after each stimulus")
+    name: Name = Field(default="trials", description="Name of the experiment, for files and pages")
+    instruction: str = Field(default="", description="Text of the first page: what participants feel and do")
+    question: Text = Field(description="Question asked after each stimulus")
     answers: tuple[Words, ...] = Field(
-        title="Answers", description="Choices, from left to right on the screen", min_length=2, max_length=9
+        description="Choices, from left to right on the screen", min_length=2, max_length=9
     )
     keys: tuple[Key, ...] = Field(
         default=(),
-        title="Keys",
         description="Key of each answer: a letter, a digit, Left, Right, Up, Down or Space; empty: 1, 2, ...",
     )
     correct: Factor | None = Field(
-        default=None,
-        title="Correct",
-        description="Factor whose level decides the right answer; without it no answer is right or wrong",
+        default=None, description="Factor whose level decides the right answer; without it no answer is right or wrong"
     )
     correct_levels: dict[str, Words] = Field(
         default={},
-        title="Correct levels",
         description="Right answer for each level of that factor; a level that is not listed is an answer itself",
     )
-    repetitions: Count = Field(
-        default=10, title="Repetitions", description="Trials with each stimulus, all blocks together"
-    )
-    blocks: Count = Field(
-        default=1, title="Blocks", description="Parts of the session; each holds every stimulus equally often"
-    )
+    repetitions: Count = Field(default=10, description="Trials with each stimulus, all blocks together")
+    blocks: Count = Field(default=1, description="Parts of the session; each holds every stimulus equally often")
     most_alike: Annotated[Whole, Field(ge=0, le=100)] = Field(
-        default=2, title="Most alike", description="Most trials in a row with one level of alike; 0: any number"
+        default=2, description="Most trials in a row with one level of alike; 0: any number"
     )
     alike: Factor | Literal["stimulus"] | None = Field(
-        default=None, title="Alike", description="Factor that most_alike is about; by default correct, else stimulus"
+        default=None, description="Factor that most_alike is about; by default correct, else stimulus"
     )
     seed: Annotated[Whole, Field(ge=0)] = Field(
-        default=1, title="Seed", description="Seed of the orders; with the participant's code it gives each order"
+        default=1, description="Seed of the orders; with the participant's code it gives each order"
     )
     familiarise: Switch = Field(
-        default=True, title="Familiarise", description="Whether every stimulus is felt once first, without a question"
+        default=True, description="Whether every stimulus is felt once first, without a question"
     )
     replays: Annotated[Whole, Field(ge=0, le=100)] = Field(
-        default=0, title="Replays", description="Times that a participant may ask for the stimulus of a trial again"
+        default=0, description="Times that a participant may ask for the stimulus of a trial again"
     )
     break_every: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
-        default=0, title="Break every", description="Trials between breaks; 0: breaks only between blocks"
+        default=0, description="Trials between breaks; 0: breaks only between blocks"
     )
-    waits: Switch = Field(default=False, title="Waits", description="Whether the participant starts each trial")
-    before_s: Pause = Field(default=0.5, title="Before", description="Pause before each stimulus")
-    pause_s: Pause = Field(default=1.0, title="Pause", description="Pause between the plays of one stimulus")
+    waits: Switch = Field(default=False, description="Whether the participant starts each trial")
+    before_s: Pause = Field(default=0.5, description="Pause before each stimulus")
+    pause_s: Pause = Field(default=1.0, description="Pause between the plays of one stimulus")
 
     @model_validator(mode="after")
     def _one_key_each(self) -> TrialsTable:
@@ -103,30 +93,21 @@ class TrialsTable(Table):
 class StimuliTable(Table):
     """Stimuli: all combinations of the levels listed; a single level needs no brackets."""
 
-    path: Names = Field(title="Paths", description="Names of tables [path.NAME]")
-    signal: Names = Field(title="Signals", description="Names of tables [signal.NAME]")
-    speed_mm_s: Speeds = Field(
-        default=(), title="Speeds", description="Speeds along the path; none for a point or a trajectory"
-    )
-    amplitude: Amplitudes = Field(
-        default=(1.0,), title="Amplitudes", description="Amplitudes as of a scene's source; 0: no stimulus"
-    )
-    step_mm: Positive | None = Field(
-        default=None, title="Step", description="Distance between path points, as of a scene's source"
-    )
+    path: Names = Field(description="Names of tables [path.NAME]")
+    signal: Names = Field(description="Names of tables [signal.NAME]")
+    speed_mm_s: Speeds = Field(default=(), description="Speeds along the path; none for a point or a trajectory")
+    amplitude: Amplitudes = Field(default=(1.0,), description="Amplitudes as of a scene's source; 0: no stimulus")
+    step_mm: Positive | None = Field(default=None, description="Distance between path points, as of a scene's source")
     emission: Literal["per_point", "continuous"] = Field(
-        default="continuous", title="Emission", description="Emission as of a scene's source"
+        default="continuous", description="Emission as of a scene's source"
     )
-    repeat: Switch = Field(
-        default=False, title="Repeat", description="Whether a continuous signal repeats, as of a scene's source"
-    )
+    repeat: Switch = Field(default=False, description="Whether a continuous signal repeats, as of a scene's source")
     quiet: Annotated[tuple[Name, ...], BeforeValidator(_listed)] = Field(
         default=(),
-        title="Quiet",
         description="Names of tables [quiet.NAME]: places that stay quiet; that of the stimulus' own path is left out",
     )
     plays: Annotated[Whole, Field(ge=1, le=100)] = Field(
-        default=1, title="Plays", description="Times that a stimulus is played in one trial"
+        default=1, description="Times that a stimulus is played in one trial"
     )
 
 
@@ -134,29 +115,27 @@ class AdaptiveTable(Table):
     """Levels of one factor that follow the answers, in place of repetitions."""
 
     method: Literal["up_down", "quest_plus"] = Field(
-        title="Method", description="Transformed up-down staircase, or QUEST+ (Watson 2017)"
+        description="Transformed up-down staircase, or QUEST+ (Watson 2017)"
     )
-    factor: Literal["amplitude", "speed_mm_s"] = Field(
-        title="Factor", description="Factor whose levels in [[stimuli]] are the ladder"
-    )
+    factor: Literal["amplitude", "speed_mm_s"] = Field(description="Factor whose levels in [[stimuli]] are the ladder")
     harder: Literal["lower", "higher"] = Field(
-        default="lower", title="Harder", description="Levels of that factor that are harder to answer rightly"
+        default="lower", description="Levels of that factor that are harder to answer rightly"
     )
-    trials: Count = Field(default=40, title="Trials", description="Trials of each track at most")
+    trials: Count = Field(default=40, description="Trials of each track at most")
     right: Annotated[Whole, Field(ge=1, le=10)] = Field(
-        default=2, title="Right answers", description="Right answers in a row that make it harder (up_down)"
+        default=2, description="Right answers in a row that make it harder (up_down)"
     )
     wrong: Annotated[Whole, Field(ge=1, le=10)] = Field(
-        default=1, title="Wrong answers", description="Wrong answers in a row that make it easier (up_down)"
+        default=1, description="Wrong answers in a row that make it easier (up_down)"
     )
     reversals: Annotated[Whole, Field(ge=4, le=1000)] = Field(
-        default=10, title="Reversals", description="Reversals after which a track ends (up_down)"
+        default=10, description="Reversals after which a track ends (up_down)"
     )
     guess_rate: Annotated[Finite, Field(ge=0, lt=1)] = Field(
-        default=0.5, title="Guess rate", description="Share of right answers where nothing is felt"
+        default=0.5, description="Share of right answers where nothing is felt"
     )
     lapse_rate: Annotated[Finite, Field(ge=0, lt=0.5)] = Field(
-        default=0.02, title="Lapse rate", description="Share of wrong answers at the easiest levels"
+        default=0.02, description="Share of wrong answers at the easiest levels"
     )
 
     @model_validator(mode="after")
@@ -170,11 +149,11 @@ class MaskingTable(Table):
     """Pink noise that plays with every stimulus on an output of its own, for headphones."""
 
     output: Annotated[Whole, Field(ge=0, le=1023)] = Field(
-        title="Output", description="Output of the audio interface, from 0; not of an actuator nor of the loopback"
+        description="Output of the audio interface, from 0; not of an actuator nor of the loopback"
     )
-    rms_v: Positive = Field(title="Level", description="RMS voltage of the noise")
+    rms_v: Positive = Field(description="RMS voltage of the noise")
     around_s: Pause = Field(
-        default=0.5, title="Around", description="Time before and after each stimulus in which the noise plays, too"
+        default=0.5, description="Time before and after each stimulus in which the noise plays, too"
     )
 
 
@@ -195,7 +174,7 @@ class TrialsConfig(Table):
     def _names_exist_and_paths_have_speeds(self) -> TrialsConfig:
         for number, table in enumerate(self.stimuli):
             named: tuple[tuple[str, dict[str, Any]], ...] = (
-                ("path", self.path), ("signal", self.signal), ("quiet", self.quiet),
+                ("path", self.path), ("signal", self.signal), ("quiet", self.quiet)
             )  # fmt: skip
             for key, tables in named:
                 for name in getattr(table, key):
