@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
     from rich.console import Console
     from rich.progress import Task
+    from rich.status import Status
 
 # Without a terminal (a log file, a service) a line this often shows progress.
 LINE_EVERY_S = 30.0
@@ -168,6 +169,26 @@ def answer(line: str) -> None:
     print(escaped(line), flush=True)
 
 
+@contextmanager
+def spinner(words: str) -> Iterator[Status | None]:
+    """Show on a terminal that something is going on, where nobody knows how much is left; None elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    with people().status(words) as status, _bar_shown():
+        yield status
+
+
+@contextmanager
+def _bar_shown() -> Iterator[None]:
+    _work.bars += 1
+    try:
+        yield
+    finally:
+        _work.bars -= 1
+        _work.spoken_s = time.monotonic()
+
+
 def finish_clock(remaining_s: float) -> str:
     """The wall's clock time in `remaining_s` seconds, with the day when it is not today."""
     now = datetime.now(UTC)
@@ -229,12 +250,8 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
         def report(done: int, total: int, note: str = "") -> None:
             bar.update(task, completed=done, total=total, note=note)
 
-        _work.bars += 1
-        try:
+        with _bar_shown():
             yield report
-        finally:
-            _work.bars -= 1
-            _work.spoken_s = time.monotonic()
 
 
 def _line_reporter(what: str, first: int, *, timed: bool) -> Report:

@@ -91,9 +91,10 @@ def test_given_a_command_that_says_nothing_for_long_then_it_and_its_step_are_nam
 
 @pytest.mark.may_skip("a pseudo-terminal is POSIX")
 @posix
-def test_given_a_bar_then_the_command_is_not_named_beneath_it() -> None:
-    said = on_a_terminal(SILENT.format(first="with console.progress('check', 2): time.sleep(1)"))
-    assert "verify checksums" not in said[said.index("0/2") : said.rindex("0/2")]
+@pytest.mark.parametrize(("shown", "mark"), [("progress('check', 2)", "0/2"), ("spinner('reading')", "reading")])
+def test_given_a_bar_then_the_command_is_not_named_beneath_it(shown: str, mark: str) -> None:
+    said = on_a_terminal(SILENT.format(first=f"with console.{shown}: time.sleep(1)"))
+    assert "verify checksums" not in said[said.index(mark) : said.rindex(mark)]
 
 
 def test_given_no_terminal_then_a_silent_command_stays_silent() -> None:

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.console import people, say
+from wavefocus.console import say, spinner
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import require_output_folder
 
@@ -31,7 +31,7 @@ def bench(what: str, out: Path, *, quick: bool, force: bool = False, seconds: fl
         module = import_module(f"wavefocus.benchmarks.{name}")
         made = conditions(f"wavefocus bench {name}")
         begun_s = time.monotonic()
-        with people().status(f"{BENCHMARKS[name].title} ..."):
+        with spinner(f"{BENCHMARKS[name].title} ..."):
             found = module.run(out, quick=quick, **options)
         made |= {"seconds": round(time.monotonic() - begun_s, 1), "load_after": load()}
         # Small workloads say nothing about the marks.

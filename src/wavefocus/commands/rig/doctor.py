@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import platform
 import shutil
-import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,7 +19,7 @@ from wavefocus.config.messages.codec import to_line
 from wavefocus.config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
-from wavefocus.console import answer, people, print_line, say
+from wavefocus.console import answer, print_line, say, spinner
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
 from wavefocus.drivers.protocols import DeviceIdentity
@@ -62,8 +61,7 @@ def doctor(
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
     openers = openers_of(rig) if record is None else _noting(openers_of(rig))
-    busy = people().status("examining") if sys.stderr.isatty() else nullcontext()
-    with _recording(record, rig) as exchanges, busy as status:
+    with _recording(record, rig) as exchanges, spinner("examining") as status:
         resettable = {one.role for one in rig.usb}
 
         def publish(finding: Finding) -> None:
