@@ -225,6 +225,7 @@ def export_bank(
     from wavefocus.storage.exchange import EXPORTS
     from wavefocus.storage.exchange.exported_rows import choose_rows
     from wavefocus.storage.output_files import require_outputs, require_replaceable_folder
+    from wavefocus.storage.sidecar_files import clear_leftovers
 
     folder, missing_as_nan = Path(out), missing == "nan"
     form = EXPORTS[to]
@@ -240,6 +241,8 @@ def export_bank(
     with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
         inputs = [view.path, *([Path(publication)] if publication else [])]
         beside = folder.with_name(folder.name + form.notes_ending) if form.notes_ending else None
+        if folder.parent.is_dir():
+            clear_leftovers(folder.parent)  # what an export that was killed all but finished
         if not form.folder:
             require_outputs((folder, beside), inputs, force=force)
         view.require_sound(positions)

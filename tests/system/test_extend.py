@@ -13,6 +13,11 @@ import pytest
 from tests.lab_files import POSITIONS, change_text, with_check_rows, write_positions
 from tests.system.captures import held
 from wavefocus.__main__ import run
+from wavefocus.campaign.blueprint import blueprint_of
+from wavefocus.campaign.extension import extend
+from wavefocus.configuration import load_run
+from wavefocus.storage.bank.layout import create_bank
+from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 
@@ -140,6 +145,29 @@ def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(
     for name, checks in (("same.h5", [POSITIONS[4], POSITIONS[5]]), ("new.h5", [POSITIONS[5]])):
         with open_bank(lab / name) as new:
             assert new.position_mm[new.check].tolist() == checks
+
+
+@pytest.mark.parametrize("begun_with", [0, 12])
+def test_given_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extended(
+    tmp_path: Path, begun_with: int
+) -> None:
+    assert run(["init", str(tmp_path / "lab")]) == 0
+    run_file, old = tmp_path / "lab" / "run.toml", tmp_path / "old.h5"
+    change_text(run_file, "spacing_mm = 4.0", "spacing_mm = 24.0")
+    now = run_file.read_text(encoding="utf-8")
+    change_text(run_file, "# check_positions = 24", f"check_positions = {begun_with} #")
+    header = blueprint_of(load_run(run_file)).bank_header()
+    create_bank(old, header)
+    figures = np.ones(header.actuators, np.float32)
+    with BankWriter.open(old) as writer:
+        green = np.ones((header.actuators, header.taps), np.float32)
+        for row in range(header.positions):
+            writer.commit(row, green, PointRecord(1, 1, figures, figures, figures, figures))
+    run_file.write_text(now, encoding="utf-8")
+    extend([old], tmp_path / "new.h5", run_file)
+    with open_bank(tmp_path / "new.h5") as new:
+        assert np.count_nonzero(new.status) == header.positions
+        assert np.count_nonzero(new.check) >= 24
 
 
 def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -114,3 +114,12 @@ def test_the_source_of_an_import_is_named_where_it_is_this_folder(
     capsys.readouterr()
     assert run(["import", ".", "--bank", str(tmp_path / "b.h5")]) == 0
     assert "Imported from sounds (wav)" in capsys.readouterr().out
+
+
+def test_a_row_of_a_foreign_bank_that_is_400_db_from_the_others_is_not_valid(tmp_path: Path) -> None:
+    path = hdf5(tmp_path / "a.h5")
+    with h5py.File(path, "r+") as file:
+        file.attrs["sample_rate_hz"] = 1000.0
+        file["green"][2] *= 1e25
+    with open_bank(path) as bank:
+        assert bank.status.tolist() == [1, 1, 0, 1]

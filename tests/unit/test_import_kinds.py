@@ -138,27 +138,12 @@ def test_a_bank_with_empty_attributes_then_has_defaults(tmp_path: Path) -> None:
         assert (bank.response_unit, bank.drive_unit, bank.band_hz) == ("m/s/V", "V", None)
 
 
-def wav(tag: int, bits: int, *, extensible: bool = False) -> bytes:
-    form = struct.pack("<HHIIHH", 0xFFFE if extensible else tag, 1, 8000, 16_000, 2, bits)
-    if extensible:
-        form += struct.pack("<HHIH", 22, bits, 4, tag) + bytes.fromhex("000000001000800000aa00389b71")
-    chunks = b"fmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", 64) + bytes(64)
-    return b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WAVE" + chunks
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (wav(0x161, 16), "WMA sound"), (wav(0xFF, 16), "AAC sound"), (wav(0x1234, 16), "format 0x1234, 16 bits"),
-        (wav(0x2000, 0, extensible=True), "AC-3"), (b"wvpk" + bytes(60), "WavPack"), (b"hello", "not a WAV file"),
-        (b"", "not a WAV file"),
-    ],
-)  # fmt: skip
-def test_a_sound_file_that_is_not_read_then_says_its_kind(tmp_path: Path, content: bytes, words: str) -> None:
+@pytest.mark.parametrize("content", [b"wvpk" + bytes(60), b"hello", b""])
+def test_a_sound_file_that_is_not_read_then_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "sounds").mkdir()
     (tmp_path / "sounds" / "a.wav").write_bytes(content)
     (tmp_path / "places.csv").write_text("file,x_mm,y_mm\na.wav,0,0\n")
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=r"a\.wav is not read .*convert it to a WAV file of PCM"):
         wf.import_bank(tmp_path / "sounds", tmp_path / "b.h5", places=tmp_path / "places.csv", unit="Pa/V")
 
 

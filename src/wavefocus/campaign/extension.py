@@ -24,9 +24,10 @@ from wavefocus.campaign.schedule_choice import with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.configuration import Configuration, load_run, plan_differences
 from wavefocus.input_files import parse_positions
+from wavefocus.storage.bank.foreign import ForeignRows
 from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord
 from wavefocus.storage.bank.origins import Origin, origins_of
-from wavefocus.storage.bank.reading import Bank, ForeignRows, open_bank
+from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs
@@ -35,6 +36,8 @@ from wavefocus.storage.raw.writer import RawFile, RawWriter, create_raw, open_ra
 
 STEP_MM = 1e-6
 """Positions are the same where they agree to this: they are written as whole numbers of it."""
+POSITIONS_ALONE = ("position_mm", "grid.check_positions")
+"""Keys of a plan that are about positions; how many check positions are the default differs between versions."""
 Taken = dict[int, tuple[int, int]]
 """Row of the new bank to bank and row that it is taken from."""
 TAKEN = (int(Status.VALID), int(Status.DISABLED), int(Status.VALID | Status.DISABLED))
@@ -113,7 +116,7 @@ def _wanted(banks: Sequence[Path], run_file: Path | None) -> Configuration:
 
 
 def _require_same_kind(bank: Path, own: Configuration, wanted: Configuration, source: str) -> None:
-    differences = [one for one in plan_differences(own, wanted) if one.key != "position_mm"]
+    differences = [one for one in plan_differences(own, wanted) if one.key not in POSITIONS_ALONE]
     if differences:
         raise InputError(
             f"{source}: its rows would be of another kind than those of {bank}, which has "

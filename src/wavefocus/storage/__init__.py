@@ -1,9 +1,9 @@
 """Files: written so that a crash at any instant loses nothing that was acknowledged, read without trust.
 
 ============================  ==========================================================================
-`bank.reading`                `Bank`, `open_bank`: banks of this program and of others
+`bank.reading`                `Bank`, `open_bank`: banks of this program; `bank.foreign` those of others
 `bank.writer`, `bank.layout`  `create_bank`, `BankWriter`, `BankHeader`; `bank.ledger` has `PointRecord`
-`raw.writer`, `raw.header`     `open_raw`, `RawFile`, `create_raw`, `RawWriter`; `RawHeader`
+`raw.writer`, `raw.header`    `open_raw`, `RawFile`, `create_raw`, `RawWriter`; `RawHeader`
 `drive_file`, `field_file`    `Drive`, `read_drive`, `write_drive`; `Field`, `FieldRowReader`, ...
 `output_files`                `replacement`, `require_outputs`: results appear whole, and replace nothing
 `exchange`                    banks in the formats of other fields

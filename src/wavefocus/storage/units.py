@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from pathlib import Path
 
 from wavefocus.storage.errors import InputError
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+"""Units of places, in metres."""
+LENGTH_WORDS = {
+    "metre": "m", "meter": "m", "metres": "m", "meters": "m", "millimetre": "mm", "millimeter": "mm", "µm": "um",
+}  # fmt: skip
 
 PLAYED_UNITS = ("V", "1")
 """Units of drives that are played as volts; 1 is that of a bank without a unit."""
@@ -163,3 +170,28 @@ def _factors(unit: str) -> Factors:
                 found[key] = found.get(key, 0) + sign * power
         sign = signs[-1]
     return tuple((name, power) for (name, _), power in found.items())
+
+
+RATES_HZ = (10.0, 1e9)
+"""Rates of responses, from a seismometer's to a fast digitiser's; what lies outside is a unit that was mistaken."""
+
+
+def require_meant_rate(rate_hz: float, source: str) -> None:
+    """Refuse a sample rate that no instrument has. Raises InputError."""
+    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+        raise InputError(
+            f"{source}: the sample rate is {rate_hz:.6g} Hz; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz are allowed:"
+            " times are in s and frequencies in Hz"
+        )
+
+
+def require_unit(path: Path, name: str, stated: str) -> None:
+    """Refuse units that are not those of an array's name: ``time_s`` in ms, ``position_mm`` in m."""
+    wanted = name.rsplit("_", 1)[-1]
+    words: dict[str, tuple[str, ...]] = {"s": ("s", "sec", "second", "seconds"), "hz": ("hz", "hertz", "1/s", "s-1")}
+    words |= {unit: (unit, *(word for word, one in LENGTH_WORDS.items() if one == unit)) for unit in METRES}
+    if stated and wanted in words and stated.strip().lower() not in words[wanted]:
+        raise InputError(
+            f"{path}: {name} states the units {stated[:40]!r}; its name says {wanted}: convert the values, or correct"
+            " the attribute"
+        )

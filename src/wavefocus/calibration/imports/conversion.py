@@ -22,14 +22,12 @@ from wavefocus.calibration.imports.causal_response import (
 from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Measured, require_honest
-from wavefocus.storage.units import MOTIONS, split_unit
+from wavefocus.storage.units import MOTIONS, require_meant_rate, split_unit
 
 Float64Array = NDArray[np.float64]
 
 NOTICED_DB = -40.0
 """What is left out and holds more of the energy than this is a warning: it moves a response by 1 %."""
-RATES_HZ = (10.0, 1e9)
-"""Rates of responses, from a seismometer's to a fast digitiser's; what lies outside is a unit that was mistaken."""
 
 
 class Conversion:
@@ -56,11 +54,7 @@ class Conversion:
             self._from_spectra(measured, np.asarray(first), motion)
         else:
             self._from_samples(measured, motion)
-        if not RATES_HZ[0] <= self.rate_hz <= RATES_HZ[1]:
-            raise InputError(
-                f"{source}: the sample rate is {self.rate_hz:.6g} Hz; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz are"
-                " allowed: times are in s and frequencies in Hz"
-            )
+        require_meant_rate(self.rate_hz, str(source))
         self._window = end_window(self.taps, options.end)
 
     def _motion(self, measured: Measured) -> Motion:

@@ -1,4 +1,4 @@
-"""Reading a bank: one this program measured, or one that any program wrote after contract section 2."""
+"""Reading a bank: one this program measured, or one that any program wrote (`wavefocus.storage.bank.foreign`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
-from wavefocus.storage.bank.layout import BankHeader, quality_shape, read_check_rows, read_header, read_layout
+from wavefocus.storage.bank.foreign import ForeignRows, read_foreign
+from wavefocus.storage.bank.layout import BankHeader, read_header, read_layout
 from wavefocus.storage.bank.ledger import BANK, QUALITY, QUALITY_NAMES, LedgerFigures, figures_of
 from wavefocus.storage.bank.notes import Note, read_notes
 from wavefocus.storage.durable import Closing
@@ -23,143 +24,12 @@ from wavefocus.storage.hdf5_writing import sample_times
 from wavefocus.storage.labelled import labelled_dataset, rows_on_demand
 from wavefocus.storage.ledger.layout import JOURNAL, LEDGER, LedgerLayout, has_ledger
 from wavefocus.storage.ledger.reader import DamagedError, LedgerReader, damage_of
-from wavefocus.storage.units import drive_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
-
-
-class ForeignRows:
-    """Rows of a bank in any layout that HDF5 reads, converted to native floats; there are no checksums."""
-
-    def __init__(self, path: Path, green: h5py.Dataset, status: NDArray[np.uint8] | None, stack: ExitStack) -> None:
-        self._path, self._green, self._status, self._open = path, green, status, stack
-        self._packing = hdf5_reading.packing_of(green)
-        self.dtype = self._packing.dtype_of(green.dtype)
-
-    def read(self, position: int) -> Float32Array | Float64Array:
-        """Green's functions of a position, unpacked by `scale_factor` and `add_offset` where there are any."""
-        row = hdf5_reading.read_part(self._green, position, f"{self._path}: /green at position {position}")
-        if not self._packing.is_plain:
-            return self._packing.unpack(row)
-        with np.errstate(over="ignore"):  # a long double beyond float64 becomes an infinity and is refused as such
-            return np.ascontiguousarray(row.astype(self.dtype, copy=False))
-
-    def status(self) -> NDArray[np.uint8]:
-        """The file's status, or what the rows themselves say; that reads them all, once."""
-        if self._status is None:
-            found = np.zeros(len(self._green), np.uint8)
-            for position in range(len(found)):
-                row = self.read(position)
-                found[position] = bool(row.any() and np.isfinite(row).all())
-            self._status = found
-        return self._status.copy()
-
-    def damaged(self) -> tuple[int, ...]:
-        """No positions."""
-        return ()
-
-    def broken(self) -> NDArray[np.bool_]:
-        """False for each position."""
-        return np.zeros(len(self._green), bool)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._open.close()
-
-
-def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[str, Any], ForeignRows]:
-    """Read all but the rows of a foreign bank, by the names of `Bank`; the rows take over what `stack` closes.
-
-    Raises InputError: when something needed is missing, or something present has the wrong shape, kind or value.
-    """
-    hdf5_reading.require_format(file, BANK.name, may_lack=True)
-    green = hdf5_reading.plain_dataset(file, "/green", packed=True)
-    if green.ndim != 3 or not green.size:
-        raise InputError(
-            f"{path}: /green has shape {green.shape}; (position, actuator, tap), each 1 or more, is needed"
-        )
-    hdf5_reading.require_rows(green)
-    positions, actuators, taps = green.shape
-    rate = hdf5_reading.number(file, "sample_rate_hz")
-    if rate <= taps / np.finfo(np.float64).max:
-        raise InputError(f"{path}: attribute sample_rate_hz is {rate:g}; a rate above 0 is needed")
-    position_mm = hdf5_reading.read_floats(file, "/position_mm", (positions, 2))
-    if not np.isfinite(position_mm).all():
-        row = int(np.flatnonzero(~np.isfinite(position_mm).all(axis=1))[0])
-        raise InputError(f"{path}: /position_mm is not finite at position {row}; both coordinates are needed")
-    actuator_mm = np.full((actuators, 2), np.nan)
-    if hdf5_reading.has(file, "/actuator_mm"):
-        actuator_mm = hdf5_reading.read_floats(file, "/actuator_mm", (actuators, 2))
-    time_s = sample_times(taps, rate)
-    if hdf5_reading.has(file, "/time_s"):
-        hdf5_reading.require_sample_times(file, taps, rate, 0.0)
-        time_s = hdf5_reading.read_floats(file, "/time_s", (taps,))
-    facts = {
-        "sample_rate_hz": rate,
-        "taps": taps,
-        "position_mm": position_mm,
-        "actuator_mm": actuator_mm,
-        "time_s": time_s,
-        "band_hz": _band(file, path, rate),
-        "quality": {name: _quality(file, path, name, positions, actuators) for name in QUALITY_NAMES},
-        "rms": np.full((positions, actuators), np.nan),
-        **_units(file, green, path),
-        "rig_json": hdf5_reading.text(file, "rig"),
-        "run_json": hdf5_reading.text(file, "run"),
-        "plan_sha256": hdf5_reading.text(file, "plan_sha256"),
-        "software": hdf5_reading.text(file, "software"),
-        "directions_deg": hdf5_reading.pair(file, "directions_deg"),
-        "import_report": hdf5_reading.text(file, "import_report"),
-        "check_rows": read_check_rows(file, positions),
-    }
-    status = _status(file, path, positions)
-    return facts, ForeignRows(path, green, status, stack.pop_all())
-
-
-def _units(file: h5py.File, green: h5py.Dataset, path: Path) -> dict[str, str]:
-    unit = hdf5_reading.text(file, "response_unit") or hdf5_reading.text(green, "units") or "m/s/V"
-    try:
-        return {"response_unit": unit, "drive_unit": drive_of(unit, hdf5_reading.text(file, "drive_unit"))}
-    except InputError as error:
-        raise InputError(f"{path}: attribute {error}") from None
-
-
-def _band(file: h5py.File, path: Path, rate: float) -> tuple[float, float] | None:
-    if not hdf5_reading.holds_attribute(file, "band_hz"):
-        return None
-    low, high = hdf5_reading.numbers(file, "band_hz", 2)
-    if not 0 <= low < high <= rate / 2:
-        raise InputError(f"{path}: attribute band_hz is {low:g} to {high:g}; 0 <= low < high <= {rate / 2:g} is needed")
-    return low, high
-
-
-def _status(file: h5py.File, path: Path, positions: int) -> NDArray[np.uint8] | None:
-    if not hdf5_reading.has(file, "/status"):
-        return None
-    status = hdf5_reading.read_integers(file, "/status", (positions,))
-    if ((status < 0) | (status > 31)).any():
-        raise InputError(
-            f"{path}: /status holds {status.min()} to {status.max()}; sums of 1, 2, 4, 8 and 16 are allowed"
-        )
-    return status.astype(np.uint8)
-
-
-def _quality(file: h5py.File, path: Path, name: str, positions: int, actuators: int) -> Float32Array:
-    full = quality_shape(name, positions, actuators)
-    if not hdf5_reading.has(file, f"/quality/{name}"):
-        return np.full(full, 0 if name == "attempts" else np.nan, np.float32)
-    dataset = hdf5_reading.plain_dataset(file, f"/quality/{name}")
-    packing = hdf5_reading.packing_of(dataset)
-    if dataset.shape not in (full, (positions,)):
-        raise InputError(f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed")
-    figures = np.asarray(packing.unpack(hdf5_reading.read_whole(dataset)), np.float32)
-    if figures.shape != full:  # one figure per position stands for all its actuators
-        figures = np.repeat(figures[:, None], actuators, axis=1)
-    return figures
 
 
 GreenArray = NDArray[np.float32] | NDArray[np.float64]
@@ -378,31 +248,19 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
             # Copied object by object, or repacked: nothing lies where it did, and every row still has its checksum.
             header = read_header(content, path)
             rows = CopiedRows(content, path, header, stack)
+    stated: dict[str, Any] = {name: getattr(header, name) for name in _STATED}
+    stated |= {name: getattr(header, name) or None for name in ("rig_json", "run_json", "import_report", "origins")}
     return Bank(
-        path=path,
-        sample_rate_hz=header.sample_rate_hz,
-        taps=header.taps,
-        position_mm=header.position_mm,
-        actuator_mm=header.actuator_mm,
-        time_s=sample_times(header.taps, header.sample_rate_hz),
-        band_hz=header.band_hz,
-        quality=rows.figures.quality,
-        rms=rows.figures.rms,
-        response_unit=header.response_unit,
-        drive_unit=header.drive_unit,
-        rig_json=header.rig_json or None,
-        run_json=header.run_json or None,
-        plan_sha256=header.plan_sha256,
-        software=header.software,
-        directions_deg=header.directions_deg,
-        import_report=header.import_report or None,
-        rows=rows,
-        notes=notes,
-        unknown_attributes=unknown,
-        inter_channel_delay_s=header.inter_channel_delay_s,
-        origins=header.origins or None,
-        check_rows=header.check_rows,
-    )
+        path=path, rows=rows, time_s=sample_times(header.taps, header.sample_rate_hz), quality=rows.figures.quality,
+        rms=rows.figures.rms, notes=notes, unknown_attributes=unknown, **stated,
+    )  # fmt: skip
+
+
+_STATED = (
+    "sample_rate_hz", "taps", "position_mm", "actuator_mm", "band_hz", "response_unit", "drive_unit", "plan_sha256",
+    "software", "directions_deg", "inter_channel_delay_s", "check_rows",
+)  # fmt: skip
+"""What `Bank` takes from the header as it is."""
 
 
 class CopiedRows:

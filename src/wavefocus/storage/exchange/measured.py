@@ -17,15 +17,10 @@ from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.notes import Note
 from wavefocus.storage.errors import InputError, WavefocusError
 from wavefocus.storage.hdf5_reading import most_bytes
-from wavefocus.storage.units import green_unit
+from wavefocus.storage.units import LENGTH_WORDS, METRES, green_unit
 
 Float64Array = NDArray[np.float64]
 
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
-"""Units of places, in metres."""
-LENGTH_WORDS = {
-    "metre": "m", "meter": "m", "metres": "m", "meters": "m", "millimetre": "mm", "millimeter": "mm", "µm": "um",
-}  # fmt: skip
 SPARE_BYTES = 64 << 20
 UNFOLDS = 100
 """A file may declare so many times its size, and `SPARE_BYTES` more, before it counts as hollow."""

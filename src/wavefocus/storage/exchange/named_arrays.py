@@ -16,8 +16,6 @@ from wavefocus.storage.bank.ledger import QUALITY_NAMES
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
-    LENGTH_WORDS,
-    METRES,
     Float64Array,
     Measured,
     blocks,
@@ -30,6 +28,7 @@ from wavefocus.storage.exchange.npy import mapped_array
 from wavefocus.storage.exchange.places import table_of
 from wavefocus.storage.hdf5_reading import most_bytes
 from wavefocus.storage.text_file import read_text
+from wavefocus.storage.units import METRES, require_unit
 
 AXES = ("position", "actuator", "sample")
 _OURS = (
@@ -139,18 +138,6 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
         quality=_quality(numbers, count, actuators),
         left_out=_left_out(file.names, theirs),
     )
-
-
-def require_unit(path: Path, name: str, stated: str) -> None:
-    """Refuse units that are not those of an array's name: ``time_s`` in ms, ``position_mm`` in m."""
-    wanted = name.rsplit("_", 1)[-1]
-    words: dict[str, tuple[str, ...]] = {"s": ("s", "sec", "second", "seconds"), "hz": ("hz", "hertz", "1/s", "s-1")}
-    words |= {unit: (unit, *(word for word, one in LENGTH_WORDS.items() if one == unit)) for unit in METRES}
-    if stated and wanted in words and stated.strip().lower() not in words[wanted]:
-        raise InputError(
-            f"{path}: {name} states the units {stated[:40]!r}; its name says {wanted}: convert the values, or correct"
-            " the attribute"
-        )
 
 
 def ordered(values: Any, path: Path, options: ImportOptions) -> Any:

@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress, printable
-from wavefocus.storage.exchange.measured import METRES, Float64Array, Measured, chosen_direction, length_unit
+from wavefocus.storage.exchange.measured import Float64Array, Measured, chosen_direction, length_unit
 from wavefocus.storage.exchange.places import coordinates, read_places
 from wavefocus.storage.exchange.uff_sets import NOTE_MARK, NOTE_PART, Contents, Function, contents
 from wavefocus.storage.exchange.uff_systems import CARTESIAN, SPHERICAL, aligned, resolve
 from wavefocus.storage.output_files import replacement
+from wavefocus.storage.units import METRES
 
 TIME_RESPONSE, NORMAL, TIME = 1, 3, 17
 QUANTITIES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}

@@ -243,28 +243,12 @@ def _binary(
 
 
 def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -> Float64Array:
-    """Read the numbers of a function: at once where all lines are alike, else word by word."""
-    first = file.readline(_LINE)
-    lines = -(-numbers // len(widths))
-    regular = len(first.rstrip(b"\r\n")) == sum(widths) and lines > 2 and len(set(widths)) == 1
-    text = first
-    if regular:
-        text += file.read(min(len(first) * (lines - 2), _size(file)))
-        found = _fixed(text, len(first), widths[0])
-        if found is not None and len(text) == len(first) * (lines - 1):
-            last = file.readline(_LINE)
-            tail = [last[at : at + widths[0]] for at in range(0, len(last.rstrip()), widths[0])]
-            flat = np.concatenate([found, [_float(word) for word in tail if word.strip()]])
-            return _without_padding(flat, numbers, len(widths), path)
+    """Read the numbers of a function, up to the end of its set at the most."""
     words: list[float] = []
-    ends = -1
-    for line in text.splitlines():
-        if line.strip() == b"-1":
-            ends = len(words)
-            break
+    for line in _lines(file):
         words += _words(line, widths)
-    while ends < 0 and len(words) < numbers and (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
-        words += _words(line.rstrip(b"\r\n"), widths)
+        if len(words) >= numbers:
+            break
     return _without_padding(np.array(words), numbers, len(widths), path)
 
 
@@ -278,6 +262,10 @@ def _without_padding(found: Float64Array, numbers: int, a_line: int, path: Path)
 def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:
     """Numbers of a line, apart by spaces; by their widths where a sign has taken the space."""
     try:
+        return [float(word) for word in line.split()]
+    except ValueError:
+        pass
+    try:
         return [_float(word) for word in line.split()]
     except ValueError:
         found, at = [], 0
@@ -286,15 +274,3 @@ def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:
                 found.append(_float(line[at : at + width]))
             at += width
         return found
-
-
-def _fixed(text: bytes, line_bytes: int, width: int) -> Float64Array | None:
-    """Numbers of lines that are all alike, cut by their width; None where lines differ or a field is not one number."""
-    table = np.frombuffer(text[: len(text) // line_bytes * line_bytes], np.uint8).reshape(-1, line_bytes)
-    columns = line_bytes // width * width
-    if len(text) % line_bytes or (table[:, :columns] < ord(" ")).any() or (table[:, columns:] > ord(" ")).any():
-        return None
-    try:
-        return np.ascontiguousarray(table[:, :columns]).view(f"S{width}").astype(np.float64).reshape(-1)
-    except ValueError:
-        return None

@@ -239,45 +239,14 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 
 
 def _info(path: Path) -> Any:
-    """What a sound file holds; raises InputError, with its kind, where it cannot be read."""
+    """What a sound file holds; raises InputError where it cannot be read."""
     try:
         return soundfile.info(str(path))
     except soundfile.LibsndfileError as error:
         raise InputError(
-            f"{path} is {_kind(path)}, which is not read ({error.error_string.rstrip('.')}); convert it to a WAV file"
-            " of PCM or 32-bit float samples"
+            f"{path} is not read ({error.error_string.rstrip('.')}); convert it to a WAV file of PCM or 32-bit float"
+            " samples"
         ) from None
-
-
-def _kind(path: Path) -> str:
-    """The kind of a sound file by its first chunks (Multimedia Programming Interface and Data Specifications 1.0)."""
-    with path.open("rb") as file:
-        head = file.read(12)
-        if head[:4] not in (b"RIFF", b"RF64", b"BW64") or head[8:12] != b"WAVE":
-            return next((words for begin, words in _BEGINNINGS.items() if head.startswith(begin)), "not a WAV file")
-        while len(chunk := file.read(8)) == 8:
-            size = int.from_bytes(chunk[4:], "little")
-            if chunk[:4] == b"fmt ":
-                form = file.read(min(size, 40)).ljust(40, b"\0")
-                tag, bits = (int.from_bytes(form[at : at + 2], "little") for at in (0, 14))
-                if tag == 0xFFFE:  # the kind stands in the extension
-                    tag = int.from_bytes(form[24:26], "little")
-                return f"a WAV file of {_TAGS.get(tag, 'samples of another kind')} (format {tag:#06x}, {bits} bits)"
-            file.seek(size + size % 2, 1)
-    return "a WAV file without a description of its samples"
-
-
-_BEGINNINGS = {
-    b"ID3": "an MP3 file", b"\xff\xfb": "an MP3 file", b"wvpk": "a WavPack file", b"MAC ": "a Monkey's Audio file",
-    b"\x30\x26\xb2\x75": "a WMA file", b"\0\0\0": "an MP4 or M4A file",
-}  # fmt: skip
-_TAGS = {
-    1: "PCM samples", 2: "MS ADPCM samples", 3: "float samples", 6: "A-law samples", 7: "mu-law samples",
-    0x11: "IMA ADPCM samples", 0x31: "GSM samples", 0x50: "MPEG sound", 0x55: "MP3 sound", 0x92: "Dolby AC-3 sound",
-    0xFF: "AAC sound", 0x160: "WMA sound", 0x161: "WMA sound", 0x162: "WMA sound", 0x163: "WMA sound",
-    0x2000: "Dolby AC-3 sound", 0x2001: "DTS sound",
-}  # fmt: skip
-"""Format tags of WAV files (mmreg.h)."""
 
 
 def _exported(folder: Path) -> _Sounds:
