@@ -1,4 +1,4 @@
-"""Raw recordings as somebody else would write them, after contract section 3 alone: NumPy and h5py, nothing of ours.
+"""Raw recordings as somebody else would write them, after docs/reference/files.md: NumPy and h5py, nothing of ours.
 
 What is played is a formula, so that both channels are computed at the DAQ's own instants without resampling:
 a response is the sum over its taps of the formula at earlier instants. The noise's own limit follows from the

@@ -1,4 +1,4 @@
-"""Drives against a direct evaluation of contract section 1, one emitted sample after another."""
+"""Drives against a direct evaluation of docs/reference/files.md, one emitted sample after another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The drive and field files of contract section 5."""
+"""The drive and field files of docs/reference/files.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The drive file, contract section 5: what each actuator plays."""
+"""The drive file, docs/reference/files.md: what each actuator plays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The field file, contract section 5: the response at positions, predicted or scanned."""
+"""The field file, docs/reference/files.md: the response at positions, predicted or scanned."""
 
 from __future__ import annotations
 

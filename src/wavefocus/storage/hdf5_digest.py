@@ -1,4 +1,4 @@
-"""Checksums of HDF5 files: of a dataset's values (contract section 5), and of everything in a file.
+"""Checksums of HDF5 files: of a dataset's values (docs/reference/files.md), and of everything in a file.
 
 Two attributes hold them as hexadecimal SHA-256. `sha256` on a dataset is that of its values in C order,
 little-endian. `contents_sha256` on the root is that of all names, shapes, types, attributes and values, so

@@ -37,7 +37,7 @@ class Prepared:
 
     folder: Folder of the manifest and of the drive files, NAME.h5.
     bank_sha256: SHA-256 of the bank file's bytes.
-    sha256: Of each stimulus' drive, by name: the attribute ``sha256`` of ``/drive`` (contract section 5).
+    sha256: Of each stimulus' drive, by name: the attribute ``sha256`` of ``/drive`` (docs/reference/files.md).
     warnings: Warnings of what was rendered just now, one sentence each.
     """
 

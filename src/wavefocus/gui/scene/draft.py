@@ -139,7 +139,7 @@ def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
     scene: The scene; nothing about it is checked here.
     folder: Folder of the file: files inside it are named relative to it, others in full.
 
-    Returns TOML, as contract section 4 says.
+    Returns TOML, as docs/reference/scene-file.md says.
     """
     return "\n".join(
         [

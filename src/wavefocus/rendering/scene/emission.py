@@ -1,4 +1,4 @@
-"""Emissions: what a source emits in time, block by block, and from which rows (contract section 4)."""
+"""Emissions: what a source emits in time, block by block, and from which rows (docs/reference/scene-file.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A source sampled in time: path points, focus instants, emission (contract section 4)."""
+"""A source sampled in time: path points, focus instants, emission (docs/reference/scene-file.md)."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def sample_source(
     taps: int,
     method: Method,
 ) -> SampledSource:
-    """Sample one source as contract section 4 says.
+    """Sample one source as docs/reference/scene-file.md says.
 
     M = floor(length / d + 1e-9) + 1 points at arc length m d are emitted at
     n_m = round((start_s + m d / v) rate), each from absolute time and half to even, so that no error adds up.

@@ -1,4 +1,4 @@
-"""The bank file as HDF5 has it, contract section 2: its header, and where everything lies."""
+"""The bank file as HDF5 has it, docs/reference/files.md: its header, and where everything lies."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ UDUNITS = {"dB": "0.1 lg(re 1)"}
 
 
 def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None) -> None:
-    """Write a netCDF-4 file with the names and shapes of a bank (contract section 2), so that it is read as one, too.
+    """Write a netCDF-4 file with names and shapes of a bank (docs/reference/files.md), so that it is read as one, too.
 
     ``/quality`` holds the figures of the root a second time, as links, for readers of banks. One row is in memory.
     """

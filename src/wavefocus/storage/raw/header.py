@@ -1,4 +1,4 @@
-"""Header of a file of raw recordings, contract section 3, with the schedule of the records of a position."""
+"""Header of a file of raw recordings, docs/reference/files.md, with the schedule of the records of a position."""
 
 from __future__ import annotations
 

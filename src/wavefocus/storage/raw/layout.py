@@ -1,4 +1,4 @@
-"""The raw file as HDF5 sees it, contract section 3: laid out once, and where everything lies."""
+"""The raw file as HDF5 sees it, docs/reference/files.md: laid out once, and where everything lies."""
 
 from __future__ import annotations
 
