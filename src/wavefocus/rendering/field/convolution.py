@@ -105,6 +105,7 @@ class Convolution:
         most_bytes = HOST_PART_BYTES if self._device.is_host else self._device.memory_bytes
         return int(max(1, most_bytes // row_bytes))
 
+    @np.errstate(over="ignore", invalid="ignore")  # what does not fit is refused in words
     def respond(self, positions: Int64Array) -> RealArray:
         """Responses (positions, samples); raises InputError where a row cannot be used or a response does not fit."""
         xp, band, drive = self._device.xp, self.band, self._drive
