@@ -18,6 +18,7 @@ from wavefocus.calibration.clock.resampling import Decimated, decimate, resample
 from wavefocus.calibration.clock.timing import ClockFitter
 from wavefocus.calibration.estimator.estimate import MAX_PPM
 from wavefocus.calibration.excitation import RecordedExcitation
+from wavefocus.calibration.numerics import fourier_sum
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Law, RawHeader
 
@@ -222,11 +223,12 @@ def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader)
     """The mean of the sweeps of a record, on the playback clock; what `find_sweeps` found, and what it was found in."""
     shape, ratio = found.shape, found.ratio
     highest = highest_cycles(header.band_hz, shape.sweep_samples / header.sample_rate_hz, header.sample_rate_hz)
+    decay = shape.period_samples - shape.sweep_samples
     starts = found.offset + ratio * shape.period_samples * np.arange(shape.averages)
     inside = starts[starts + 0.5 * shape.sweep_samples < reference.size]
-    row = np.asarray(reference, dtype=np.float64)[None]
-    repeats = [resampled(row, start, ratio, shape.period_samples)[0] for start in inside]
-    base, decay = _low_passed(np.mean(repeats, axis=0), highest), shape.period_samples - shape.sweep_samples
+    low = max(math.floor(inside[0]) - decay // 2, 0)
+    sweeps = reference[low : math.floor(inside[-1] + ratio * shape.period_samples) - decay // 2]
+    base = _on_ring(sweeps, inside[0] - low, ratio, shape.period_samples, highest) / inside.size
     if not found.by_law:
         base = np.roll(base, -_end_of_silence(base, decay))
     # An abrupt start rings before it, once it is limited to its band.
@@ -242,17 +244,18 @@ def _end_of_silence(base: Float64Array, decay: int) -> int:
 
 def whole_record(found: FoundSweeps, reference: Float32Array, header: RawHeader, samples: int) -> Float64Array:
     """All that the reference channel of a record carried in DAQ volts on the playback clock, `samples` long."""
-    row = np.asarray(reference, dtype=np.float64)[None]
     sweep_s = found.shape.sweep_samples / header.sample_rate_hz
-    return _low_passed(
-        resampled(row, 0.0, found.ratio, samples)[0], highest_cycles(header.band_hz, sweep_s, header.sample_rate_hz)
+    return _on_ring(
+        reference, 0.0, found.ratio, samples, highest_cycles(header.band_hz, sweep_s, header.sample_rate_hz)
     )
 
 
-def _low_passed(signal: Float64Array, highest: float) -> Float64Array:
-    spectrum = scipy.fft.rfft(signal)
-    spectrum[math.ceil(highest * signal.size) :] = 0
-    return np.asarray(scipy.fft.irfft(spectrum, signal.size))
+def _on_ring(recording: Float32Array, offset: float, ratio: float, period: int, highest: float) -> Float64Array:
+    """The sum of a recording's periods on the playback clock, one of which begins at sample `offset`, exact to half
+    the rate; `highest` cycles per sample are kept."""
+    bins, turn = math.ceil(highest * period), 2 * np.pi / (period * ratio)
+    spectrum = fourier_sum(recording.astype(np.float64), turn, 0, bins) * np.exp(1j * turn * offset * np.arange(bins))
+    return np.asarray(scipy.fft.irfft(spectrum / ratio, period))
 
 
 def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[Float64Array, float]:

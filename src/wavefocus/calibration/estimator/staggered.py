@@ -134,7 +134,7 @@ class StaggeredEstimator:
         # Noise is recorded during silence too; over more than a period it is averaged.
         averaged = periods if self._runs_on else 1 / periods
         defects = not_looked_at(solution.energy.size)
-        defects["slip_db"] = decibel(1 - clock.explained, 1.0)
+        defects["slip_db"] = decibel(max(1 - clock.explained, 0.0), 1.0)
         if self._runs_on:
             turned = solution.left * np.exp(1j * np.angle(base))
             # The fit hides its share of what is there.
