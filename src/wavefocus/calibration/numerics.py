@@ -27,6 +27,12 @@ def parabola_vertex(before: Any, at: Any, after: Any) -> Any:
     return vertex if vertex.ndim else float(vertex)
 
 
+def periodic_top(values: NDArray[np.floating]) -> float:
+    """Place of the largest of evenly spaced values of one period, refined by a parabola; -0.5 to their number."""
+    top = int(np.argmax(values))
+    return top + float(parabola_vertex(*(float(values[(top + side) % values.size]) for side in (-1, 0, 1))))
+
+
 def evenly_spread(count: int, most: int) -> Int64Array:
     """At most `most` indices of `count` items, evenly spread, the first and the last among them; count, most >= 1."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))

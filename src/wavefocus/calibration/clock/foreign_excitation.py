@@ -251,8 +251,7 @@ def whole_record(found: FoundSweeps, reference: Float32Array, header: RawHeader,
 
 
 def _on_ring(recording: Float32Array, offset: float, ratio: float, period: int, highest: float) -> Float64Array:
-    """The sum of a recording's periods on the playback clock, one of which begins at sample `offset`, exact to half
-    the rate; `highest` cycles per sample are kept."""
+    """Sum of a recording's periods on the playback clock, up to `highest` cycles per sample; one begins at `offset`."""
     bins, turn = math.ceil(highest * period), 2 * np.pi / (period * ratio)
     spectrum = fourier_sum(recording.astype(np.float64), turn, 0, bins) * np.exp(1j * turn * offset * np.arange(bins))
     return np.asarray(scipy.fft.irfft(spectrum / ratio, period))

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.clock.known_signal import CORNERS
 from wavefocus.calibration.clock.period_spectrum import periodic_signal
 from wavefocus.calibration.clock.resampling import Decimated
-from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
+from wavefocus.calibration.numerics import fourier_sum, periodic_top
 
 # The search steps through the clock ratios so that the signal turns this far at most, in radians, at the ends
 # of the record and the top of the band.
@@ -24,9 +24,8 @@ MAX_STEPS = 8
 FAR_SAMPLES = 0.1
 # Gauss-Newton has ended when no sample moves by more.
 ENOUGH_SAMPLES = 1e-4
-# Terms of Taylor's series near a fit, and the largest turn in radians at the top of the band for which they serve: the
-# next term, 0.4**6 / 6!, is 6e-6 of the wave.
-TERMS, NEAR_TURN = 6, 0.4
+# Steps converge as their squares: the next one would be below a ten-thousandth of this.
+NEAR_SAMPLES = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,17 +110,11 @@ class KnownSignalClock:
             best = self._gauss_newton(values, place, best.offset_samples, best.ratio)
         return best
 
-    def refined(self, decimated: Decimated, offset: float, ratio: float) -> KnownSignalFit:
-        """Fit offset and ratio from guesses that are right to about a sample over the recording."""
-        values, place = _inside(decimated)
-        return self._gauss_newton(values, place, offset, ratio)
-
-    def near(self, decimated: Decimated, offset: float, ratio: float) -> NearClock:
-        """Make the fit of many recordings that are decimated alike and lie near an offset and a ratio."""
-        place = _inside(decimated)[1]
+    def near(self, length: int, step: int, offset: float, ratio: float) -> NearClock:
+        """Make the fit of parts of recordings of `length` samples, a multiple of `step`, of nearly this ratio."""
+        place = np.arange(0, length, step)
         waves = np.stack([self._amplitudes, self._amplitudes * self._slope, *(self._amplitudes * self._coupling)])
-        derivatives = [self._waves_at(waves * self._slope**term, place, offset, ratio) for term in range(TERMS)]
-        return NearClock(np.stack(derivatives), place, offset, ratio)
+        return NearClock(self._waves_at(waves, place, offset, ratio), length, self.highest, offset, ratio)
 
     def _offset(self, values: Float64Array, place: Int64Array, ratio: float) -> float:
         """Offset in samples to about one, from the envelope of the cross-correlation on the ring."""
@@ -131,9 +124,7 @@ class KnownSignalClock:
         sums = sums * np.exp(-1j * turn * place[0] * (self._first + np.arange(sums.size)))
         length = scipy.fft.next_fast_len(2 * self._spectrum.size)
         envelope = np.abs(scipy.fft.ifft(sums * self._spectrum.conj(), length))
-        top = int(np.argmax(envelope))
-        peak = top + parabola_vertex(*(envelope[(top + side) % length] for side in (-1, 0, 1)))
-        late = peak / length * self.period
+        late = periodic_top(envelope) / length * self.period
         return float((late - self.period if late > self.period / 2 else late) * ratio)
 
     def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> KnownSignalFit:
@@ -151,12 +142,8 @@ class KnownSignalClock:
             if far:
                 coupled = sampled[2:]
             model = np.concatenate([sampled[:2], (sampled[1] * lever)[None], coupled, ones[None]])
-            size = np.sqrt(np.square(model).sum(axis=1)) + 1e-300
-            model /= size[:, None]
-            gram, matched = model @ model.T, model @ values
-            shares = np.linalg.lstsq(gram, matched, rcond=1e-10)[0]
-            explained = float(matched @ shares / (energy + 1e-300))
-            shares = shares / size
+            shares, taken = _least_squares(model @ model.T, model @ values)
+            explained = taken / (energy + 1e-300)
             gain, coupling = float(shares[0]), shares[3:-1]
             if gain == 0 or not np.isfinite(shares).all():
                 break
@@ -184,50 +171,54 @@ class KnownSignalClock:
 
 
 class NearClock:
-    """Fits recordings near one offset and clock ratio by Taylor's series: far sooner than with sums of frequencies.
+    """Fits spectra of recordings that differ by little but their beginning, far sooner than sums of frequencies do.
 
-    derivatives, float64 (terms, waves, values): The signal, its derivative and what coupling capacitors leave out, each
-        with its derivatives, at the places of the recording.
-    place, int64 (values,): Samples of the recording.
-    offset, ratio: Where the series is made.
+    waves, float64 (waves, values): The signal, its derivative and what coupling capacitors leave out, evenly spaced
+        over a part of a recording.
+    length: Samples of the part.
+    highest: Upper end of the band in cycles per sample.
+    offset, ratio: Of the waves.
     """
 
-    def __init__(self, derivatives: Float64Array, place: Int64Array, offset: float, ratio: float) -> None:
-        self._derivatives = derivatives.reshape(len(derivatives), -1)
-        self._shape = derivatives.shape[1:]
-        self._step, self._offset, self._ratio = float(place[1] - place[0]), offset, ratio
-        self._middle = 0.5 * (place[0] + place[-1])
-        self._reach = max(float(place[-1]) - self._middle, 1.0)
-        self._lever = (place - self._middle) / self._reach
+    def __init__(self, waves: Float64Array, length: int, highest: float, offset: float, ratio: float) -> None:
+        self._length, self._offset, self._middle, self._highest = length, offset, 0.5 * length, highest
+        self.ratio = ratio
+        lever = np.linspace(-1, 1, waves.shape[1], endpoint=False)
+        spectra = scipy.fft.rfft(np.insert(waves, 2, waves[1] * lever, axis=0)) * (length / waves.shape[1])
+        self._bins = slice(1, min(math.ceil(highest * length) + 1, spectra.shape[1]))
+        self._spectra = np.ascontiguousarray(spectra[:, self._bins]).view(np.float64)
+        self._gram = self._spectra @ self._spectra.T
+        self._turns = 2j * np.pi / length * np.arange(1, self._bins.stop)
 
-    def fit(self, decimated: Decimated) -> KnownSignalFit:
-        """Fit offset and ratio of one recording, which is good where both turn out near (`NEAR_TURN`)."""
-        values, _ = _inside(decimated)
-        model = np.ones((self._shape[0] + 2, values.size))
-        moved = stretched = explained = gain = 0.0
-        coupling = np.zeros(self._shape[0] - 2)
+    def fit(self, spectrum: Complex64Array, offset: float) -> KnownSignalFit:
+        """Fit offset and ratio of a part, (length // 2 + 1,), from an offset right to about a sample."""
+        part = spectrum[self._bins].astype(np.complex128)
+        late, stretched, taken, gain = offset - self._offset, 0.0, 0.0, 0.0
+        coupling = np.zeros(len(self._gram) - 3)
         for _ in range(MAX_STEPS):
-            series = np.cumprod([1.0, *(moved / term for term in range(1, TERMS))])
-            waves = (series @ self._derivatives).reshape(self._shape)
-            model[:2], model[2], model[3:-1] = waves[:2], waves[1] * self._lever, waves[2:]
-            size = np.sqrt(np.einsum("mk,mk->m", model, model)) + 1e-300
-            matched = model @ values / size
-            shares = np.linalg.lstsq(model @ model.T / np.outer(size, size), matched, rcond=1e-10)[0]
-            explained = float(matched @ shares)
-            shares = shares / size
-            gain, coupling = float(shares[0]), shares[3:-1]
+            matched = self._spectra @ (part * np.exp(self._turns * late)).view(np.float64)
+            shares, taken = _least_squares(self._gram, matched)
+            gain, coupling = float(shares[0]), shares[3:]
             if gain == 0 or not np.isfinite(shares).all():
                 break
-            more, stretched = float(shares[1]) / gain, float(shares[2]) / gain
-            moved += more
-            # Steps converge as their squares: the next one would be below `ENOUGH_SAMPLES`.
-            if more * more < ENOUGH_SAMPLES or abs(moved) > 1.0:
+            limit = 0.25 / self._highest
+            moved, stretched = (float(np.clip(change, -limit, limit)) for change in shares[1:3] / gain)
+            late -= moved * self.ratio
+            if abs(moved) < NEAR_SAMPLES:
                 break
-        ratio = 1 / (1 / self._ratio + stretched / self._reach)
-        offset = self._middle - ((self._middle - self._offset) / self._ratio + moved) * ratio
-        energy = float(values @ values)
-        left = (energy - explained) * self._step
-        return KnownSignalFit(offset, ratio, gain, explained / (energy + 1e-300), coupling, left)
+        ratio = 1 / (1 / self.ratio + stretched / self._middle)
+        begin = self._middle - (self._middle - self._offset) / self.ratio * ratio + late
+        beyond = spectrum[self._bins.stop :]
+        within = float(np.vdot(part, part).real)
+        left = 2 / self._length * (within - taken + float(np.vdot(beyond, beyond).real))
+        return KnownSignalFit(begin, ratio, gain, taken / (within + 1e-300), coupling, left)
+
+
+def _least_squares(gram: Float64Array, matched: Float64Array) -> tuple[Float64Array, float]:
+    """Shares of waves in a recording, from their products with each other and with it; the energy that they explain."""
+    size = np.sqrt(np.diag(gram)) + 1e-300
+    shares = np.linalg.lstsq(gram / np.outer(size, size), matched / size, rcond=1e-10)[0]
+    return shares / size, float(matched / size @ shares)
 
 
 def _inside(decimated: Decimated) -> tuple[Float64Array, Int64Array]:

@@ -103,7 +103,9 @@ class SweepCutter:
         """Fit a record of many sweeps, near the clock of its first ones."""
         near = None
         if np.isfinite(recording).all() and recording.any():
-            low = max(round(self._clock.place(recording)) - FIRST_MARGIN, 0)
+            length = scipy.fft.next_fast_len(recording.size, real=True)
+            place = self._clock.search.top(scipy.fft.rfft(recording, length), length)
+            low = max(round(place) - FIRST_MARGIN, 0)
             part = recording[low : low + FEW_SWEEPS * self.period + 2 * FIRST_MARGIN]
             with suppress(ReferenceMissingError):
                 found = first_sweeps.fit(part, diagnose=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,15 +13,10 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.known_signal_clock import (
-    NEAR_TURN,
-    KnownSignalClock,
-    KnownSignalFit,
-    NearClock,
-)
+from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock, NearClock
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
-from wavefocus.calibration.clock.resampling import Decimated, decimate, decimation_step, resampled
-from wavefocus.calibration.numerics import parabola_vertex
+from wavefocus.calibration.clock.resampling import decimation_step, resampled
+from wavefocus.calibration.numerics import parabola_vertex, periodic_top
 from wavefocus.storage.errors import InputError
 
 # Reference not explained by the known signal, above which a fit would be a guess.
@@ -30,8 +25,9 @@ REFERENCE_LIMIT_DB = -10.0
 BAND_SHARE = 1e-9
 # Silence around the known signal that the fit may look at, for a first guess that is off and for tails.
 GUARD_SAMPLES = 64
-# Where the signal begins in the part that is cut out, to half a sample.
-NEAR_OFFSET = GUARD_SAMPLES + 0.5
+# A stretch that turns the top of the band by less than this at the ends of a record, in radians, is found without
+# iteration: what is neglected is its third power.
+NEAR_TURN, MAX_STEPS = 0.01, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +86,8 @@ class BlockSearch:
         # one sweep ends in it and another begins, its band is not as wide as that seems.
         widths = np.array([_squared_width(known[low:high]) for low, high in self._spans])
         self._worth = energy[loud] * np.minimum(widths, np.median(widths))
-        # Records of one campaign are equally long.
-        self._blocks = lru_cache(maxsize=1)(self._transformed)
+        # Records of one campaign are equally long, and so are the parts of them that are cut out.
+        self._blocks = lru_cache(maxsize=2)(self._transformed)
         self._moves = np.zeros(len(self._spans))
         if len(self._spans) > 1:
             trial = 0.5e-6 * max_ppm
@@ -116,22 +112,19 @@ class BlockSearch:
         slope = min(max(slope, -1e-6 * self._max_ppm), 1e-6 * self._max_ppm)
         return float(share @ (lags - slope * self._moves)), 1.0 + slope
 
-    def top(self, recorded: NDArray[np.floating]) -> float:
-        """Sample at which the whole signal correlates most; the stretch of the clocks moves it alike in all records."""
-        blocks = self._blocks(recorded.size)
-        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), blocks.length)[blocks.bins]
-        envelope = np.abs(scipy.fft.ifft(spectrum * blocks.whole, blocks.lags)).astype(np.float64)
-        at = int(np.argmax(envelope))
-        late = parabola_vertex(*(envelope[(at + side) % blocks.lags] for side in (-1, 0, 1)))
-        step = blocks.length / blocks.lags
-        return float(step * (at + late) - (blocks.length if step * at >= recorded.size else 0))
+    def top(self, spectrum: NDArray[np.complexfloating], length: int) -> float:
+        """Sample at which the whole signal correlates most with a ring of `length` samples of this spectrum."""
+        blocks = self._blocks(length)
+        envelope = np.abs(scipy.fft.ifft(spectrum[blocks.bins] * blocks.whole, blocks.lags))
+        return periodic_top(envelope) * length / blocks.lags
 
     def _lags(self, recorded: NDArray[np.floating]) -> Float64Array:
         """Sample at which the signal would begin, by each block."""
-        blocks = self._blocks(recorded.size)
-        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), blocks.length)[blocks.bins]
+        length = scipy.fft.next_fast_len(recorded.size + self._known.size, real=True)
+        blocks = self._blocks(length)
+        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), length)[blocks.bins]
         envelopes = np.abs(scipy.fft.ifft(spectrum * blocks.spectra, blocks.lags, axis=1))
-        step = blocks.length / blocks.lags
+        step = length / blocks.lags
         top = int(np.argmax(envelopes.sum(axis=0)))
         # A sweep stretched moves its blocks by twice the stretch.
         reach = math.ceil((2e-6 * self._max_ppm * self._known.size + 8) / step)
@@ -139,17 +132,16 @@ class BlockSearch:
         close = envelopes[:, near].astype(np.float64)
         found = 1 + np.argmax(close[:, 1:-1], axis=1)
         late = found - reach - 1 + parabola_vertex(*(close[np.arange(len(close)), found + side] for side in (-1, 0, 1)))
-        return np.asarray(step * (top + late) - (blocks.length if step * top >= recorded.size else 0))
+        return np.asarray(step * (top + late) - (length if step * top >= recorded.size else 0))
 
-    def _transformed(self, recorded: int) -> _Blocks:
-        length = scipy.fft.next_fast_len(recorded + self._known.size, real=True)
+    def _transformed(self, length: int) -> _Blocks:
         bins = slice(max(int(self._band[0] * length), 1), math.ceil(self._band[1] * length))
         alone = np.zeros((len(self._spans), length))
         for row, (low, high) in zip(alone, self._spans, strict=True):
             row[low:high] = self._known[low:high]
         spectra = scipy.fft.rfft(alone)[:, bins].conj().astype(np.complex64)
         lags = scipy.fft.next_fast_len(math.ceil(OVERSAMPLING * spectra.shape[1]))
-        return _Blocks(length, bins, lags, spectra, spectra.sum(axis=0))
+        return _Blocks(bins, lags, spectra, spectra.sum(axis=0))
 
 
 def _squared_width(block: Float64Array) -> float:
@@ -162,9 +154,8 @@ def _squared_width(block: Float64Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """Conjugate spectra of blocks and of all together, in the band of a transform of `length`; lags of the way back."""
+    """Conjugate spectra of blocks and of all together, in the band of a transform; lags of the way back."""
 
-    length: int
     bins: slice
     lags: int
     spectra: Complex64Array
@@ -175,7 +166,7 @@ class ClockFitter:
     """Finds offset, clock ratio and gain of one known signal in recordings of the reference channel.
 
     Blocks of the known signal are first found by cross-correlation (`BlockSearch`); then its wave is fitted to the
-    recording by Gauss-Newton (`KnownSignalClock`), as a period with silence around it. Safe to share between threads; a
+    recording by Gauss-Newton (`NearClock`), as a period with silence around it. Safe to share between threads; a
     result depends on its recording alone.
 
     known_v, (known,): What was played in volts, on the playback clock, its silences included; known <= samples.
@@ -195,9 +186,11 @@ class ClockFitter:
         self._known = known
         self._max_ppm = max_ppm
         stretch = math.ceil(1e-6 * max_ppm * known.size)
-        self._length = scipy.fft.next_fast_len(known.size + stretch + 2 * GUARD_SAMPLES, real=True)
+        room = known.size + stretch + 2 * GUARD_SAMPLES
         # Longer than the part that is looked at, whatever the clocks do.
-        period = scipy.fft.next_fast_len(self._length + 2 * stretch + GUARD_SAMPLES, real=True)
+        period = scipy.fft.next_fast_len(
+            scipy.fft.next_fast_len(room, real=True) + 2 * stretch + GUARD_SAMPLES, real=True
+        )
         spectrum = scipy.fft.rfft(known, period)
         below = np.cumsum(np.abs(spectrum) ** 2)
         first = max(int(np.searchsorted(below, BAND_SHARE * below[-1])), 1)
@@ -205,9 +198,9 @@ class ClockFitter:
         # Half the sample rate is left out: a delay by a fraction of a sample is not defined there.
         bins = min(last + 1, (period + 1) // 2)
         self._clock = KnownSignalClock(spectrum[:bins], period, max_ppm, below_share=BAND_SHARE)
-        self._search = BlockSearch(known, (first / period, bins / period), max_ppm)
-        # Records of one campaign have one clock ratio, to what its temperature does in minutes.
-        self._near = lru_cache(maxsize=2)(self._near_clock)
+        self._step = decimation_step(self._clock.highest)
+        self._length = self._step * scipy.fft.next_fast_len(-(-room // self._step), real=True)
+        self.search = BlockSearch(known, (first / period, bins / period), max_ppm)
 
     def fit(
         self,
@@ -228,21 +221,15 @@ class ClockFitter:
         absent, too noisy, or not entirely inside the recording.
         """
         recorded = self._checked(np.asarray(recorded_v), name)
-        offset, ratio = self._search.first_guess(recorded) if near is None else near
-        cut, first = self._cut(recorded, offset)
-        fit = self._clock.refined(self._decimated(cut), offset - first, ratio)
-        found = self._fit_of(fit, cut, first)
-        if not found.residual_db <= REFERENCE_LIMIT_DB or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
+        offset, ratio = self.search.first_guess(recorded) if near is None else near
+        found = self._refined(*self._cut(recorded, offset), offset, self._near(ratio))[0]
+        if not self._is_found(found):
             words = f"unexplained {found.residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
             if not diagnose:
                 raise ReferenceMissingError(f"{name} does not carry what was played ({words})")
             raise missing_reference(recorded, self._known, name, words, self._max_ppm)
         check_inside(found.offset_samples, found.ratio, self._known.size, recorded.size, name)
         return found
-
-    def place(self, recorded: NDArray[np.floating]) -> float:
-        """Sample at which the whole signal correlates most with a recording."""
-        return self._search.top(recorded)
 
     def fit_all(self, recorded_v: NDArray[np.floating], names: Sequence[str]) -> list[ClockFit]:
         """Find the known signal in recordings of one pair of clocks: each as `fit`, those after the first sooner.
@@ -251,35 +238,54 @@ class ClockFitter:
 
         Raises InputError, ReferenceMissingError: as `fit`.
         """
-        fits: list[ClockFit] = []
-        bias = 0.0
-        for recorded, name in zip(recorded_v, names, strict=True):
-            near = self._fit_near(self._checked(recorded, name), fits[0], bias) if fits else None
-            fits.append(self.fit(recorded, name=name) if near is None else near)
-            if len(fits) == 1 < len(names):
-                bias = fits[0].offset_samples - self._search.top(recorded)
+        fits = [self.fit(recorded_v[0], name=names[0])]
+        if len(names) == 1:
+            return fits
+        known, clock = fits[0], self._near(fits[0].ratio)
+        # What the correlation of the whole signal errs by in the first recording, and so in the others.
+        bias = known.offset_samples - self._place(recorded_v[0], known.offset_samples)[2]
+        for recorded, name in zip(recorded_v[1:], names[1:], strict=True):
+            spectrum, first, place = self._place(self._checked(recorded, name), known.offset_samples)
+            found, clock = self._refined(spectrum, first, place + bias, clock)
+            near = self._is_found(found) and found.residual_db <= known.residual_db + 3.0
+            inside = (
+                found.offset_samples >= -0.5
+                and found.offset_samples + (self._known.size - 1) * found.ratio <= recorded.size - 0.5
+            )
+            fits.append(found if near and inside else self.fit(recorded, name=name))
         return fits
 
-    def _fit_near(self, recorded: NDArray[np.floating], first_fit: ClockFit, bias: float) -> ClockFit | None:
-        """The fit of a recording whose clocks are those of another; None where it is not near that one.
+    def _near(self, ratio: float) -> NearClock:
+        return self._clock.near(self._length, self._step, GUARD_SAMPLES, ratio)
 
-        bias: What the correlation of the whole signal errs by in the other, and so in this one.
-        """
-        offset = self._search.top(recorded) + bias
-        cut, first = self._cut(recorded, offset)
-        decimated = self._decimated(cut)
-        fit = self._near(round(first_fit.ratio, 7)).fit(decimated)
-        found = self._fit_of(fit, cut, first)
-        moved = abs(fit.offset_samples - NEAR_OFFSET) + abs(fit.ratio - first_fit.ratio) * self._length
-        allowed_db = min(first_fit.residual_db + 3.0, REFERENCE_LIMIT_DB)
-        is_near = 2 * math.pi * self._clock.highest * moved <= NEAR_TURN and found.residual_db <= allowed_db
-        if not is_near or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
-            return None
-        last = found.offset_samples + (self._known.size - 1) * found.ratio
-        return found if found.offset_samples >= -0.5 and last <= recorded.size - 0.5 else None
+    def _is_found(self, fit: ClockFit) -> bool:
+        return fit.residual_db <= REFERENCE_LIMIT_DB and abs(fit.ratio - 1) <= 1.01e-6 * self._max_ppm
 
-    def _near_clock(self, ratio: float) -> NearClock:
-        return self._clock.near(self._decimated(np.zeros(self._length)), NEAR_OFFSET, ratio)
+    def _refined(
+        self, spectrum: Complex64Array, first: int, offset: float, clock: NearClock
+    ) -> tuple[ClockFit, NearClock]:
+        """The fit of the part of a recording from sample `first` on, and the clock near it."""
+        offset -= first
+        for _ in range(MAX_STEPS):
+            fit = clock.fit(spectrum, offset)
+            turned = math.pi * self._clock.highest * abs(fit.ratio - clock.ratio) * self._length
+            if turned <= NEAR_TURN or not abs(fit.ratio - 1) <= 2e-6 * self._max_ppm:
+                break
+            clock, offset = self._near(fit.ratio), fit.offset_samples
+        explained = float(fit.gain**2 * (self._known @ self._known))
+        residual_db = 10 * math.log10((max(fit.left, 0.0) + 1e-300) / (explained + 1e-300))
+        return ClockFit(first + fit.offset_samples, fit.ratio, fit.gain, residual_db), clock
+
+    def _place(self, recorded: NDArray[np.floating], offset: float) -> tuple[Complex64Array, int, float]:
+        """Where the whole signal correlates most, looked for near an offset, after spectrum and first sample there."""
+        for _ in range(2):  # once more where most of it lies elsewhere
+            spectrum, first = self._cut(recorded, offset)
+            late = self.search.top(spectrum, self._length) - GUARD_SAMPLES
+            late -= self._length * round(late / self._length)
+            offset = first + GUARD_SAMPLES + late
+            if abs(late) < GUARD_SAMPLES:
+                break
+        return spectrum, first, offset
 
     def _checked(self, recorded: NDArray[np.floating], name: str) -> NDArray[np.floating]:
         if recorded.ndim != 1:
@@ -293,29 +299,14 @@ class ClockFitter:
             raise ReferenceMissingError(f"{name} has {recorded.size} samples of {self._known.size}", "cut")
         return recorded
 
-    def _decimated(self, cut: Float64Array) -> Decimated:
-        decimated = decimate(cut[None].astype(np.float32), self._clock.highest)
-        # Silence lies beyond the ends of the part that is cut out.
-        return replace(decimated, inside=slice(0, decimated.values.shape[1]))
-
-    def _fit_of(self, fit: KnownSignalFit, cut: Float64Array, first: int) -> ClockFit:
-        """The fit of a part of a recording that begins at sample `first`."""
-        explained = float(fit.gain**2 * (self._known @ self._known))
-        # What the decimation has taken out is noise.
-        step = decimation_step(self._clock.highest)
-        beyond = scipy.fft.rfft(cut)[self._length // (2 * step) + 1 :]
-        left = fit.left + 2 / self._length * float(np.vdot(beyond, beyond).real)
-        residual_db = 10 * math.log10((max(left, 0.0) + 1e-300) / (explained + 1e-300))
-        return ClockFit(first + fit.offset_samples, fit.ratio, fit.gain, residual_db)
-
-    def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[Float64Array, int]:
-        """The part of the recording around the signal, zeros beyond its ends, and where it starts."""
+    def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[Complex64Array, int]:
+        """Spectrum of the part of the recording around the signal, zeros beyond its ends, and where it starts."""
         first = math.floor(offset) - GUARD_SAMPLES
-        cut = np.zeros(self._length)
+        cut = np.zeros(self._length, np.float32)
         low, high = max(first, 0), min(first + self._length, recorded.size)
         if high > low:
             cut[low - first : high - first] = recorded[low:high]
-        return cut, first
+        return scipy.fft.rfft(cut), first
 
 
 def fit_clock(recorded_v: ArrayLike, known_v: ArrayLike, *, max_ppm: float = 500.0) -> ClockFit:
