@@ -96,7 +96,7 @@ def open_session(
                     raise
                 finest = output.interpolation  # the bank does not allow the finer rows
                 engine, limiter = engine_and_limiter(finest)
-        working_on("")
+        working_on("opening the interface")
         with progress("reading the bank", 1):
             engine.preload()
         recording = None
@@ -133,6 +133,7 @@ def open_session(
             engine.y_mm,
             independent=regularisation.independent,
         )
+        working_on("")
         yield session, ready
 
 
