@@ -61,6 +61,7 @@ def test_given_a_controller_then_range_and_level_are_read_echo_or_not_and_the_po
     assert readings[0] == readings[1]
     assert readings[0].sensitivity_m_s_per_v == pytest.approx(0.125)
     assert readings[0].range_text == "125mm/s/V"
+    assert readings[0].latency_s == (pytest.approx(8.16e-6) if driver == "polytec-ofv5000" else None)
     assert readings[0].signal_level == pytest.approx(600 / 775 if driver == "polytec-ofv5000" else 31 / 40)
     assert NAMES[driver] in readings[0].identity
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
+from tests.unit.wave_travel import impulse_travel as travel_of_a_wave
 from wavefocus.config.scene import Regularisation
 from wavefocus.mocks.plates.soft import SOFT_PLATE, DampedWave
-from wavefocus.mocks.plates.soft import impulse_travel as travel_of_a_wave
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.crosstalk import PathResponses, crosstalk_table
 from wavefocus.rendering.field.metrics import band_limited

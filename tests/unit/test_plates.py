@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import hankel2
 
+from tests.unit.wave_travel import impulse_travel
 from wavefocus.config.plate import PlateKeys
 from wavefocus.mocks.plates import PLATES
 from wavefocus.mocks.plates.infinite import PlateTable
@@ -18,9 +19,7 @@ from wavefocus.mocks.plates.soft import (
     SPRINGPOT_PLATE,
     DampedWave,
     SpringpotWave,
-    impulse_travel,
     mean_hankel,
-    thin_plate_green,
 )
 from wavefocus.mocks.virtual.settings import MirrorGeometry
 from wavefocus.mocks.virtual.synthesis import chain_response
@@ -152,12 +151,11 @@ def test_given_a_damping_that_feeds_the_wave_then_it_is_refused():
         DampedWave(4.8, -1.0)
 
 
-@pytest.mark.parametrize("function", [lambda k, r: mean_hankel(k, r, 0.0025), thin_plate_green])
-def test_given_a_growing_wave_or_a_negative_radius_then_it_is_refused(function):
+def test_given_a_growing_wave_or_a_negative_radius_then_it_is_refused():
     with pytest.raises(ValueError, match=r"imaginary part of 1.*grow"):
-        function(100 + 1j, 0.01)
+        mean_hankel(100 + 1j, 0.01, 0.0025)
     with pytest.raises(ValueError, match=r"radius is -0\.01 m"):
-        function(100 - 1j, -0.01)
+        mean_hankel(100 - 1j, -0.01, 0.0025)
 
 
 def test_given_a_source_without_size_then_it_is_refused():
@@ -165,35 +163,15 @@ def test_given_a_source_without_size_then_it_is_refused():
         mean_hankel(100 - 1j, 0.01, 0.0)
 
 
-def test_given_the_driving_point_then_the_thin_plate_has_its_limit():
-    k = 80.0 - 2.0j
-    assert thin_plate_green(k, 0.0) == pytest.approx(-1j / (8 * k * k))
-    assert thin_plate_green(k, 1e-7) == pytest.approx(-1j / (8 * k * k), rel=1e-6)
-
-
-def test_given_a_thin_plate_then_its_green_function_solves_the_biharmonic_equation():
-    k, h = 60.0 - 1.0j, 2e-4
-    x = 0.03 + h * np.arange(-2, 3)
-    y = h * np.arange(-2, 3)
-    w = thin_plate_green(k, np.hypot(*np.meshgrid(x, y)))
-    laplacian = (w[1:-1, 2:] + w[1:-1, :-2] + w[2:, 1:-1] + w[:-2, 1:-1] - 4 * w[1:-1, 1:-1]) / h**2
-    biharmonic = (laplacian[1, 2] + laplacian[1, 0] + laplacian[2, 1] + laplacian[0, 1] - 4 * laplacian[1, 1]) / h**2
-    assert biharmonic == pytest.approx(k**4 * w[2, 2], rel=1e-3)
-
-
 def test_given_the_straight_mirror_then_a_slope_is_a_thousandth_of_the_place():
     assert MirrorGeometry().spot_mm(100.0, -50.0) == pytest.approx((1000 * np.tan(0.1), 1000 * np.tan(-0.05)))
 
 
-@given(st.floats(-120, 120), st.floats(-70, 70), st.floats(-30, 30), st.floats(-30, 30), st.floats(-180, 180))
-def test_given_any_mirror_then_its_angles_lead_back_to_the_spot(x_mm, y_mm, about_x, about_y, roll):
-    mirror = MirrorGeometry(900.0, (12.0, -7.0), (about_x, about_y), roll)
+@given(st.floats(-120, 120), st.floats(-70, 70), st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6))
+def test_given_any_mirror_then_its_angles_lead_back_to_the_spot(x_mm, y_mm, bent):
+    a, b, c, d, e, f = bent
+    mirror = MirrorGeometry(((1 + a, b, 12.0), (c, 1 + d, -7.0), (e, f, 900.0)))
     assert mirror.spot_mm(*mirror.angles_mrad(x_mm, y_mm)) == pytest.approx((x_mm, y_mm), abs=1e-9)
-
-
-def test_given_a_mirror_behind_the_surface_then_it_is_refused():
-    with pytest.raises(ValueError, match="distance_mm is 0"):
-        MirrorGeometry(distance_mm=0.0)
 
 
 def test_given_the_chain_then_its_filters_are_the_textbook_s():
@@ -216,5 +194,5 @@ def test_given_the_plates_that_are_registered_then_the_files_name_the_same_and_e
     names = {name for name in PLATES.all() if "," not in name}
     assert set(get_args(PlateKeys.model_fields["plate"].annotation)) == names
     for key, field in PlateKeys.model_fields.items():
-        if isinstance(field.json_schema_extra, dict) and key != "edge":  # which of two plates of glass it is
+        if isinstance(field.json_schema_extra, dict) and key not in ("edge", "mode_tolerance"):  # see make_plate
             assert key in signature(PLATES.all()[field.json_schema_extra["plate"]].__init__).parameters

@@ -50,7 +50,7 @@ def quiet_records(averages: int) -> Volts:
     for actuator, range_v in enumerate((5.0, 0.2, 0.01, 0.2)):
         setup = Setup(
             instruments=rig.instruments,
-            mirror_map=MirrorMap.straight(settings.mirror.distance_mm),
+            mirror_map=MirrorMap.straight(1000.0),
             actuator_channels=settings.channel_of_actuator,
             loopback_channel=settings.channel_of_loopback,
             range_v=(10.0, range_v),

@@ -57,7 +57,7 @@ def setup_of(rig: VirtualRig) -> Setup:
     settings = rig.settings
     return Setup(
         instruments=rig.instruments,
-        mirror_map=MirrorMap.straight(settings.mirror.distance_mm),
+        mirror_map=MirrorMap.straight(1000.0),
         actuator_channels=settings.channel_of_actuator,
         loopback_channel=settings.channel_of_loopback,
         range_v=(10.0, 10.0),

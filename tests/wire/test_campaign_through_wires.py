@@ -161,3 +161,34 @@ def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_g
     wavefocus("check", lab / "b.h5")
     with h5py.File(lab / "b.h5") as bank:
         assert list(bank["status"]) == [1] * len(POSITIONS)
+
+
+def test_given_a_replug_and_a_kill_in_a_capture_then_resume_measures_the_rest_and_keeps_what_was_committed(lab):
+    write_run(lab, "run.toml", "rig.toml", averages=1)
+    bank = lab / "b.h5"
+    with emulated_instruments(lab / "rig.toml") as sides:
+        capture = subprocess.Popen(
+            [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"],
+            env=dict(sides.environment), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        committed, back = 0, False
+        for event in map(json.loads, capture.stdout):
+            committed += event["event"] == "position_committed"
+            if event["event"] == "position_committed" and committed == 1:
+                sides.say("unplug mirror")
+            elif event["event"] == "reconnect_tried":
+                back = event["connected"]
+                sides.say("plug mirror")
+            elif back and committed >= 3:
+                capture.kill()
+                break
+        capture.communicate()
+        with h5py.File(bank) as file:
+            valid = np.flatnonzero(file["status"][:] == 1)
+            before = file["green"][valid].tobytes()
+        assert 3 <= len(valid) < len(POSITIONS)
+        wavefocus("resume", bank, sides=sides)
+    with h5py.File(bank) as file:
+        assert list(file["status"]) == [1] * len(POSITIONS)
+        assert file["green"][valid].tobytes() == before
+    wavefocus("check", bank)

@@ -89,19 +89,12 @@ def test_given_a_port_that_is_taken_then_a_second_server_does_not_start():
             second.start()
 
 
-def test_given_the_simplest_programs_of_nidaqmx_then_they_run():
+def test_given_a_program_of_nidaqmx_then_it_runs():
     with daq_bench() as bench, client(bench.server.address) as options:
-        device = nidaqmx.system.System(options).devices["Dev1"]
-        assert device.is_simulated is False
+        assert nidaqmx.system.System(options).devices["Dev1"].is_simulated is False
         with nidaqmx.Task(grpc_options=options) as task:
-            task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
-            assert isinstance(task.read(), float)
-            assert len(task.read(number_of_samples_per_channel=3)) == 3
-        with nidaqmx.Task(grpc_options=options) as task:
-            task.ai_channels.add_ai_voltage_chan("Dev1/ai0:1, Dev1/ai3")
+            task.ai_channels.add_ai_voltage_chan("Dev1/ai0, Dev1/ai1, Dev1/ai3")
             task.timing.cfg_samp_clk_timing(10_000.0, samps_per_chan=10)
             assert task.timing.ai_conv_rate == pytest.approx(1 / 14e-6)
             assert task.channel_names == ["Dev1/ai0", "Dev1/ai1", "Dev1/ai3"]
-            volts = np.array(task.read(number_of_samples_per_channel=10))
-            assert volts.shape == (3, 10)
-            assert task.is_task_done()
+            assert np.array(task.read(number_of_samples_per_channel=10)).shape == (3, 10)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.wire.serial_bench import LOCAL, WIRES, ImpatientClock, wire
+from tests.wire.serial_bench import LOCAL, ImpatientClock, wire
 from wavefocus.config.rig_instruments import VibrometerSection
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.vibrometer.polytec import Polytec
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
@@ -27,23 +27,12 @@ def controller(kind, folder, *faults, **settings_):
         yield far
 
 
-def read(far, *, identity=None, answer_s=ANSWER_S, **keys):
-    return Polytec(**keys).read(far.address, identity=identity, answer_s=answer_s, clock=ImpatientClock())
+def read(far, *, answer_s=ANSWER_S, **keys):
+    return Polytec(**keys).read(far.address, answer_s=answer_s, clock=ImpatientClock())
 
 
 def fault(kind, operation="range", count=1, **more):
     return WireFault("vibrometer", kind, operation, at_call=1, count=count, **more)
-
-
-@pytest.mark.parametrize("echo", [False, True])
-def test_given_a_controller_then_it_tells_its_sensitivity_delay_and_signal_level(echo, tmp_path):
-    with controller(LOCAL, tmp_path, echo=echo, signal_level=620) as far:
-        reading = read(far)
-    assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
-    assert reading.range_text == "125mm/s/V"
-    assert reading.latency_s == pytest.approx(8.16e-6)
-    assert reading.signal_level == pytest.approx(0.8)
-    assert reading.identity == "OFV-5000 Vibrometer Controller, VD-09"
 
 
 @pytest.mark.parametrize(
@@ -132,41 +121,6 @@ def test_given_a_controller_that_knows_one_of_the_two_questions_for_its_name_the
 
     with EmulatedSerial(KnowsOne(), wire(LOCAL, tmp_path)) as far:
         assert read(far, answer_s=0.1).identity == f"{name}, VD-09"
-
-
-def test_given_too_little_light_then_focus_is_asked_for(tmp_path):
-    with (
-        controller(LOCAL, tmp_path, signal_level=100) as far,
-        pytest.raises(InstrumentError, match=r"13% of full, at least 50% is wanted; focus the laser"),
-    ):
-        read(far, least_signal_level=0.5)
-
-
-def test_given_another_identity_in_the_rig_file_then_the_device_is_refused_by_name(tmp_path):
-    with (
-        controller(LOCAL, tmp_path) as far,
-        pytest.raises(InstrumentError, match=r"'OFV-5000 Vibrometer Controller, VD-09' does not contain 'VD-02'"),
-    ):
-        read(far, identity="VD-02")
-
-
-def test_given_one_answer_that_cannot_be_had_then_it_is_asked_for_once_more_and_twice_is_a_failure(tmp_path):
-    with controller(LOCAL, tmp_path, fault("garbled", count=3)) as far:
-        with pytest.raises(TransientInstrumentError, match="asked twice"):
-            read(far)
-        assert read(far).sensitivity_m_s_per_v == pytest.approx(0.125)
-        assert sum(command.endswith("Range") for command in far.commands) == 4
-
-
-@pytest.mark.parametrize("kind", WIRES)
-def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back(kind, tmp_path):
-    with controller(kind, tmp_path, fault("unplugged")) as far:
-        with pytest.raises(InstrumentLostError, match="connection broke"):
-            read(far)
-        with pytest.raises(InstrumentLostError, match=r"no such port now|nothing there accepts"):
-            read(far)
-        far.plug()
-        assert read(far) == read(far)  # a reading leaves the port free
 
 
 @settings(max_examples=15)

@@ -72,7 +72,7 @@ def rig_setup(rig: VirtualRig) -> Setup:
     settings = rig.settings
     return Setup(
         instruments=rig.instruments,
-        mirror_map=MirrorMap.straight(settings.mirror.distance_mm),
+        mirror_map=MirrorMap.straight(1000.0),
         actuator_channels=settings.channel_of_actuator,
         loopback_channel=settings.channel_of_loopback,
         range_v=(settings.largest_range_v, settings.largest_range_v),

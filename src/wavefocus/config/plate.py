@@ -44,7 +44,7 @@ class PlateKeys(Table):
     quality: Annotated[Positive, Field(le=1e5)] | None = of_plate("thin", "quality factor of its modes and waves")
     edge: Literal["supported", "infinite"] | None = of_plate("thin", "a rectangle that is simply supported, or none")
     mode_tolerance: Annotated[NonNegative, Field(le=1)] | None = of_plate(
-        "thin", "modes may be left out up to this error, relative to the strongest response"
+        "thin", "no effect: all modes are summed (earlier versions left some out)"
     )
     shear_speed_m_s: Positive | None = of_plate("solid", "speed of shear waves")
     pressure_speed_m_s: Positive | None = of_plate("solid", "speed of pressure waves, above 1.155 shear_speed_m_s")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from wavefocus.config.outline import Outline
@@ -49,6 +50,18 @@ REFERENCE_C = 21.0
 """Temperature at which plates are as their keys say."""
 
 
+ROOM_S = 1.0
+"""Room after the taps, so that the slow diffusion of far pairs does not wrap."""
+MAX_RINGING_S = 20.0
+"""What rings longer wraps: such a plate needs taps that hold its whole response."""
+
+
+def impulse_length(taps: int, sample_rate_hz: float, ringing_s: float = 0.0) -> int:
+    """Samples of a transform in which impulse responses do not wrap."""
+    room_s = max(ROOM_S, min(ringing_s, MAX_RINGING_S))
+    return int(scipy.fft.next_fast_len(taps + round(room_s * sample_rate_hz), real=True))
+
+
 class Plate(ABC):
     """A plate with actuators on it, each pushing with unit force.
 
@@ -83,7 +96,6 @@ class Plate(ABC):
         single: Give complex64, to a relative error of 1e-6, in place of complex128.
         """
 
-    @abstractmethod
     def fir_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
     ) -> Complex128Array:
@@ -94,6 +106,15 @@ class Plate(ABC):
         length: Length of the transform.
         bins: Which bins, start and stop given.
         """
+        full, folds = impulse_length(taps, sample_rate_hz, self.ringing_s), -(-taps // length)
+        spectra = []
+        for x, y in np.asarray(position_mm, dtype=np.float64).reshape(-1, 2).tolist():
+            whole = scipy.fft.irfft(self.response((x, y), sample_rate_hz / full, full // 2 + 1, single=False), full)
+            # Folded, a transform of any length has the values at its frequencies.
+            cut = np.zeros((len(whole), folds * length))
+            cut[:, :taps] = whole[:, :taps]
+            spectra.append(scipy.fft.rfft(cut.reshape(len(whole), folds, length).sum(axis=1))[:, bins])
+        return np.stack(spectra)
 
 
 PLATES: Registry[type[Plate]] = Registry("wavefocus.mocks.plates")

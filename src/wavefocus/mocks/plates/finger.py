@@ -5,11 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from wavefocus.mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
-from wavefocus.mocks.plates.infinite import impulse_length
+from wavefocus.mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Plate
 
 _ANGLES = np.pi / 3 * np.arange(6)
 DISK_MM = MAGNET_RADIUS_MM * np.concatenate(
@@ -59,18 +57,6 @@ class TouchedPlate(Plate):
         )
         response *= self._chain(step_hz * np.arange(bins, dtype=np.float64))
         return response.astype(np.complex64) if single else response
-
-    def fir_spectra(
-        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
-    ) -> Complex128Array:
-        full, folds = impulse_length(taps, sample_rate_hz, self.ringing_s), -(-taps // length)
-        spectra = []
-        for x, y in np.asarray(position_mm, dtype=np.float64).reshape(-1, 2).tolist():
-            whole = scipy.fft.irfft(self.response((x, y), sample_rate_hz / full, full // 2 + 1, single=False), full)
-            cut = np.zeros((len(whole), folds * length))
-            cut[:, :taps] = whole[:, :taps]
-            spectra.append(scipy.fft.rfft(cut.reshape(len(whole), folds, length).sum(axis=1))[:, bins])
-        return np.stack(spectra)
 
     def _find_pushed_back(self, step_hz: float, bins: int) -> Complex128Array:
         """Force of the finger for unit forces of the actuators, (actuators, bins); 0 at 0 Hz."""

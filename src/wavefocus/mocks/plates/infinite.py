@@ -1,4 +1,4 @@
-"""Plates without a rim, tabulated over distance: whole responses, and those of FIRs that end after some taps.
+"""Plates without a rim, tabulated over distance.
 
 A response is a sum over kinds of waves (shear and pressure, say) and their kernels: functions of the distance, each
 times a weight of the direction.
@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from wavefocus.config.outline import Outline
@@ -180,97 +179,6 @@ def phase_ramp(
     return ramp[:, :bins]
 
 
-# What is cut off is weak, and smooth enough for a cubic spline over distance: waves are 9 mm long at 500 Hz.
-TAIL_STEP_MM = 2.0
-# Room for a whole further second, so that the slow diffusion of far pairs does not wrap.
-ROOM_S = 1.0
-
-
-MAX_RINGING_S = 20.0
-"""What rings longer wraps: such a plate needs taps that hold its whole response."""
-
-
-def impulse_length(taps: int, sample_rate_hz: float, ringing_s: float = 0.0) -> int:
-    """Samples of a transform in which impulse responses do not wrap."""
-    room_s = max(ROOM_S, min(ringing_s, MAX_RINGING_S))
-    return int(scipy.fft.next_fast_len(taps + round(room_s * sample_rate_hz), real=True))
-
-
-class TruncatedPlate:
-    """Transfer functions of FIRs that end after some taps, of plate and signal chain, at unit gain.
-
-    The transfer function of the whole response less that of its end, both interpolated over distance.
-
-    waves: Of the plate.
-    kernels: How many each has.
-    taps: Length of the FIRs, > 0.
-    sample_rate_hz: Their rate in Hz.
-    length: Length of the transform; bin m lies at m / length cycles per sample.
-    bins: Which bins are wanted, start and stop given.
-    furthest_mm: Largest distance in mm; the smallest is the magnet's radius.
-    colour: The signal chain.
-    """
-
-    def __init__(
-        self,
-        waves: tuple[Wave, ...],
-        kernels: int,
-        taps: int,
-        sample_rate_hz: float,
-        length: int,
-        bins: slice,
-        furthest_mm: float,
-        colour: Chain,
-    ) -> None:
-        # The only one who needs it; starting a rig shall not wait for it.
-        from scipy.interpolate import CubicSpline
-
-        self._bins = bins
-        self._span_mm = (MAGNET_RADIUS_MM, furthest_mm)
-        step_hz = sample_rate_hz / length
-        chain = colour(step_hz * np.arange(bins.stop, dtype=np.float64))
-        self._whole = [PlateTable(wave, step_hz, bins.stop, chain, furthest_mm=furthest_mm) for wave in waves]
-        full = impulse_length(taps, sample_rate_hz)
-        frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
-        # The end is slow. Without the taper, what little there is at half the sample rate would ring through it,
-        # at 1e-7 of the response but with a phase that no spline over distance follows.
-        tapered = np.cos(0.5 * np.pi * frequency_hz / frequency_hz[-1]) ** 2 * colour(frequency_hz)
-        tables = [
-            PlateTable(wave, frequency_hz[1], frequency_hz.size, tapered, furthest_mm=furthest_mm) for wave in waves
-        ]
-        radius_mm = np.linspace(*self._span_mm, int(furthest_mm / TAIL_STEP_MM) + 2)
-        self._ends = []
-        for kernel in range(kernels):
-            weights = np.tile(np.eye(kernels)[kernel], (radius_mm.size, 1)) if kernels > 1 else None
-            response = scipy.fft.irfft(_summed([table.evaluate(radius_mm, weights) for table in tables]), full)
-            response[:, :taps] = 0
-            # Folded, a transform of any length has the values at its frequencies.
-            folded = np.zeros((radius_mm.size, -(-full // length) * length))
-            folded[:, :full] = response
-            ends = scipy.fft.rfft(folded.reshape(radius_mm.size, -1, length).sum(axis=1))[:, bins]
-            # Slow in time and smooth over distance, the ends are few shapes: 1e-9 of them is left out.
-            shape, strength, spectrum = np.linalg.svd(ends, full_matrices=False)
-            kept = strength > 1e-9 * strength[0]
-            self._ends.append((CubicSpline(radius_mm, shape[:, kept] * strength[kept]), spectrum[kept]))
-
-    def spectra(self, radius_mm: Float64Array, weights: Float64Array | None = None) -> Complex128Array:
-        """Transfer functions at some distances, within 1e-6 of that of the FIR.
-
-        radius_mm, float64 (distances,): Distances in mm; nearer than the magnet's radius or beyond the span, the cut is
-            left out.
-        weights, float64 (distances, kernels), optional: Of the kernels; 1 where absent.
-
-        Returns complex128 (distances, bins).
-        """
-        spectra = _summed([table.evaluate(radius_mm, weights)[:, self._bins] for table in self._whole])
-        low, high = self._span_mm
-        within = (radius_mm >= low) & (radius_mm <= high)
-        for kernel, (shapes, spectrum) in enumerate(self._ends):
-            amounts = np.where(within[:, None], shapes(np.clip(radius_mm, low, high)), 0.0)
-            spectra -= (amounts if weights is None else weights[:, kernel, None] * amounts) @ spectrum
-        return np.asarray(spectra, dtype=np.complex128)
-
-
 def _summed(parts: list[NDArray[np.complexfloating]]) -> NDArray[np.complexfloating]:
     total = parts[0]
     for part in parts[1:]:
@@ -282,18 +190,14 @@ class InfinitePlate(Plate):
     """A plate whose waves leave each actuator and never come back.
 
     waves: Kinds of waves that it carries.
-    kernels: Of each wave.
     """
 
-    def __init__(
-        self, actuator_mm: Float64Array, outline: Outline, chain: Chain, waves: tuple[Wave, ...], kernels: int = 1
-    ) -> None:
+    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Chain, waves: tuple[Wave, ...]) -> None:
         super().__init__(actuator_mm, outline, chain)
-        self._waves, self._kernels = waves, kernels
+        self._waves = waves
         left, bottom, right, top = outline.box_mm
         self._furthest_mm = float(np.hypot(right - left, top - bottom)) + 10
         self._table = lru_cache(6)(self._make_tables)
-        self._truncated = lru_cache(1)(self._make_truncated)
 
     def weights(self, gap_mm: Float64Array) -> Float64Array | None:
         """Weights of the kernels at gaps (n, 2) from an actuator to a place, (n, kernels); None for 1."""
@@ -306,22 +210,8 @@ class InfinitePlate(Plate):
         distance_mm, weights = np.hypot(*gap.T), self.weights(gap)
         return _summed([table.evaluate(distance_mm, weights) for table in self._table(step_hz, bins, single)])
 
-    def fir_spectra(
-        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
-    ) -> Complex128Array:
-        plate = self._truncated(taps, sample_rate_hz, length, bins.start, bins.stop)
-        place = np.asarray(position_mm, dtype=np.float64).reshape(-1, 1, 2)
-        gap = (place - self._actuator_mm).reshape(-1, 2)
-        spectra = plate.spectra(np.hypot(*gap.T), self.weights(gap))
-        return spectra.reshape(len(place), len(self._actuator_mm), -1)
-
     def _make_tables(self, step_hz: float, bins: int, single: bool) -> list[PlateTable]:
         chain = self._chain(step_hz * np.arange(bins, dtype=np.float64))
         return [
             PlateTable(wave, step_hz, bins, chain, furthest_mm=self._furthest_mm, single=single) for wave in self._waves
         ]
-
-    def _make_truncated(self, taps: int, sample_rate_hz: float, length: int, start: int, stop: int) -> TruncatedPlate:
-        return TruncatedPlate(
-            self._waves, self._kernels, taps, sample_rate_hz, length, slice(start, stop), self._furthest_mm, self._chain
-        )

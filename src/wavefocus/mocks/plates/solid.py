@@ -100,7 +100,7 @@ class SolidPlate(InfinitePlate):
             )
         loss = change.loss * damping_per_s
         waves = SolidWave(shear, loss, shear, is_shear=True), SolidWave(pressure, loss, shear, is_shear=False)
-        super().__init__(actuator_mm, outline, change.softened(chain), waves, kernels=2)
+        super().__init__(actuator_mm, outline, change.softened(chain), waves)
         self._force, self._oscillation = (
             np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([force_deg, oscillation_deg])
         )

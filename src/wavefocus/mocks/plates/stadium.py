@@ -41,7 +41,7 @@ from wavefocus.mocks.plates import (
     Float64Array,
     PlateChange,
 )
-from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes, Smoothness
+from wavefocus.mocks.plates.modal import ModalPlate, Smoothness
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 HIGHEST_HZ = 500.0
@@ -87,12 +87,12 @@ class StadiumPlate(ModalPlate):
             kept = _kept("damped", (self._wave, *facts), lambda: _arrays(pairs()))
             self._pairs = _DampedPairs(*(kept[item.name] for item in fields(_DampedPairs)))
 
-    def coefficients(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
+    def coefficients(self, place_mm: Float64Array) -> Float64Array:
         shapes = self._elements.values_at(place_mm, self._modes.shapes)
         if self._pairs is None:
-            return np.asarray(shapes[:, None, modes] * self._modes.force.T[:, modes])
+            return np.asarray(shapes[:, None, :] * self._modes.force.T)
         part = (shapes @ self._pairs.shapes)[:, None, :] * self._pairs.force.T
-        return np.concatenate([part.real, part.imag], axis=-1)[..., modes]
+        return np.concatenate([part.real, part.imag], axis=-1)
 
     def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
         angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)

@@ -24,7 +24,7 @@ from wavefocus.mocks.plates import (
     PlateChange,
 )
 from wavefocus.mocks.plates.infinite import InfinitePlate
-from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes
+from wavefocus.mocks.plates.modal import ModalPlate
 from wavefocus.mocks.plates.soft import mean_hankel
 
 KAPPA_M2_S = 1.57
@@ -46,7 +46,6 @@ class ThinRectangle(ModalPlate):
 
     actuator_mm, outline, chain: See `Plate`; the outline is a rectangle. Raises ValueError.
     quality: Quality factor of every mode, > 0, to 1e4: amplitudes decay as exp(-w t / (2 Q)).
-    mode_tolerance: See `ModalPlate`.
     """
 
     name = "thin"
@@ -59,10 +58,9 @@ class ThinRectangle(ModalPlate):
         chain: Chain,
         *,
         quality: float = QUALITY,
-        mode_tolerance: float = 0.0,
         change: PlateChange = UNCHANGED,
     ) -> None:
-        super().__init__(actuator_mm, outline, chain, mode_tolerance)
+        super().__init__(actuator_mm, outline, chain)
         if not (np.isfinite(quality) and quality > 0):
             raise ValueError(f"quality is {quality}; it must be finite and greater than 0")
         left, bottom, right, top = outline.box_mm
@@ -83,11 +81,8 @@ class ThinRectangle(ModalPlate):
         argument = np.sqrt(self._angular / kappa) * MAGNET_RADIUS_MM / 1e3
         self._force = self._shapes(actuator_mm) * 2 * scipy.special.jv(1, argument) / argument
 
-    def coefficients(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
-        return np.asarray(self._shapes(place_mm, modes)[:, None, :] * self._force[:, modes])
-
-    def largest_coefficients(self) -> Float64Array:
-        return np.abs(self._force)  # no sine is above 1
+    def coefficients(self, place_mm: Float64Array) -> Float64Array:
+        return np.asarray(self._shapes(place_mm)[:, None, :] * self._force)
 
     def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
         angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
@@ -95,13 +90,12 @@ class ThinRectangle(ModalPlate):
         stiffness = own**2 - angular**2 + 1j * angular * own / self._quality
         return np.asarray(STRENGTH * 1j * angular / (self._modal_mass_kg * stiffness))
 
-    def _shapes(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
-        """Shapes of some modes at places (n, 2): (n, modes)."""
+    def _shapes(self, place_mm: Float64Array) -> Float64Array:
+        """Shapes of all modes at places (n, 2): (n, modes)."""
         x, y = (np.asarray(place_mm, dtype=np.float64) / 1e3 - self._corner_m).T
         length_m, width_m = self._sides_m
         return np.asarray(
-            np.sin(np.pi * x[:, None] * self._across[modes] / length_m)
-            * np.sin(np.pi * y[:, None] * self._along[modes] / width_m)
+            np.sin(np.pi * x[:, None] * self._across / length_m) * np.sin(np.pi * y[:, None] * self._along / width_m)
         )
 
 

@@ -11,8 +11,14 @@ import numpy as np
 import scipy
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
-from wavefocus.mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate
-from wavefocus.mocks.plates.infinite import MAX_RINGING_S, impulse_length
+from wavefocus.mocks.plates import (
+    MAX_RINGING_S,
+    REFERENCE_C,
+    Complex64Array,
+    Complex128Array,
+    Plate,
+    impulse_length,
+)
 from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal, delay_factor

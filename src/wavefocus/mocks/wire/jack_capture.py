@@ -27,14 +27,12 @@ HEADER = np.dtype(
         ("ring_frames", "<i8"),
         ("written", "<i8"),  # frames so far; moved on when they are in the ring
         ("silent", "<i8"),  # 1 while the audio server is down or frozen
-        ("interruptions", "<i8"),  # how many there have been
         ("revision", "<i8"),  # moved on when frames and time were found to be related otherwise than was thought
         ("server_process", "<i8"),  # process id
         ("cycle", "<i8"),  # how many cycles; the newest is at cycle % CYCLES - 1
     ]
 )
 CYCLES = 64
-INTERRUPTIONS = 256
 NANOSECONDS = 1_000_000_000
 
 SLOWEST = 2e-5
@@ -54,8 +52,6 @@ class AudioRing:
 
     header, record (1,): As `HEADER`.
     cycles, int64 (CYCLES, 2): First frame of a cycle, and its nominal start by `time.monotonic_ns`.
-    gaps, int64 (INTERRUPTIONS, 2): Where the last interruptions were, and how many frames nothing sounded; 0 where a
-        cycle was merely late.
     samples, float32 (channels, ring_frames): Parts of full scale.
     """
 
@@ -66,8 +62,6 @@ class AudioRing:
         at = HEADER.itemsize
         self.cycles: Int64Array = np.frombuffer(memory, np.int64, 2 * CYCLES, at).reshape(CYCLES, 2)
         at += self.cycles.nbytes
-        self.gaps: Int64Array = np.frombuffer(memory, np.int64, 2 * INTERRUPTIONS, at).reshape(INTERRUPTIONS, 2)
-        at += self.gaps.nbytes
         channels, frames = int(self.header["channels"][0]), int(self.header["ring_frames"][0])
         samples = np.frombuffer(memory, np.float32, channels * frames, at)
         self.samples: Float32Array = samples.reshape(channels, frames)
@@ -118,12 +112,7 @@ class RingWriter:
         self._rate_hz = ring["rate_hz"]
         self._grid_ns = 0
         self._lates_ns: deque[int] = deque(maxlen=LOOKS)
-        self._xrun = False
         self._resumed = False
-
-    def note_xrun(self) -> None:
-        """The server says that a cycle was late."""
-        self._xrun = True
 
     def note_return(self) -> None:
         """The server has stood still, or is another; the next cycle is its first."""
@@ -161,18 +150,14 @@ class RingWriter:
         enough = len(self._lates_ns) == LOOKS
         moved_ns = late_ns if self._resumed else min(self._lates_ns) * enough
         # When a cycle was late the server's clock stood still, and no sample was lost: made up for in silence.
-        gap = 0
         if moved_ns > MOVED_NS and (self._resumed or silent):
             gap = moved_ns * self._rate_hz // NANOSECONDS
             ring.silence(ring["written"], gap)
             ring["revision"] += 1
             self._grid_ns += moved_ns
             self._lates_ns.clear()
-        if self._xrun or (self._resumed and gap):
-            ring.gaps[ring["interruptions"] % INTERRUPTIONS] = (ring["written"], gap)
-            ring["interruptions"] += 1
-        ring["written"] += gap
-        self._resumed = self._xrun = False
+            ring["written"] += gap
+        self._resumed = False
 
 
 def make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -> AudioRing:
@@ -182,7 +167,7 @@ def make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -
     keep the audio waiting.
     """
     frames = -(-round(seconds * rate_hz) // period_frames) * period_frames
-    size = HEADER.itemsize + 16 * (CYCLES + INTERRUPTIONS) + 4 * channels * frames
+    size = HEADER.itemsize + 16 * CYCLES + 4 * channels * frames
     if sys.platform == "linux":
         descriptor = os.memfd_create("wavefocus-audio")
     else:
@@ -212,7 +197,7 @@ class PlayedAudio:
     """What has left the outputs, by frames of the audio clock; safe to share between threads.
 
     The clock goes on whatever happens. While the audio server is frozen or down, nothing leaves the outputs: those
-    frames are silent, and listed in `interruptions`.
+    frames are silent.
 
     ring: Filled by the process that is the interface.
     alive: Whether that process is.
@@ -242,17 +227,6 @@ class PlayedAudio:
                 frame, start_ns = self._newest_cycle()
                 self._held = held = (frame, start_ns, revision)
         return held[0] - ring["period_frames"] + (instant_ns - held[1]) * self.rate_hz / NANOSECONDS
-
-    @property
-    def interruptions(self) -> tuple[tuple[int, int], ...]:
-        """The frame of each of the last 256 interruptions, and how long nothing left the outputs.
-
-        0 frames where the server says that a cycle was late: its clock stood still, and no sample was lost.
-        """
-        count = self._ring["interruptions"]
-        numbers = range(max(0, count - INTERRUPTIONS), count)
-        gaps = self._ring.gaps[[number % INTERRUPTIONS for number in numbers]]
-        return tuple((int(first), int(frames)) for first, frames in gaps)
 
     def read(self, first_frame: int, stop_frame: int) -> Float32Array:
         """Frames as parts of full scale, once the last one is there. Raises AudioNotCapturedError.

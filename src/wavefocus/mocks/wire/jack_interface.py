@@ -128,7 +128,6 @@ class JackInterface:
                 self._orders.put((fault.kind, fault.seconds))
 
         client.set_process_callback(record)
-        client.set_xrun_callback(lambda _delay_us: self._recording.note_xrun())
         enough = self._ring["cycle"] + SETTLING_CYCLES
         self._recording.note_return()
         client.activate()

@@ -196,16 +196,6 @@ class NiTask:
         self._check(started)
         return np.asarray(analog_v, dtype=np.float64), complete
 
-    def sampled_now(self, samples: int, rate_hz: float, channel_delay_s: float) -> Float64Array:
-        """Analog volts from now on, shape (channels, samples), without a sample clock."""
-        inputs = tuple(channel.input for channel in self.channels)
-        self._condition.release()  # the source may take as long as the sound does
-        try:
-            analog_v = self._source.record(time.monotonic_ns(), samples, rate_hz, inputs, channel_delay_s)
-        finally:
-            self._condition.acquire()
-        return np.asarray(analog_v, dtype=np.float64)
-
     def converted(self, analog_v: Float64Array) -> Float64Array:
         """Analog voltages of all channels as the driver reports them."""
         return np.stack([channel.converter.volts(row) for channel, row in zip(self.channels, analog_v, strict=True)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -30,7 +29,6 @@ VOLTAGE = 10322  # nidaqmx.constants.UsageTypeAI
 PRODUCT_CATEGORY = 14646  # nidaqmx.constants.ProductCategory.USBDAQ
 USB_BUS = 12586  # nidaqmx.constants.BusType
 ENUMERATIONS = (0x29A9, 0x2326, 0x1300)  # their values travel under another name
-ON_DEMAND_HZ = 1000.0
 OPEN_INPUT_V = 1e-4  # noise of an input that nothing drives, volts rms
 
 
@@ -57,7 +55,6 @@ class NiCalls:
             "ClearTask": self._clear_task,
             "GetTaskAttributeString": self._task_text,
             "GetTaskAttributeUInt32": self._task_number,
-            "IsTaskDone": self._is_done,
             "CreateAIVoltageChan": self._create_channel,
             "GetChanAttributeInt32": self._channel_attribute,
             "GetChanAttributeString": self._channel_attribute,
@@ -134,11 +131,6 @@ class NiCalls:
     def _task_number(self, request: Any, alive: Alive) -> Answer:
         task = self._task(request)
         return {"value": _found({0x2181: len(task.channels) or len(task.outputs), 0x230F: 1}, request.attribute_raw)}
-
-    def _is_done(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request)
-            return {"is_task_done": task.state is not TaskState.RUNNING or task.acquired() >= task.samples}
 
     def _create_channel(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
@@ -319,8 +311,6 @@ class NiCalls:
         with self._box.condition:
             task = self._task(request)
             self._box.touch(self._box.name)
-            if task.channels and not task.rate_hz:
-                return self._read_on_demand(task, request)
             if task.state is not TaskState.RUNNING:
                 self._start(request, alive)
             asked = request.num_samps_per_chan
@@ -333,24 +323,12 @@ class NiCalls:
             volts = np.zeros((len(task.channels), asked))
             count = analog_v.shape[1]
             volts[:, :count] = task.converted(analog_v)
-        return self._delivered(volts, request) | {
+        rows = volts if request.fill_mode_raw == BY_CHANNEL else volts.T
+        return {
+            "read_array": rows.ravel().tolist(),  # twice as fast as the array itself
             "samps_per_chan_read": count,
             "status": status if complete else NiCode.NOT_YET_AVAILABLE,
         }
-
-    def _read_on_demand(self, task: NiTask, request: Any) -> Answer:
-        """Samples of a task without a sample clock, as fast as the computer asks for them."""
-        self._box.reserve(task)
-        count = max(1, request.num_samps_per_chan)
-        delay_s = self._box.product.channel_delay_s(ON_DEMAND_HZ, len(task.channels))
-        volts = task.converted(task.sampled_now(count, ON_DEMAND_HZ, delay_s))
-        self._box.release(task)
-        return self._delivered(volts, request) | {"samps_per_chan_read": count}
-
-    @staticmethod
-    def _delivered(volts: Float64Array, request: Any) -> Answer:
-        rows = volts if request.fill_mode_raw == BY_CHANNEL else volts.T
-        return {"read_array": rows.ravel().tolist()}  # twice as fast as the array itself
 
     def _spoil(self, task: NiTask, analog_v: Float64Array, complete: bool) -> tuple[Float64Array, bool, int]:
         """Let samples meet the faults that wait for them."""
@@ -420,18 +398,8 @@ def _channel_value(channel: Channel, device: str, attribute: int) -> Any:
 
 
 def _inputs(physical: str) -> list[tuple[str, str]]:
-    """Devices and inputs of a physical channel string: ``Dev1/ai0``, ``Dev1/ai0:3``, ``Dev1/ai0, Dev1/ai2``."""
-    inputs = []
-    for part in physical.split(","):
-        device, _, name = part.strip().partition("/")
-        first, colon, last = name.partition(":")
-        numbers = re.fullmatch(r"([a-z]+)(\d+):(?:.*\D)?(\d+)", name)
-        if colon and numbers:
-            letters, low, high = numbers.group(1), int(numbers.group(2)), int(numbers.group(3))
-            inputs += [(device, f"{letters}{number}") for number in range(low, high + 1)]
-        else:
-            inputs.append((device, first if last == "" else name))
-    return inputs
+    """Devices and inputs or outputs of a physical channel string: ``Dev1/ai0, Dev1/ai2``."""
+    return [(device, name) for device, _, name in (part.strip().partition("/") for part in physical.split(","))]
 
 
 def _found(values: dict[int, Any], attribute: int) -> Any:

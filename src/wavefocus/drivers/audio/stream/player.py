@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -151,12 +152,11 @@ class StreamPlayer(Player):
             self._plays += 1
             full_scale_v = np.array([self._full_scale_v[channel] for channel in channels])[:, np.newaxis]
             ahead_frames = max(1, round(ahead_s * rate_hz))
-            self._stream.play = _Pieces(self._plays, doing, full_scale_v, ahead_frames)
+            self._stream.play = _Play(self._plays, doing, 0.0, full_scale_v, ahead_frames)
             self._send(doing, BeginPieces(self._plays, tuple(channels), ahead_frames))
 
     def add_piece(self, volts: Float64Array) -> float:
-        play, rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
-        full_scale_v = play.full_scale_v
+        (play, full_scale_v), rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
         if volts.ndim != 2 or len(volts) != len(full_scale_v) or not (np.abs(volts) <= full_scale_v).all():
             cause = f"a piece of shape {volts.shape} that reaches {np.abs(volts).max(initial=0.0):g} V"
             remedy = f"give one row for each of {len(full_scale_v)} channels, finite and within full scale"
@@ -183,7 +183,7 @@ class StreamPlayer(Player):
         return before_s
 
     def end_pieces(self) -> None:
-        play = self._begun()
+        play, _ = self._begun()
         play.length_s = play.waiting_frames / self._request.rate_hz
         play.asked_s = time.monotonic()
         self._send(play.doing, EndPieces())
@@ -272,19 +272,19 @@ class StreamPlayer(Player):
 
     def _ran_dry(self, play: _Play) -> TransientInstrumentError:
         cause, remedy = f"underflow: {play.notice}", "play from a disk that reads faster, with fewer other programs"
-        if isinstance(play, _Pieces):
+        if play.full_scale_v is not None:
             remedy += ", leave out more (--tolerance-db), close other programs"
         else:
             cause += "; what was recorded meanwhile is void"
             remedy = "repeat it; if it comes again, raise player.block_frames and close other programs"
         return TransientInstrumentError(self._name, play.doing, cause, remedy)
 
-    def _begun(self) -> _Pieces:
-        doing = "playing piece by piece"
+    def _begun(self) -> tuple[_Play, Float64Array]:
+        doing, play = "playing piece by piece", self._stream.play
         self._check_open(doing)
-        if not isinstance(self._stream.play, _Pieces):
+        if play is None or play.full_scale_v is None:
             raise InstrumentError(self._name, doing, "none was begun", "begin one first")
-        return self._stream.play
+        return play, play.full_scale_v
 
     def _check_silent(self, doing: str) -> None:
         stream = self._stream
@@ -296,26 +296,23 @@ class StreamPlayer(Player):
             raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
 
 
+@dataclass
 class _Play:
-    """The play under way: its length, and how it ended once the stream's process has reported it."""
+    """The play under way: its length, and how it ended once the stream's process has reported it.
 
-    def __init__(self, number: int, doing: str, length_s: float) -> None:
-        self.number = number
-        self.doing = doing
-        self.length_s = length_s
-        self.asked_s = time.monotonic()
-        self.outcome: str | None = None
-        self.notice = ""
+    full_scale_v, (channels, 1): Of a play that comes in pieces, `ahead_frames` beforehand; None of another.
+    """
 
-
-class _Pieces(_Play):
-    """A play that comes in pieces: full scale of its channels, shape (channels, 1), and frames sent and played."""
-
-    def __init__(self, number: int, doing: str, full_scale_v: Float64Array, ahead_frames: int) -> None:
-        super().__init__(number, doing, 0.0)
-        self.full_scale_v = full_scale_v
-        self.ahead_frames = ahead_frames
-        self.sent_frames = self.taken_frames = 0
+    number: int
+    doing: str
+    length_s: float
+    full_scale_v: Float64Array | None = None
+    ahead_frames: int = 0
+    sent_frames: int = 0
+    taken_frames: int = 0
+    outcome: str | None = None
+    notice: str = ""
+    asked_s: float = field(default_factory=time.monotonic)
 
     @property
     def waiting_frames(self) -> int:
@@ -350,7 +347,7 @@ class _Stream:
                 self.alive_s = time.monotonic()
             case PlayEnded(number, outcome, notice) if play is not None and number == play.number:
                 play.notice, play.outcome = notice, outcome
-            case Taken(number, frames) if isinstance(play, _Pieces) and number == play.number:
+            case Taken(number, frames) if play is not None and number == play.number:
                 play.taken_frames = frames
 
 

@@ -11,12 +11,9 @@ reply                              source
 ``UM A?``, ``SL A?``, ``SU A?``    Micro-Manager, ``ASIScanner.cpp``; form of the answer: Tiger manual, "Query of
                                    Parameters"
 ``PM A?``, ``PM A=0``              ASI's page ``commands/pm`` (MEMS cards), ``ASIScanner.cpp`` (``OnOutputMode``)
-``M``, ``W``, ``/``, ``\``          Tiger manual, "Command: MOVE", "WHERE", "STATUS", "HALT"
-``MOVE``, ``WHERE``, ... ``WHO``   long names and shortcuts: the same pages of the manual; used by navigate's controller
+``M``, ``W``, ``/``                Tiger manual, "Command: MOVE", "WHERE", "STATUS"
+``MOVE``, ``WHERE``, ``STATUS``    long names: the same pages of the manual
 ``V``, ``CD``, address 0           Micro-Manager, ``ASITigerComm.cpp`` (``0 V`` -> ``:A v3.30``, ``0 CD``, ``0 BU``)
-``RS X``, ``RS X? Y?``             ASI's page ``commands/rdstat``; no space between flags: asitiger, ``status.py``
-two-digit addresses (``31BU X``)   tigerasi, ``_get_card_modules``
-``INFO X``                         form only: tigerasi, ``get_info`` (two columns, the first of 33 characters)
 ``VB X=n``                         ASI's page ``commands/vb``: bits 8 (replies end with CR) and 16 (target printed)
 ``:N-1`` ... ``:N-7``              Tiger manual, "Error Codes"
 banner after power-up              Tiger manual, "Tiger Banner"
@@ -49,14 +46,8 @@ ROUNDING_DEGREES = 1e-3
 # Bits of VB X.
 CR_ONLY, PRINT_TARGET = 8, 16
 COMM_ADDRESS = "0"
-SHORT_NAMES = {
-    "BUILD": "BU", "MOVE": "M", "MOVREL": "R", "WHERE": "W", "HALT": "\\", "STATUS": "/", "RDSTAT": "RS", "N": "WHO",
-    "INFO": "I", "VERSION": "V", "CDATE": "CD", "SETLOW": "SL", "SETUP": "SU", "SPEED": "S", "ACCEL": "AC",
-    "BACKLASH": "B", "SETHOME": "HM", "HERE": "H", "UNITS": "UM",
-}  # fmt: skip
-# Values of an axis that are kept and change nothing here.
-KEPT = {"S": 5.745920, "AC": 100.0, "B": 0.04, "HM": 1000.0}
-ENABLED, MOTOR_ON, JOYSTICK_ON, RAMPING = 1 << 1, 1 << 2, 1 << 3, 1 << 4
+SHORT_NAMES = {"BUILD": "BU", "MOVE": "M", "WHERE": "W", "STATUS": "/", "SETLOW": "SL", "SETUP": "SU", "UNITS": "UM",
+               "VERSION": "V", "CDATE": "CD"}  # fmt: skip
 MODULES: dict[Board, tuple[str, ...]] = {
     "mems": ("RING BUFFER 250", "MM_TARGET"),
     "dac_4ch": ("DAC_4CH", "RING BUFFER 250"),
@@ -123,8 +114,6 @@ class AsiTigerDevice(MirrorDevice):
         self._board = board
         self._tiger_syntax = tiger_syntax
         self._saved_verbosity = self._verbosity = verbosity
-        self._decimals = 1
-        self._kept: dict[tuple[str, str], float] = {}
         self._build_name = build_name
         self._cards = [Card("STD_XY", STAGE_CARD, STAGE_AXES, "x", ())]
         if board != "stage":
@@ -159,9 +148,7 @@ class AsiTigerDevice(MirrorDevice):
         text, address = command.strip(" "), None
         if text[:1].isdigit() or text[:1] > "~":
             known = [COMM_ADDRESS, *(card.address for card in self._cards)]
-            forms = {form: letter for letter in known for form in (letter, f"{ord(letter):02X}")}
-            form = next((text[:length] for length in (2, 1) if text[:length] in forms), text[:1])
-            address, text = forms.get(form, ""), text[len(form) :].strip(" ")
+            address, text = (text[0] if text[0] in known else ""), text[1:].strip(" ")
         verb, _, rest = text.upper().partition(" ")
         return address, SHORT_NAMES.get(verb, verb), rest
 
@@ -173,27 +160,19 @@ class AsiTigerDevice(MirrorDevice):
             return self._build(card, rest.strip() == "X")
         if verb == "VB":
             return self._choose_syntax(rest)
-        if verb == "V":
-            return ":A v3.30 \r\n"
-        if verb == "CD":
-            return "Mar 01 2019:15:42:05\r\n"
+        if verb in {"V", "CD"}:
+            return ":A v3.30 \r\n" if verb == "V" else "Mar 01 2019:15:42:05\r\n"
         if card is not None:
             return ":N-7\r\n"  # no other command to a card is needed here
-        if verb == "WHO":
-            return self.banner() + "\n"
         if verb == "/":
             return "B\r\n" if self._motion.busy() else "N\r\n"
         if verb == "PM" and "=" in rest:
             return self._set_modes(rest)
-        if verb in {"UM", "PM", "SL", "SU", *KEPT}:
+        if verb in {"UM", "PM", "SL", "SU"}:
             return self._settings(verb, rest)
-        if verb in {"M", "R"}:
-            return self._move(rest, relative=verb == "R")
-        if verb == "\\":
-            self._motion.start(*self._motion.where_mrad())
-            return ":A \r\n"
-        asked = {"W": self._where, "RS": self._states, "I": self._info, "H": self._here}.get(verb)
-        return ":N-1\r\n" if asked is None else asked(rest)
+        if verb == "M":
+            return self._move(rest)
+        return self._where(rest) if verb == "W" else ":N-1\r\n"
 
     def refusal(self, command: str) -> str:
         return ":N-5\r\n"
@@ -239,17 +218,13 @@ class AsiTigerDevice(MirrorDevice):
         return "\r".join(rows) + "\r\n"
 
     def _choose_syntax(self, rest: str) -> str:
-        """``VB``: F the syntax of answers, X bits of verbosity, Z decimals of positions."""
-        if rest.strip() == "X?":
-            return f":A X={self._verbosity} \r\n"
+        """``VB``: F the syntax of answers, X bits of verbosity."""
         for part in rest.split():
             key, _, text = part.partition("=")
             if key == "F" and text in {"0", "1"}:
                 self._tiger_syntax = text == "1"
             elif key == "X" and text.isdecimal():
                 self._verbosity = int(text)
-            elif key == "Z" and text.isdecimal():
-                self._decimals = int(text)
         return ":A \r\n"
 
     def _listed(self, values: dict[str, str], plain: str) -> str:
@@ -258,8 +233,6 @@ class AsiTigerDevice(MirrorDevice):
         return f"{named} :A\r\n" if self._tiger_syntax else f"{plain.format(named=named)}\r\n"
 
     def _settings(self, verb: str, rest: str) -> str:
-        if verb in KEPT and "=" in rest:
-            return self._keep(verb, rest)
         asked = [axis.rstrip("?") for axis in rest.split()]
         if not asked:
             return ":N-3\r\n"
@@ -274,25 +247,12 @@ class AsiTigerDevice(MirrorDevice):
                 if stage:
                     return ":N-2\r\n"
                 values[axis] = str(self._modes[axis])
-            elif verb in KEPT:
-                values[axis] = f"{self._kept.get((verb, axis), KEPT[verb]):.6f}"
             elif verb == "UM":
                 values[axis] = f"{STAGE_UNITS_PER_MM if stage else self._units_per_degree:.3f}"
             else:
                 end = STAGE_LIMIT_MM if stage else self._limit_degrees
                 values[axis] = f"{end if verb == 'SU' else -end:.3f}"
         return self._listed(values, ":A {named}")
-
-    def _keep(self, verb: str, rest: str) -> str:
-        for part in rest.split():
-            found = ASI_AXIS.fullmatch(part)
-            value = number(found.group(2)) if found else None
-            if found is None or found.group(1) not in (*self._axes, *STAGE_AXES):
-                return ":N-2\r\n"
-            if value is None:
-                return ":N-3\r\n"
-            self._kept[verb, found.group(1)] = value
-        return ":A \r\n"
 
     def _set_modes(self, rest: str) -> str:
         for part in rest.split():
@@ -310,11 +270,10 @@ class AsiTigerDevice(MirrorDevice):
         angles = dict(zip(self._axes, self._motion.where_mrad(), strict=False))
         return self.stage_units | {axis: angle * self._units_per_mrad for axis, angle in angles.items()}
 
-    def _move(self, rest: str, *, relative: bool) -> str:
+    def _move(self, rest: str) -> str:
         parts = rest.split()
         if not parts:
             return ":N-3\r\n"
-        here = self._units()
         targets: list[str] = []
         stage: dict[str, float] = {}
         target = list(self._motion.where_mrad())
@@ -325,8 +284,7 @@ class AsiTigerDevice(MirrorDevice):
             axis, units = found.group(1), number(found.group(2))
             if units is None:
                 return ":N-3\r\n"
-            units += here[axis] if relative else 0.0
-            targets.append(f"{units:.{self._decimals}f}")
+            targets.append(f"{units:.1f}")
             if axis in STAGE_AXES:
                 stage[axis] = units
             elif abs(units) > (self._limit_degrees + ROUNDING_DEGREES) * self._units_per_degree:
@@ -345,39 +303,5 @@ class AsiTigerDevice(MirrorDevice):
         if not asked or any(axis not in (*self._axes, *STAGE_AXES) for axis in asked):
             return ":N-2\r\n" if asked else ":N-3\r\n"
         # In the order of the hardware, whatever the order of the question.
-        values = {axis: f"{units:.{self._decimals}f}" for axis, units in self._units().items() if axis in asked}
+        values = {axis: f"{units:.1f}" for axis, units in self._units().items() if axis in asked}
         return self._listed(values, f":A {' '.join(values.values())} ")
-
-    def _here(self, rest: str) -> str:
-        """``HERE``: what a position of the stage is called from now on."""
-        for part in rest.split():
-            found = ASI_AXIS.fullmatch(part)
-            if found is None or found.group(1) not in STAGE_AXES:
-                return ":N-2\r\n"
-            self.stage_units[found.group(1)] = number(found.group(2)) or 0.0
-        return ":A \r\n"
-
-    def _states(self, rest: str) -> str:
-        """``RDSTAT``: the status byte of each axis, or a flag: ``?`` busy, ``-`` and ``+`` as on the display."""
-        answer = ""
-        for part in rest.split():
-            axis, qualifier = part[:1], part[1:]
-            if axis not in (*self._axes, *STAGE_AXES) or qualifier not in {"", "?", "-", "+"}:
-                return ":N-2\r\n"
-            busy = axis in self._axes and self._motion.busy()
-            byte = busy | ENABLED | JOYSTICK_ON | (MOTOR_ON | RAMPING if busy else 0)
-            flags = {"?": "B" if busy else "N", "-": "f", "+": "M" if busy else " "}
-            answer += flags[qualifier] if qualifier else f" {byte}"
-        return f":A {answer}\r\n" if answer else ":N-3\r\n"
-
-    def _info(self, rest: str) -> str:
-        axis = rest.strip()
-        if axis not in (*self._axes, *STAGE_AXES):
-            return ":N-2\r\n" if axis else ":N-3\r\n"
-        end = STAGE_LIMIT_MM if axis in STAGE_AXES else self._limit_degrees
-        rows = (
-            (f"Axis Name ChX:    {axis}", "Limits Status:    f"),
-            (f"Max Lim      :    {end:.3f} [SU]", f"Min Lim      :    {-end:.3f} [SL]"),
-            (f"Current pos  :    {self._units()[axis]:.1f}", "Enc Cnts/mm  :    45397.60"),
-        )
-        return "\r".join(f"{left:33}{right}" for left, right in rows) + "\r\n"
