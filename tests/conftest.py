@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import shutil
-import threading
-import time
 from collections.abc import Generator
 from pathlib import Path
 
@@ -69,21 +66,6 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     if CI and report.skipped:  # a whole module skipped itself; it holds no marker to look at
         failed_for_skipping(report)
     return report
-
-
-@pytest.fixture(scope="module", autouse=True)
-def nothing_is_left_open(request: pytest.FixtureRequest) -> Generator[None]:
-    """Fails a module of the wires whose tests leave a thread: each instrument, emulated or not, has one or more."""
-    if request.path.parent.name != "wire":
-        yield
-        return
-    before = set(threading.enumerate())
-    yield
-    latest_s = time.monotonic() + 10.0
-    while (left := set(threading.enumerate()) - before) and time.monotonic() < latest_s:
-        gc.collect()
-        time.sleep(0.05)
-    assert not left, f"left open: {', '.join(sorted(thread.name for thread in left))}"
 
 
 WHOLE = tuple(Path(__file__).parent / folder for folder in ("system", "gui"))

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import pytest
 
+from tests.threads import threads_end
 from tests.wire.analog_bench import analog_rig
 from tests.wire.daq_bench import Tone
 from tests.wire.emulated import free_port, rig_text
@@ -117,6 +118,12 @@ def bench_of(rig: RigConfig, latency_s: float) -> Bench:
         unknown_range_v=(2.0, 1000.0),
         latency_s=latency_s,
     )
+
+
+@pytest.fixture(scope="package", autouse=True)
+def nothing_is_left_open() -> Iterator[None]:
+    """Tests that leave an instrument open fail."""
+    yield from threads_end()
 
 
 @pytest.fixture(scope="package")

@@ -33,24 +33,18 @@ needs_audio_server = [
 
 
 class AlsaFile:
-    """An ALSA device that writes what is played into a file, in no time: good for routing and samples."""
+    """An ALSA device that writes what is played into a file: what opening refuses needs no audio server."""
 
     host_api, device = "ALSA", "filed"
 
     def __init__(self, folder: Path) -> None:
-        self._frames_file = folder / "frames.raw"
         description = folder / "asound.conf"
         description.write_text(
-            f'pcm.{self.device} {{ type file file "{self._frames_file}" format "raw" slave.pcm "null" }}\n',
+            f'pcm.{self.device} {{ type file file "{folder / "frames.raw"}" format "raw" slave.pcm "null" }}\n',
             encoding="utf-8",
         )
         # Without ALSA's own description PortAudio aborts when it lists devices.
         self.environment = {"ALSA_CONFIG_PATH": f"/usr/share/alsa/alsa.conf:{description}"}
-
-    def played(self) -> np.ndarray:
-        """All that was played so far, (channels, frames) as parts of full scale."""
-        samples = np.fromfile(self._frames_file, dtype=np.float32)
-        return samples[: samples.size // CHANNELS * CHANNELS].reshape(-1, CHANNELS).T
 
 
 class AudioBench:

@@ -7,7 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from tests.threads import threads_end
 from tests.wire.emulated import EmulatedInstruments, emulated_instruments, free_port, rig_text
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nothing_is_left_open() -> Iterator[None]:
+    """A module whose tests leave an instrument open fails."""
+    yield from threads_end()
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.wire.audio_bench import CHANNELS, RATE_HZ, AlsaFile, AudioBench, as_played, noise, run_python, sounding
+from tests.wire.audio_bench import AlsaFile, AudioBench, run_python
 from wavefocus.drivers.audio.stream.portaudio import (
     DeviceChoiceError,
     OutputDevice,
@@ -206,21 +206,3 @@ def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loa
 def test_given_a_card_that_has_another_number_today_then_it_is_the_same_device(card: int) -> None:
     listed = OutputDevice(0, "ALSA", f"Fireface UCX: USB Audio (hw:{card},0)", 28, 48_000.0)
     assert listed.identity == DeviceIdentity("", "Fireface UCX: USB Audio")
-
-
-@linux_only
-def test_given_a_refused_signal_then_the_next_play_is_whole_and_an_output_without_a_clock_keeps_time(tmp_path):
-    interface, signals = AlsaFile(tmp_path), noise(480, (0, 1))
-    overshooting = np.sign(np.sin(np.pi / 2 * np.arange(480) + np.pi / 4)) * np.hanning(480)
-    with ExitStack() as stack:
-        player = AudioBench(stack).player(interface)
-        with pytest.raises(InstrumentError, match=r"between its samples the signal of channel 4 reaches 1\.4"):
-            player.play({0: np.hanning(480), 4: overshooting}, 10_000)
-        for played, rate_hz in (({0: np.hanning(480), 4: np.hanning(480)}, 10_000), (signals, RATE_HZ)):
-            player.play(played, rate_hz)
-            player.wait(10)
-    frames = sounding(interface.played())
-    np.testing.assert_array_equal(frames[:, -480:], as_played(signals, CHANNELS))
-    assert np.abs(frames[4]).max() == pytest.approx(1.0, abs=1e-3)
-    # It takes a hundred times as many in that time when it is not held.
-    assert interface.played().shape[1] < 10 * RATE_HZ

@@ -83,6 +83,14 @@ def test_given_a_bank_at_another_rate_then_what_is_heard_is_the_band_limited_sig
     assert np.flatnonzero(frames.any(axis=1)).tolist() == [2, 20]
 
 
+def test_given_an_overshooting_signal_then_it_is_refused_and_the_next_play_is_whole(server, player):
+    overshooting = np.sign(np.sin(np.pi / 2 * np.arange(480) + np.pi / 4)) * np.hanning(480)
+    with pytest.raises(InstrumentError, match=r"between its samples the signal of channel 4 reaches 1\.4"):
+        player.play({0: np.hanning(480), 4: overshooting}, 10_000)
+    frames = sounding(heard_of(server, player, {0: np.hanning(480), 4: np.hanning(480)}, 10_000))
+    assert np.abs(frames[4]).max() == pytest.approx(1.0, abs=1e-3)
+
+
 def test_given_a_sweep_played_again_then_it_is_sent_once_and_heard_wherever_it_is_played(server, player):
     sweep = np.hanning(1000) * np.sin(np.arange(1000) / 9)
     first = sounding(heard_of(server, player, {0: sweep, 12: sweep}, 10_000))

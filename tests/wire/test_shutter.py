@@ -58,9 +58,9 @@ def rig(folder: Path, address: str, **keys: object) -> RigConfig:
 
 
 def mirror_of(opened: ExitStack, config: RigConfig) -> BoundedMirror:
-    mirror = openers_of(config).mirror()
+    mirror = BoundedMirror(openers_of(config).mirror(), 20.0)
     opened.callback(mirror.close)
-    return BoundedMirror(mirror, 20.0)
+    return mirror
 
 
 @pytest.mark.parametrize("opens_when_high", [True, False])
@@ -98,16 +98,23 @@ def test_given_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was
     assert not is_open()
 
 
-def test_given_another_instrument_fails_then_silence_closes_the_shutter() -> None:
+def bounded_until_closed(opened: ExitStack, instruments: Instruments) -> Instruments:
+    one = bounded(instruments, 20.0)
+    for instrument in (one.mirror, one.recorder, one.player):
+        opened.callback(instrument.close)
+    return one
+
+
+def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened: ExitStack) -> None:
     virtual, shutter = VirtualRig().instruments, VirtualShutter()
     mirror = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
-    instruments = bounded(Instruments(mirror, virtual.recorder, virtual.player, virtual.clock), 20.0)
+    instruments = bounded_until_closed(opened, Instruments(mirror, virtual.recorder, virtual.player, virtual.clock))
     instruments.mirror.move_to(1.0, 1.0)
     instruments.mirror.wait_settled(1.0)
     assert shutter.is_open
     assert silence(instruments) == []
     assert not shutter.is_open
-    plain = bounded(VirtualRig().instruments, 20.0)
+    plain = bounded_until_closed(opened, VirtualRig().instruments)
     assert silence(plain) == []
 
 

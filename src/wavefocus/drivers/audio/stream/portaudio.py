@@ -114,16 +114,6 @@ SILENT_LIMIT_PERIODS = 5
 MAX_LATENCY_S = 5.0
 """More is no latency: PortAudio reports 89,478 s (2**32 - 1 frames) for a JACK client that has not set its own."""
 
-AHEAD_S = 0.5
-"""An output without a clock, such as ALSA's file and null, is held to real time, so far ahead of it at most."""
-
-CLOCKLESS, CLOCKLESS_S = 5.0, 0.2
-"""An output has no clock when it asks for its frames so many times as fast as it should, for so much sound more than a
-buffer holds. No interface that is set to another rate is as fast: 192 kHz for 44.1 kHz are 4.4 times."""
-
-HELD_S = 0.1
-"""A callback is held no longer than this at a time."""
-
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
@@ -197,7 +187,6 @@ class WatchedStream:
             settings["extra_settings"] = sounddevice.CoreAudioSettings(
                 change_device_parameters=True, fail_if_conversion_required=True
             )
-        self._hold = Hold(request.rate_hz)
         self._period_s = 0.0
         # Some interfaces open only with all their channels.
         for channels in sorted({request.channels, self.device.channels}):
@@ -218,7 +207,6 @@ class WatchedStream:
         told_s = float(self._stream.latency)
         self.latency_s = told_s if 0 <= told_s <= MAX_LATENCY_S else 0.0
         self.playback = Playback(self.rate_hz, self.latency_s)
-        self._hold.allow_s = AHEAD_S + 2 * self.latency_s
         self._stream.start()
 
     def watch(self, stopping: Callable[[], bool]) -> str:
@@ -261,33 +249,9 @@ class WatchedStream:
 
     def _callback(self, out: Any, frames: int, _time: Any, status: Any) -> None:
         now_s = time.monotonic()
-        self._period_s = frames / self._hold.rate_hz
+        self._period_s = frames / self.rate_hz
         out[:, self._used :] = 0
         self.playback.fill(out[:, : self._used], now_s, flagged=bool(status.output_underflow))
-        if wait_s := self._hold.wait_s(frames, now_s):
-            time.sleep(wait_s)
-
-
-class Hold:
-    """Keeps an output without a clock from running away; one that has a clock is never held, however fast that is.
-
-    rate_hz: Rate that was asked for.
-    allow_s: How far ahead of real time an output without a clock may be.
-    """
-
-    def __init__(self, rate_hz: int) -> None:
-        self.rate_hz = rate_hz
-        self.allow_s = AHEAD_S
-        self._due_s = self._fast_s = 0.0
-        self._clockless = False
-
-    def wait_s(self, frames: int, now_s: float) -> float:
-        """How long a callback is to wait after this number of frames, in s."""
-        self._due_s = max(self._due_s, now_s) + frames / self.rate_hz
-        self._fast_s = max(self._fast_s, now_s) + frames / self.rate_hz / CLOCKLESS
-        self._clockless |= self._fast_s - now_s > CLOCKLESS_S
-        ahead_s = self._due_s - now_s - self.allow_s
-        return min(max(ahead_s, 0.0), HELD_S) if self._clockless else 0.0
 
 
 def _code(error: Exception) -> Any:

@@ -45,7 +45,7 @@ STAGE_CARD = "1"
 ROUNDING_DEGREES = 1e-3
 # Bits of VB X.
 CR_ONLY, PRINT_TARGET = 8, 16
-COMM_ADDRESS = "0"
+COMM_ADDRESS, BUILD_NAME = "0", "TIGER_COMM"
 SHORT_NAMES = {"BUILD": "BU", "MOVE": "M", "WHERE": "W", "STATUS": "/", "SETLOW": "SL", "SETUP": "SU", "UNITS": "UM",
                "VERSION": "V", "CDATE": "CD"}  # fmt: skip
 MODULES: dict[Board, tuple[str, ...]] = {
@@ -82,7 +82,6 @@ class AsiTigerDevice(MirrorDevice):
     tiger_syntax: Whether answers are in the Tiger's own syntax (``VB F=1``) when the line is opened.
     verbosity: What ``VB X`` was saved as: the sum of its bits after every power-up.
     address: Raw address of the scanner card: ``"2"``, or a character from 0x81 to 0xF5.
-    build_name: First line of the build information.
     """
 
     name = "asi-tiger"
@@ -101,7 +100,6 @@ class AsiTigerDevice(MirrorDevice):
         tiger_syntax: bool = False,
         verbosity: int = 0,
         address: str = "2",
-        build_name: str = "TIGER_COMM",
     ) -> None:
         super().__init__(motion)
         self._axes = axes if board != "stage" else ()
@@ -114,7 +112,6 @@ class AsiTigerDevice(MirrorDevice):
         self._board = board
         self._tiger_syntax = tiger_syntax
         self._saved_verbosity = self._verbosity = verbosity
-        self._build_name = build_name
         self._cards = [Card("STD_XY", STAGE_CARD, STAGE_AXES, "x", ())]
         if board != "stage":
             self._cards.append(Card(board.upper(), address, axes, "u", MODULES[board]))
@@ -193,12 +190,12 @@ class AsiTigerDevice(MirrorDevice):
             f" v3.30 {card.name} Mar 01 2019:15:42:05"
             for card in self._cards
         ]
-        return "\r".join([f"At 30: Comm v3.30 {self._build_name} Mar 01 2019:15:42:05", *cards]) + "\r\n"
+        return "\r".join([f"At 30: Comm v3.30 {BUILD_NAME} Mar 01 2019:15:42:05", *cards]) + "\r\n"
 
     def _build(self, card: Card | None, in_full: bool) -> str:
         if not in_full:
-            return f"{card.name if card else self._build_name}\r\n"
-        return self._overview(self._build_name) if card is None else self._rows(card.name, [card], card.modules)
+            return f"{card.name if card else BUILD_NAME}\r\n"
+        return self._overview(BUILD_NAME) if card is None else self._rows(card.name, [card], card.modules)
 
     def _overview(self, name: str) -> str:
         return self._rows(name, self._cards, ())
