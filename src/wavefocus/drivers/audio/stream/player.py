@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 
 import numpy as np
 
@@ -76,6 +77,8 @@ class StreamPlayer(Player):
         self._plays = 0
         self._written_s = -math.inf
         self._opened = self._open("opening", InstrumentError)
+        # Loaded now: records are short, and the first play must not come after its own.
+        import_module("scipy.signal")
 
     @property
     def identity(self) -> DeviceIdentity:

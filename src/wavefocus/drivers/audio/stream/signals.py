@@ -7,7 +7,6 @@ import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from importlib import import_module
 
 import numpy as np
 
@@ -51,8 +50,6 @@ class PlayFrames:
         self._full_scale_v = tuple(full_scale_v)
         self._rate_hz = rate_hz
         self._converted: OrderedDict[tuple[bytes, float, Fraction], tuple[Float32Array, int]] = OrderedDict()
-        # Loaded now: records are short, and the first play must not come after its own.
-        import_module("scipy.signal")
 
     def frames(self, doing: str, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> Float32Array:
         """Parts of full scale at the interface's rate, (frames, channels), in the order of `signals_v`.
