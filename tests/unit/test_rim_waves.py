@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
+from wavefocus.calibration.coarse_grid.bounds import judged, judged_frequencies
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
-from wavefocus.calibration.coarse_grid.rim_waves import RimWaves, judged, judged_frequencies
+from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
 from wavefocus.calibration.coarse_grid.waves import (
     SMEARED,
     Dispersion,

@@ -35,7 +35,7 @@ from wavefocus.acquisition.calibrate_mirror import (
     output,
     read_fiducials,
 )
-from wavefocus.acquisition.doctor import crosstalk_finding
+from wavefocus.acquisition.doctor_records import crosstalk_finding
 from wavefocus.acquisition.leak import measure_leak
 from wavefocus.acquisition.setup import Setup, identities_of, names_of
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap

@@ -52,7 +52,7 @@ class RowsByWaves:
         usable: BoolArray,
         found: WavesFound,
     ) -> None:
-        from wavefocus.calibration.coarse_grid.rim_waves import grid_spacing_mm
+        from wavefocus.calibration.coarse_grid.waves import grid_spacing_mm
 
         self.values, self._position_mm, self._rows = values, position_mm, np.flatnonzero(usable)
         self._number = np.full(len(values), -1)

@@ -8,7 +8,7 @@ at the positions, ``rest(x) = K(x, X) (K(X, X) + ridge)^-1 r``, K(z) = 2 J1(z) /
 greatest evidence; where they leave hardly less of left-out positions than there is, or the positions do not resolve the
 waves, there is no rest. (M. Ribeiro et al., EURASIP J. ASMP 2024:43: directed plus residual kernels.)
 
-Bounds are those of normalised split conformal prediction, see `judged`.
+Bounds are those of normalised split conformal prediction, see `bounds`.
 """
 
 from __future__ import annotations
@@ -16,22 +16,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
-from scipy.special import j1
+from scipy.spatial.distance import cdist
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.coarse_grid.bounds import MIN_CHECKS, between, judged, judged_frequencies, typical
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
+from wavefocus.calibration.coarse_grid.rest import REST_JUDGED, REST_POSITIONS, choose_rest, disk, left_out_rest
 from wavefocus.calibration.coarse_grid.waves import (
     Dispersion,
     dispersion_of_own_waves,
     distances_mm,
+    grid_spacing_mm,
     outgoing_at_all,
     rim_ring,
     waves_of_actuators_at_all,
@@ -207,7 +210,7 @@ class RimWaves:
         found = outgoing_at_all(wavenumbers, distances_mm(points_mm, self.ring_mm)) @ strengths[:, own_count:]
         own = waves_of_actuators_at_all(wavenumbers, self.pressure_share, points_mm, self.actuator_mm)
         found += np.einsum("fcpa,fca->fpa", own, strengths[:, :own_count])
-        apart_mm = _gaps_mm(points_mm, self.position_mm)
+        apart_mm = cdist(points_mm, self.position_mm)
         for radius in np.unique(self.rest_radius[chosen]):
             if radius > 0:
                 places = np.flatnonzero(self.rest_radius[chosen] == radius)
@@ -225,9 +228,9 @@ class RimWaves:
     def _variance(self, points_mm: Float64Array, number: int) -> Float64Array:
         if self.rest_radius[number] > 0:
             radius, ridge, power = self.rest_radius[number], self.rest_ridge[number], self.rest_power[number]
-            kernel = disk(radius * _gaps_mm(self.position_mm, self.position_mm))
+            kernel = disk(radius * cdist(self.position_mm, self.position_mm))
             kernel[np.diag_indices_from(kernel)] += ridge
-            across = disk(radius * _gaps_mm(points_mm, self.position_mm))
+            across = disk(radius * cdist(points_mm, self.position_mm))
             known = np.einsum("pn,np->p", across, cho_solve(cho_factor(kernel), across.T))
             return np.asarray((np.maximum(1.0 - known, 0.0) + ridge)[:, None] * power)
         _, near = cKDTree(self.position_mm).query(points_mm)
@@ -264,7 +267,7 @@ class _Fit:
         self._workers = min(os.cpu_count() or 1, 4) if workers is None else workers
         self._power, self._relative_level = _levels(transfer)
         self._spacing_mm = grid_spacing_mm(self._position_mm)
-        self._apart_mm = _gaps_mm(self._position_mm, self._position_mm)
+        self._apart_mm = cdist(self._position_mm, self._position_mm)
         self._some = np.random.default_rng(0).permutation(len(position_mm))[: effort.positions]
         self._every = evenly_spread(len(actuator_mm), effort.actuators)
         self._pressure_share = 0.0
@@ -284,7 +287,7 @@ class _Fit:
         return RimWaves(
             self._frequency_hz, self._wavenumber, self._shares, self._pressure_share, self._position_mm,
             self._actuator_mm, self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius,
-            ridge, power, rest.astype(np.complex64), _between(self._frequency_hz, at, scale), none, none, 0.0,
+            ridge, power, rest.astype(np.complex64), between(self._frequency_hz, at, scale), none, none, 0.0,
             "left-out positions",
         )  # fmt: skip
 
@@ -399,34 +402,13 @@ class _Fit:
         return strength, radius, ridge, np.einsum("pa,pa->a", residual.conj(), rest).real / len(rest), rest
 
     def _chosen_rest(self, number: int) -> tuple[float, float]:
-        """Radius of the rest's disk at one frequency, in rad/mm, 0 for none; ridge.
-
-        Those of greatest evidence, each actuator's rest with a power of its own. It is judged on the positions around
-        the middle of the surface, enough for any number of them. Where they do not resolve the waves, a rest between
-        them is anyone's guess, and there is none.
-        """
-        if abs(self._wavenumber[number]) * self._spacing_mm > np.pi:
-            return NO_REST
+        """Radius of the rest's disk at one frequency, in rad/mm, 0 for none; ridge: see `choose_rest`."""
         waves = self._frequency(number)
         residual = self._transfer[number] - waves.sums(waves.strengths(self._shares[number]))
         middle_mm = self._position_mm - np.median(self._position_mm, axis=0)
         some = np.argsort(np.hypot(*middle_mm.T), kind="stable")[:REST_POSITIONS]
-        apart_mm, residual = self._apart_mm[np.ix_(some, some)], residual[some]
-        tries = []
-        resolved = np.pi / self._spacing_mm
-        for radius in (REST_RADIUS * abs(self._wavenumber[number]), *(share * resolved for share in REST_RESOLVED)):
-            size, turn = eigh(disk(radius * apart_mm))
-            seen = np.square(np.abs(turn.T @ residual))
-            for ridge in REST_RIDGES:
-                power = np.maximum(size, 0.0) + ridge
-                by_actuator = np.maximum((seen / power[:, None]).mean(axis=0), 1e-300)
-                cost = np.log(power).mean() + np.log(by_actuator).mean()
-                tries.append((float(cost), float(radius), ridge))
-        _, radius, ridge = min(tries)
-        missed = np.linalg.norm(_left_out_rest(disk(radius * apart_mm), ridge, residual)[0], axis=1)
-        there = np.maximum(np.linalg.norm(residual, axis=1), 1e-300)
-        left = min(float(np.median(missed / there)), float(np.linalg.norm(missed) / np.linalg.norm(there)))
-        return (radius, ridge) if left < MAX_REST else NO_REST
+        wavenumber, resolved = abs(self._wavenumber[number]), np.pi / self._spacing_mm
+        return choose_rest(residual[some], self._apart_mm[np.ix_(some, some)], wavenumber, resolved)
 
     def _left_out_scale(self, number: int) -> float:
         """Errors at left-out positions over what was expected there, noise included."""
@@ -434,11 +416,11 @@ class _Fit:
         radius, ridge, power = (part[number] for part in self._rest)
         if radius > 0:
             residual = self._transfer[number] - waves.sums(self._strength[number])
-            error, share = _left_out_rest(disk(radius * self._apart_mm), ridge, residual)
+            error, share = left_out_rest(disk(radius * self._apart_mm), ridge, residual)
             variance = np.maximum(share[:, None] * power, 1e-300)
         else:
             error, variance = waves.left_out(self._shares[number])
-        return _typical(np.square(np.abs(error)), variance)
+        return typical(np.square(np.abs(error)), variance)
 
     def each(self, numbers: Sequence[int], task: Callable[[int], Result]) -> list[Result]:
         """Results of a task at some frequencies, in threads."""
@@ -460,120 +442,9 @@ def judging_waves(
     return fit.waves
 
 
-MIN_CHECKS, SURE_CHECKS = 12, 24
-"""Positions that state a bound of 90 %, and of 95 %: a quantile L needs at least 1 / (1 - L) of them, 10 and 20 (Lee,
-Barber, Willett, arXiv 2306.06342), and some more to vary little from draw to draw."""
-JUDGED = 64
-"""Frequencies at which errors are judged; they may come and go within 25 Hz."""
-
-
-def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
-    """Indices of the frequencies at which errors are judged."""
-    return [int(index) for index in evenly_spread(len(frequency_hz), JUDGED)]
-
-
-def judged(
-    model: RimWaves,
-    check_mm: Float64Array,
-    check_transfer: Complex128Array,
-    noise: Float64Array,
-    resolution_hz: float,
-    each: Callable[[Sequence[int], Callable[[int], tuple[float, float, float]]], list[tuple[float, float, float]]],
-) -> RimWaves:
-    """The model with errors and bounds by positions that were not fitted to (normalised split conformal prediction).
-
-    With d what was measured at check places, p the model's values, s its deviations there and nu the noise's,
-
-        r = sqrt(max(|d - p|^2 - c nu^2, 0)) / s,   c = log(1 / (1 - L)),
-
-    the bound is the L quantile of r over places, actuators and the frequencies within `resolution_hz`, times s. c takes
-    the noise away, which is in d and not in the plate: of complex normal errors the L quantile of |d - p|^2 is c times
-    its mean. Where the noise is more than half of what is missed, that would lean on its exact level, and c is 0: the
-    bound is too wide there. It speaks of random places over the surface, never of one place.
-
-    Pooled over places and actuators alike: R. Dunn, L. Wasserman, A. Ramdas, arXiv 1809.07441.
-
-    noise, float64 (check positions, actuators).
-    """
-    stated = 0.95 if len(check_mm) >= SURE_CHECKS else 0.9
-
-    def factors(number: int) -> tuple[float, float, float]:
-        near = np.flatnonzero(np.abs(model.frequency_hz - model.frequency_hz[number]) <= resolution_hz * 1.001)
-        near = np.union1d(near, [number])
-        missed = np.square(np.abs(model.values(check_mm, near.tolist()) - check_transfer[near]))
-        variance, noise_power = np.square(model.deviations(check_mm, [number])[0]), np.square(noise)
-        by_noise = float(noise_power.mean() / max(float(missed.mean()), 1e-300))
-        c = np.log(1.0 / (1.0 - stated)) if by_noise <= LIMITED else 0.0
-        score = np.maximum(missed - c * noise_power, 0.0) / variance
-        bound = float(np.sqrt(np.quantile(score, stated, method="higher")))
-        return _typical(missed - noise_power, variance), bound, by_noise
-
-    at = judged_frequencies(model.frequency_hz)
-    error_scale, bound_scale, by_noise = (
-        _between(model.frequency_hz, at, part) for part in np.array(each(at, factors)).T
-    )
-    return replace(
-        model, error_scale=error_scale, bound_scale=bound_scale, by_noise=by_noise, stated=stated,
-        judged_by="check positions",
-    )  # fmt: skip
-
-
-LIMITED = 0.5
-"""Share of noise in what is missed from which a bound is called limited by noise."""
-
-
-def _typical(square: Float64Array, variance: Float64Array) -> float:
-    """Errors over what was expected, L2 over the actuators, the last axis; the median of all places and frequencies."""
-    share = np.maximum(square.sum(axis=-1), 0.0) / variance.sum(axis=-1)
-    return float(np.sqrt(np.median(share)))
-
-
-def _between(frequency_hz: Float64Array, judged_at: list[int], values: Float64Array) -> Float64Array:
-    """Factors at some frequencies, interpolated to all over the logarithm of frequency."""
-    octave = np.log2(frequency_hz)
-    return np.asarray(np.exp(np.interp(octave, octave[judged_at], np.log(np.maximum(values, 1e-6)))))
-
-
-REST_JUDGED, REST_POSITIONS = 16, 400
-"""Frequencies at which the rest is judged, and positions that judge it, at most."""
-NO_REST = (0.0, 1.0)
-REST_RIDGES = tuple(np.geomspace(1e-6, 1.0, 13).tolist())
-REST_RADIUS, REST_RESOLVED = 1.15, (0.5, 1.0)
-"""Radius of the rest's disk in wave numbers; or in shares of what the positions resolve, pi over their spacing. Half of
-it averages noise and still holds the near fields of bending waves, which all of it does not tell from noise."""
-MAX_REST = 0.95
-"""Where left-out positions keep more than this share of the residuals, in the median and in the mean square, there is
-no rest."""
-
-
-def _left_out_rest(
-    kernel: Float64Array, ridge: float, residual: Complex128Array
-) -> tuple[Complex128Array, Float64Array]:
-    """Error at each position if it is left out, ``(C^-1 r)_i / (C^-1)_ii`` with C = K + ridge, and 1 / (C^-1)_ii."""
-    inverse = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), np.eye(len(kernel)))
-    share = 1.0 / inverse.diagonal()
-    return np.asarray(inverse @ residual * share[:, None]), np.asarray(share)
-
-
-def disk(radians: Float64Array) -> Float64Array:
-    """2 J1(z) / z: the covariance of fields whose wave numbers fill a disk."""
-    safe = np.maximum(radians, 1e-8)
-    return np.asarray(2.0 * j1(safe) / safe)
-
-
-def grid_spacing_mm(position_mm: Float64Array) -> float:
-    """Median distance of neighbouring positions."""
-    return float(np.median(np.asarray(cKDTree(position_mm).query(position_mm, k=2)[0])[:, 1]))
-
-
 def _levels(transfer: Complex128Array) -> tuple[Float64Array, Float64Array]:
     """Power and relative level, as of `RimWaves`, of transfer functions (frequencies, positions, actuators)."""
     square = np.square(np.abs(transfer))
     level = square.mean(axis=0)
     relative_level = np.maximum(level / np.maximum(level.mean(axis=0), 1e-300), 1e-12)
     return np.maximum(square.mean(axis=1), 1e-300), relative_level
-
-
-def _gaps_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:
-    gap_mm = points_mm[:, None] - others_mm[None]
-    return np.asarray(np.hypot(gap_mm[..., 0], gap_mm[..., 1]))

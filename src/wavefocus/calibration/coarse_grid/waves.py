@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 from scipy.special import hankel2
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
@@ -23,6 +23,11 @@ MIN_DISTANCE_MM = 1.0
 ENVELOPE_NODES = 120
 """Nodes of the spline of a Hankel function's envelope; it is right to 1e-6 from 1 to 300 mm."""
 HULL_DIRECTIONS = 48
+
+
+def grid_spacing_mm(position_mm: Float64Array) -> float:
+    """Median distance of neighbouring positions."""
+    return float(np.median(np.asarray(cKDTree(position_mm).query(position_mm, k=2)[0])[:, 1]))
 
 
 def distances_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:

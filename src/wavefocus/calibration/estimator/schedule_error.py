@@ -42,8 +42,6 @@ def degrees_of_freedom(band_hz: tuple[float, float], length_s: float) -> float:
     return 2 * held + 2 * math.log(max(2 * math.pi * held, 1.0))
 
 
-# Staggered responses come apart when each is over before the next begins; measured, with half of it to spare.
-STAGGER_OVER_RESPONSE = 1.2
 # What the taps cut off may add this much to the error of an estimate: as much as its noise at -60 dB.
 TAIL_DB = -60.0
 # The energy is looked at in so many blocks.
@@ -77,11 +75,6 @@ class Decay:
     def needed_taps(self) -> int:
         """Taps that leave less than `TAIL_DB` of the energy out."""
         return math.ceil(self.response_s * self.sample_rate_hz - 1e-9)
-
-    @property
-    def needed_stagger_s(self) -> float:
-        """Shortest stagger in seconds that keeps such responses apart."""
-        return STAGGER_OVER_RESPONSE * self.response_s
 
     def require(self, taps: int) -> None:
         """Refuse taps that are too few for the measured responses: InputError names the number needed."""

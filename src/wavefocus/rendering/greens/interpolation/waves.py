@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.coarse_grid.rim_waves import LIMITED, MIN_CHECKS, MIN_POSITIONS, RimWaves
+from wavefocus.calibration.coarse_grid.bounds import LIMITED, MIN_CHECKS
+from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.numerics import on_a_line
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
