@@ -72,8 +72,11 @@ def test_given_a_run_then_outline_actuators_grid_and_hours_are_shown_before_ther
     qtbot: QtBot, open_window: Opens, tmp_path: Path
 ) -> None:
     run = write_lab(tmp_path / "lab", 4, 3)
-    window = open_window(run)
+    window = open_window()
     tab = campaign_of(window)
+    window.refresh()
+    assert not tab.progress.bar.isTextVisible()  # nothing to count yet
+    window.open_file(run)
     wait(qtbot, lambda: tab.map_panel.map.surface is not None)
     surface = tab.map_panel.map.surface
     assert surface is not None
@@ -102,12 +105,6 @@ def test_given_a_rig_without_a_bank_then_scenes_are_drawn_on_its_surface(
     window = open_window(rig)
     outline_mm = tab_of(window, SceneTab).live.backdrop.outline_mm
     assert np.ptp(outline_mm, axis=0) == pytest.approx([180.0, 120.0], abs=0.1)
-
-
-def test_given_no_files_then_no_positions_are_counted(open_window: Opens) -> None:
-    window = open_window()
-    window.refresh()
-    assert not campaign_of(window).progress.bar.isTextVisible()
 
 
 def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(

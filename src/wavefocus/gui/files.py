@@ -72,9 +72,6 @@ class Settings:
         self.keep("recent", "\n".join(str(one) for one in [path, *others][:10]))
         self.keep(f"folder/{path.suffix}", str(path.parent))
 
-    def forget_recent(self) -> None:
-        self.keep("recent", "")
-
     def save(self, key: str, widget: QWidget) -> None:
         """Keep what a widget holds: a path, text, number, tick, or the sizes of a splitter's parts."""
         match widget:

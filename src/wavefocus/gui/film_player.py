@@ -84,7 +84,8 @@ class ResponsePlot(Plot):
             curve.setData(*((time_s, factor * line) if np.isfinite(line).all() else ([], [])))
         self._now.show()
         self.getPlotItem().setLabel("left", unit)
-        self.title(f"{title}: largest {quantity(f'{factor * largest:.3g}', unit)}", size="9pt")
+        self.title(title, size="9pt")
+        self.setToolTip(f"{title}: largest {quantity(f'{factor * largest:.3g}', unit)}")
         self.getPlotItem().setXRange(float(time_s[0]), float(time_s[-1]), padding=0.01)
         end = 1.1 * factor * (largest or 1.0)
         self.getPlotItem().setYRange(-end, end, padding=0.0)
@@ -144,7 +145,7 @@ class FilmPlayer(Themed, QWidget):
         raise NotImplementedError
 
     def show_again(self) -> None:
-        """Show the same instant and position with other scales."""
+        """Show the same instant with other scales."""
         if self.film is not None:
             self.rescale()
             self.show_instant()

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ class PlotSurface:
     paths_mm, sequence of float64 (points, 2): Paths of sources, NaN where they jump.
     checks, intp: Positions off the grid, which have no cell: they are drawn as small rings.
     bank: The bank's file; ``Path()`` without a bank.
-    sample_rate_hz, taps, band_hz, unit: Of the Green's functions.
+    sample_rate_hz, band_hz, unit: Of the Green's functions.
     is_virtual: Whether the bank was measured on a virtual rig.
     drift_limits: Of its run; the default ones where the bank does not state them.
     """
@@ -83,7 +83,6 @@ class PlotSurface:
     checks: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     bank: Path = Path()
     sample_rate_hz: float = 1.0
-    taps: int = 0
     band_hz: tuple[float, float] | None = None
     unit: str = ""
     is_virtual: bool = False
@@ -106,19 +105,25 @@ class PlotSurface:
 def surface_of(bank: Bank) -> PlotSurface:
     """Return the surface of an open bank."""
     position_mm, checks = np.asarray(bank.position_mm, np.float64), np.array(list(bank.check_rows), np.intp)
+    rig, run = _tables(bank.rig_json), _tables(bank.run_json)
+    surface = _surface_of_table(rig.get("surface"))
+    outline_mm = None if surface is None else surface.outline.line(_OUTLINE_POINTS)
+    try:
+        limits = DriftLimits(**run["drift"])
+    except (ValueError, TypeError, KeyError):
+        limits = DriftLimits()
     return PlotSurface(
         position_mm=position_mm,
         actuator_mm=np.asarray(bank.actuator_mm, np.float64),
-        outline_mm=_outline_mm(bank.rig_json),
+        outline_mm=outline_mm,
         raster=raster_of(position_mm, checks),
         checks=checks,
         bank=bank.path,
         sample_rate_hz=bank.sample_rate_hz,
-        taps=bank.taps,
         band_hz=bank.band_hz,
         unit=bank.response_unit,
-        is_virtual=_is_virtual(bank.rig_json),
-        drift_limits=_drift_limits(bank.run_json),
+        is_virtual="mirror" in rig and is_virtual(rig),
+        drift_limits=limits,
     )
 
 
@@ -173,10 +178,16 @@ def surface_from(table: object) -> SurfaceTable:
     """The surface that a table of a rig file or a message describes; the default where it describes none."""
     from wavefocus.config.rig import Surface as SurfaceTable  # loads pydantic
 
+    return _surface_of_table(table) or SurfaceTable()
+
+
+def _surface_of_table(table: object) -> SurfaceTable | None:
+    from wavefocus.config.rig import Surface as SurfaceTable
+
     try:
         return SurfaceTable.model_validate(table)
-    except ValueError:
-        return SurfaceTable()
+    except (ValueError, TypeError):
+        return None
 
 
 def is_virtual(rig: Mapping[str, object]) -> bool:
@@ -185,27 +196,10 @@ def is_virtual(rig: Mapping[str, object]) -> bool:
     return not isinstance(mirror, Mapping) or mirror.get("driver", VIRTUAL) == VIRTUAL
 
 
-def _is_virtual(rig_json: str | None) -> bool:
+def _tables(text: str | None) -> dict[str, Any]:
+    """The tables of a bank's configuration; a bank made by another program may hold any text there."""
     try:
-        rig = json.loads(rig_json or "")
+        tables = json.loads(text or "")
     except (ValueError, RecursionError):
-        return False
-    return isinstance(rig, dict) and "mirror" in rig and is_virtual(rig)
-
-
-def _drift_limits(run_json: str | None) -> DriftLimits:
-    """The limits by the run's configuration; a bank made by another program may hold any text there."""
-    try:
-        return DriftLimits(**json.loads(run_json or "")["drift"])
-    except (ValueError, TypeError, KeyError, RecursionError):
-        return DriftLimits()
-
-
-def _outline_mm(rig_json: str | None) -> Float64Array | None:
-    """The rim by the rig's configuration; a bank made by another program may hold any text there."""
-    from wavefocus.config.rig import Surface as SurfaceTable  # loads pydantic
-
-    try:
-        return SurfaceTable.model_validate(json.loads(rig_json or "")["surface"]).outline.line(_OUTLINE_POINTS)
-    except (ValueError, TypeError, KeyError, RecursionError):
-        return None
+        return {}
+    return tables if isinstance(tables, dict) else {}

@@ -40,7 +40,7 @@ class Spots(pyqtgraph.ScatterPlotItem):
 class SurfaceView(Themed, pyqtgraph.PlotWidget):
     """A map of the surface.
 
-    Clicks and drags arrive at `click_at`, `double_click_at`, `claims_drag` and `drag_to`, in millimetres; subclasses
+    Clicks and drags arrive at `click_at`, `claims_drag` and `drag_to`, in millimetres; subclasses
     override them. What no subclass claims pans the view; the wheel zooms; a double click shows everything.
 
     name: Its accessible name.
@@ -208,9 +208,6 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         if position >= 0:
             self.picked.emit(position)
 
-    def double_click_at(self, _at_mm: PointMm) -> None:
-        self.show_everything()
-
     def claims_drag(self, _at_mm: PointMm, _keys: Keys) -> bool:
         """Whether a drag that begins here is for `drag_to`; else it pans the view."""
         return False
@@ -273,7 +270,7 @@ class SurfaceBox(pyqtgraph.ViewBox):
         event.accept()
         at_mm = self._at_mm(event.scenePos())
         if event.double():
-            self._view.double_click_at(at_mm)
+            self._view.show_everything()
         else:
             self._view.click_at(at_mm, event.modifiers())
 

@@ -1,4 +1,4 @@
-"""A slider over the samples of a field: chosen instants, play, pause, loop, and the time."""
+"""A slider over the samples of a field: chosen instants, play in a loop, pause, and the time."""
 
 from __future__ import annotations
 
@@ -40,16 +40,12 @@ class TimeSlider(QWidget):
         self.previous = _button("|◀", "Previous focus instant (Page Down)", lambda: self.to_mark(-1))
         self.play = _button("▶", "Play (Space)", self.toggle)
         self.next = _button("▶|", "Next focus instant (Page Up)", lambda: self.to_mark(1))
-        self.loop = ui.tool_button("⟲", "Loop: start again at the end", None, "Loop", checkable=True)
-        self.loop.setChecked(True)
         self.slower = ui.named(QComboBox(), "How many times slower than real time the field is played", "Playing speed")
         for factor in SLOWER:
             self.slower.addItem("real time" if factor == 1 else f"{factor} × slower", factor)
         self.slower.setCurrentIndex(SLOWER.index(200))
         self.time_label = ui.label("Time shown")
-        ui.row(
-            self.previous, self.play, self.next, self.loop, (self.slider, 1), self.time_label, self.slower, owner=self
-        )
+        ui.row(self.previous, self.play, self.next, (self.slider, 1), self.time_label, self.slower, owner=self)
         self._timer = QTimer(self)  # active while it plays
         self._timer.setInterval(50)
         self._timer.timeout.connect(self.advance)
@@ -131,10 +127,6 @@ class TimeSlider(QWidget):
             self._exact = float(self.sample)
         self._exact += step
         if self._exact > self.slider.maximum():
-            if not self.loop.isChecked():
-                self.go_to(self.slider.maximum())
-                self.pause()
-                return
             self._exact = 0.0
         self.go_to(round(self._exact))
 

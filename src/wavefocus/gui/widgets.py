@@ -90,11 +90,6 @@ def number_box(
     return box
 
 
-def whole_box(name: str, tip: str, low: int, high: int, prefix: str = "", suffix: str = "") -> NumberBox:
-    """Make a box for a whole number."""
-    return named(NumberBox(0, low, high, prefix=prefix, suffix=suffix), tip, name)
-
-
 def table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QTableWidget:
     """Make a table that is only read; `stretched` columns share the width that the others leave."""
     table = QTableWidget(0, len(titles))
@@ -312,6 +307,7 @@ class Badge(Themed, QLabel):
     def __init__(self, name: str) -> None:
         super().__init__()
         self.setAccessibleName(name)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self._colour = ""
 
     def show_word(self, word: str, colour: str) -> None:

@@ -236,8 +236,6 @@ class Window(QMainWindow):
         self._recent.clear()
         for path in self.settings.recent():
             _add(self._recent, str(path), partial(self.open_file, path))
-        self._recent.addSeparator()
-        _add(self._recent, "&Clear this list", self.settings.forget_recent)
 
     def _open_trials(self, path: Path) -> None:
         from wavefocus.gui.trials.start import TrialsStart

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 
 from PyQt5.QtCore import QAbstractTableModel, QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
@@ -200,7 +199,6 @@ class EventList(Themed, QWidget):
         super().__init__()
         self._campaign = campaign
         self._drawn = self._position = -1
-        self._count_due_s = 0.0
         self._table = EventTable(campaign)
         self.lines = EventFilter(self._table)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
@@ -225,10 +223,8 @@ class EventList(Themed, QWidget):
         columns.setStretchLastSection(True)
         self.view.setColumnWidth(0, metrics.horizontalAdvance("Wed 00:00:00") + 18)
         self.view.setColumnWidth(1, metrics.horizontalAdvance("warning") + 22)
-        self._count = ui.label(role="faint")
-        self._count.setMinimumWidth(metrics.horizontalAdvance("0000 of 00000"))
         title = ui.label(text="Events", role="strong")
-        filters = ui.row(title, self.weight, self.of_position, (self.text, 1), self._count)
+        filters = ui.row(title, self.weight, self.of_position, (self.text, 1))
         ui.column(filters, (self.view, 1), owner=self)
         self.weight.currentIndexChanged.connect(self._restrict)
         self.text.textChanged.connect(self._restrict)
@@ -243,8 +239,6 @@ class EventList(Themed, QWidget):
             self._table.take_new()
             if at_end:
                 self.view.scrollToBottom()
-        if time.monotonic() >= self._count_due_s:
-            self._show_count()
 
     def show_position(self, position: int) -> None:
         """Note the position that "this position" means; -1 for none."""
@@ -255,13 +249,7 @@ class EventList(Themed, QWidget):
     def _restrict(self) -> None:
         position = self._position if self.of_position.isChecked() else -1
         self.lines.restrict(Weight(self.weight.currentIndex()), self.text.text(), position)
-        self._show_count()
         self.view.scrollToBottom()
-
-    def _show_count(self) -> None:
-        """Show the number of lines; not at every event, because a label that changes lays out its row again."""
-        self._count_due_s = time.monotonic() + 0.5
-        self._count.setText(f"{self.lines.rowCount()} of {len(self._campaign.lines)}")
 
     def _want_position(self, index: QModelIndex) -> None:
         position = self._table.line(self.lines.mapToSource(index).row()).position

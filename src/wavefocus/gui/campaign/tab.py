@@ -45,24 +45,17 @@ class CampaignRun:
         self._started_at = datetime.now().astimezone()
         self._last_line = ""
         self._read_s = 0.0
-        self.accepts: dict[str, QAction] = {}
-        """What the next session may accept, by the command's option."""
-        for option, text, tip in (
-            ("--accept-drift", "Accept &drift", "although the sentinel changed"),
-            ("--accept-calibration", "Accept another &calibration", "with another calibration or other devices"),
-        ):
-            action = self.accepts[option] = QAction(text, owner)
-            action.setCheckable(True)
-            action.setToolTip(f"Continue the next session {tip}")
+        self.accept_calibration = QAction("Accept another &calibration", owner)
+        self.accept_calibration.setCheckable(True)
+        self.accept_calibration.setToolTip("Continue the next session with another calibration or other devices")
 
     def start(self, arguments: Sequence[str], bank: Path, *, virtual: bool = False) -> None:
         """Start a capture, unless one of this window is running."""
         if self.own is not None:
             self._context.messages.warn(f"this window's capture of {self.bank} is still running; stop it first")
             return
-        accepted = [option for option, action in self.accepts.items() if action.isChecked()]
-        for action in self.accepts.values():
-            action.setChecked(False)
+        accepted = ["--accept-calibration"] if self.accept_calibration.isChecked() else []
+        self.accept_calibration.setChecked(False)
         self._arguments, self._virtual, self.bank = tuple(arguments), virtual, bank
         self._started_at = datetime.now().astimezone()
         self.own = self._context.run(
@@ -174,7 +167,7 @@ class CampaignTab(Tab):
         self._lay_out()
         self.run_field.chosen.connect(self._run_chosen)
         self.bank_field.chosen.connect(self._bank_chosen)
-        self.run.accepts["--accept-calibration"].toggled.connect(lambda _on: self._read_plan())
+        self.run.accept_calibration.toggled.connect(lambda _on: self._read_plan())
         for panel in (self.position_panel, self.events):
             self.map_panel.map.shown_changed.connect(panel.show_position)
         self.events.position_wanted.connect(self.map_panel.map.show_position)
@@ -183,7 +176,7 @@ class CampaignTab(Tab):
         """Actions of the buttons, and what a resume may accept."""
         seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
         find = ui.action(self, "&Find in events", seek, "Ctrl+F")
-        return [*self.controls.actions_by_name.values(), None, *self.run.accepts.values(), None, find]
+        return [*self.controls.actions_by_name.values(), None, self.run.accept_calibration, None, find]
 
     def open_file(self, path: Path) -> None:
         if path.suffix.lower() == ".toml":
@@ -311,7 +304,7 @@ class CampaignTab(Tab):
     def _read_plan(self) -> None:
         """Read the campaign of the run file, for the map and the hours, and whether the bank is of it."""
         run, bank = self.run_field.path, self.bank_field.path
-        accept = self.run.accepts["--accept-calibration"].isChecked()
+        accept = self.run.accept_calibration.isChecked()
         states = [None if path is None else file_state(path) for path in (run, bank)]
         # Once for each state of the run file; a bank that is measured changes all the time.
         now = run, states[0], bank, states[1] is not None, accept

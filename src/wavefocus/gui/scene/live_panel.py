@@ -112,8 +112,9 @@ class LivePanel(Themed, QWidget):
         tip = "Let the sources fade, and mute the outputs"
         self.stop = ui.action(self, "Stop live sources", run.stop, "Shift+F8", tip=tip)
         tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
-        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, 2000, "look-ahead ", " ms")
-        self.look_ahead.setValue(50)
+        self.look_ahead = ui.number_box(
+            "Look-ahead in ms", tip, " ms", 0, 0.0, 2000.0, value=50.0, prefix="look-ahead "
+        )
         tip = "Save each session as a scene in a new folder, named by the time, inside this one"
         self.records = ui.check("&Record in", tip, "Record the session")
         self.folder = PathField("", "", "folder for recordings", context.settings)

@@ -44,7 +44,6 @@ class Backdrop:
     """
 
     outline_mm: Float64Array
-    sample_rate_hz: float = 10_000.0  # of the virtual rig
     surface: PlotSurface | None = None
     grid: PositionGrid | None = None
     usable: NDArray[np.bool_] | None = None
@@ -214,7 +213,7 @@ def _backdrop_of(path: Path) -> Backdrop:
     if outline_mm is None:
         (left, bottom), (right, top) = surface.position_mm.min(axis=0), surface.position_mm.max(axis=0)
         outline_mm = np.array([[left, bottom], [right, bottom], [right, top], [left, top], [left, bottom]])
-    return Backdrop(outline_mm, surface.sample_rate_hz, surface, PositionGrid(surface.position_mm), allowed)
+    return Backdrop(outline_mm, surface, PositionGrid(surface.position_mm), allowed)
 
 
 def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path) -> Preview:

@@ -139,9 +139,6 @@ class LevelPlot(Plot):
         plot.setYRange(0.0, _ROOM * max(float(peak_v.max(initial=0.0)), 1e-12), padding=0.0)
 
 
-_SIGNED, _MAGNITUDE = "response", "magnitude"
-
-
 class FieldView(FilmPlayer):
     """Plays the scene's predicted field, or that of a file, with the response of a position."""
 
@@ -153,8 +150,6 @@ class FieldView(FilmPlayer):
         self._largest = 0.0
         self._seen = False  # whether the instants of a scene's foci have been shown
         self.map, self.slider = self.maps[0], self.time
-        tip = "Signed responses in two colours, or magnitudes in one"
-        self.colours = ui.choice("Colours", tip, [_SIGNED, _MAGNITUDE])
         tip = "End of the colour scale, as a part of the largest response (%)"
         self.span = ui.number_box("End of the colour scale", tip, " %", 0, 1.0, 1000.0, value=100.0, prefix="to ")
         self.name = ui.label("Field file shown", any_width=True)
@@ -163,12 +158,11 @@ class FieldView(FilmPlayer):
         ui.row((self.name, 1), self.close_file, owner=self._file_row, margins=(4, 2, 4, 0))
         self._file_row.hide()
         # The slider's own row is as wide as the panel without the speed.
-        choices = ui.row(self.colours, self.span, self.slider.slower, None, margins=(4, 4, 4, 0))
+        choices = ui.row(self.span, self.slider.slower, None, margins=(4, 4, 4, 0))
         upper = QWidget()
         ui.column(self._file_row, choices, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
         ui.column(ui.stacked((upper, 420), (self.response, 130), growing=[0]), owner=self)
-        for changed in (self.colours.currentIndexChanged, self.span.valueChanged):
-            changed.connect(lambda _value: self.show_again())
+        self.span.valueChanged.connect(lambda _value: self.show_again())
 
     def show_results(self, results: SceneResults | None) -> None:
         """Show another field of the scene, at the same instant and position; None shows none."""
@@ -185,12 +179,9 @@ class FieldView(FilmPlayer):
         self._show_field(field, surface)
 
     def rescale(self) -> None:
-        field, signed = self.field, self.colours.currentText() == _SIGNED
-        if field is not None:
+        if self.field is not None:
             top = (self._largest or 1.0) * self.span.value() / 100.0
-            levels = (-top if signed else 0.0, top)
-            title = self.colours.currentText()
-            self.map.show_scale(title, levels, field.response_unit, (signed, True), signed=signed)
+            self.map.show_scale("response", (-top, top), self.field.response_unit, (True, True))
 
     def _show_scene(self) -> None:
         results = self.results
@@ -235,8 +226,7 @@ class FieldView(FilmPlayer):
 
     def _frames(self, sample: int) -> list[Frame]:
         assert self.field is not None
-        values = self.field.field[:, sample]
-        return [values if self.map.signed else np.abs(values)]
+        return [self.field.field[:, sample]]
 
     def _response(self, place: int) -> tuple[str, list[Real]]:
         assert self.field is not None

@@ -59,7 +59,9 @@ class ActionsBar(Themed, QWidget):
         self._rig = self.rig
         tip = "Softer (negative) or louder than saved (dB); the rig's limits hold"
         self.gain = ui.number_box("Gain in dB", tip, " dB", 1, -60.0, 60.0, prefix="gain ")
-        self.loops = ui.whole_box("Repetitions", "Number of repetitions, without a gap", 1, 10_000, "× ")
+        self.loops = ui.number_box(
+            "Repetitions", "Number of repetitions, without a gap", "", 0, 1.0, 10_000.0, value=1.0, prefix="× "
+        )
         self.state = ui.label(role="faint", any_width=True)
         self.state.setMinimumWidth(60)
         self.saves: dict[str, QAction] = {

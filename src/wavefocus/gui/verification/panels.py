@@ -21,14 +21,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.verify.results import Figure
 
 
-_COLUMNS = (
-    ("Figure", "Definitions are in the tooltips of the lines"),
-    ("Predicted", "Of the prediction alone"),
-    ("Scanned", "Of the scan alone"),
-    ("Between", "Of both: the difference, or what only both together have"),
-    ("Tolerance", "By the run file"),
-    ("Verdict", "Whether the figure is within the tolerance"),
-)
+_COLUMNS = ("Figure", "Predicted", "Scanned", "Between", "Tolerance", "Verdict")
 # Signs differ, too, not only colours.
 _VERDICTS = {True: "✓ pass", False: "✗ fail", None: "– not judged"}
 
@@ -68,11 +61,8 @@ class FiguresPanel(Themed, QWidget):
 
     def __init__(self, acts: Mapping[str, Callable[[], object]]) -> None:
         super().__init__()
-        self.table = ui.table([title for title, _ in _COLUMNS], "Figures with tolerances", (0,))
+        self.table = ui.table(_COLUMNS, "Figures with tolerances", (0,))
         self.table.setShowGrid(False)
-        for place, (_, tip) in enumerate(_COLUMNS):
-            if (title := self.table.horizontalHeaderItem(place)) is not None:
-                title.setToolTip(tip)
         self.buttons: dict[str, QToolButton] = {
             name: ui.tool_button(words, tip, acts[name])
             for name, words, tip in (
@@ -142,7 +132,7 @@ def _figures_text(record: VerificationRecord, index: int) -> str:
     error, correlation = record.position_error[index], record.position_correlation[index]
     if math.isnan(error):
         return "silent, or not scanned"
-    return f"L2 error {100 * error:.3g} %  ·  correlation {correlation:.5f}"
+    return f"error {100 * error:.3g} %, correlation {correlation:.5f}"
 
 
 # Names, and the number of the colour and width: where prediction and scan agree, the scan lies inside the wider line.

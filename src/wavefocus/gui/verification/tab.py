@@ -12,7 +12,7 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAction, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, choose_file, names_virtual_rig, record_of
+from wavefocus.gui.files import FileKind, PathField, names_virtual_rig, record_of
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import Background
 from wavefocus.gui.surface import VIRTUAL
@@ -139,26 +139,18 @@ _STEPS = {
 class RunRow(Themed, QWidget):
     """One line: positions to scan (`choice`), buttons, step, progress, remaining time and last message."""
 
-    def __init__(
-        self,
-        choice: QWidget,
-        start: Callable[[], object],
-        cancel: Callable[[], object],
-        open_earlier: Callable[[], object],
-    ) -> None:
+    def __init__(self, choice: QWidget, start: Callable[[], object], cancel: Callable[[], object]) -> None:
         super().__init__()
         tip = "Play the scene on the rig, scan it and compare"
         self.start = ui.action(self, "Verify", start, "Ctrl+Shift+V", tip=tip)
         tip = "Stop: outputs muted, mirror parked; Verify then goes on with the scan"
         self.cancel = ui.action(self, "Cancel", cancel, "Ctrl+Shift+X", tip=tip)
-        tip = "Show an earlier verification: choose its verify.json"
-        self.open_earlier = ui.action(self, "Open earlier…", open_earlier, "Ctrl+Shift+O", tip=tip)
         self._start_tip = self.start.toolTip()
         self.state = ui.Badge("State of the verification")
         self.bar = ui.progress_bar("Progress of the verification", "%v of %m positions")
         self.bar.setMinimumWidth(120)
         self.figures = ui.label("Remaining time and last message", any_width=True)
-        buttons = map(ui.button, (self.start, self.cancel, self.open_earlier))
+        buttons = map(ui.button, (self.start, self.cancel))
         ui.row(choice, 8, *buttons, 8, self.state, (self.bar, 2), (self.figures, 3), owner=self)
         self.show_progress(None, stopping=False, missing="")
 
@@ -170,7 +162,6 @@ class RunRow(Themed, QWidget):
         self.start.setEnabled(not running and not missing)
         self.start.setToolTip(f"First {missing}" if missing else self._start_tip)
         self.cancel.setEnabled(running and not stopping)
-        self.open_earlier.setEnabled(not running)
         self.state.setVisible(running)
         self.bar.setVisible(running)
         if progress is None:
@@ -192,7 +183,7 @@ class RunRow(Themed, QWidget):
 
 _HINT = (
     "Choose a scene, a bank, a rig and a folder, and press Verify: the scene is played and scanned, and compared with "
-    "what the bank predicts.\n\nOr open the verify.json of an earlier verification."
+    "what the bank predicts.\n\nFile > Open shows an earlier verification by its verify.json."
 )
 _WAITING = "Prediction, scan and difference are shown here when the scan is done."
 
@@ -210,7 +201,7 @@ class VerificationTab(Tab):
         self._reading, self._reading_share, self._readings = "", (0, 0), 0
         self.run = VerificationRun(context, self.open_record)
         self.form = RequestForm(context)
-        self.row = RunRow(self.form.choice, self._start, self.run.cancel, self._choose_record)
+        self.row = RunRow(self.form.choice, self._start, self.run.cancel)
         self.verdict = VerdictPanel()
         self.maps = MapsPanel()
         opens = {"report": partial(self._open, REPORT_NAME), "folder": partial(self._open, "")}
@@ -219,7 +210,7 @@ class VerificationTab(Tab):
         self.form.out.chosen.connect(self._folder_chosen)
 
     def menu_actions(self) -> list[QAction | None]:
-        return [self.row.start, self.row.cancel, None, self.row.open_earlier]
+        return [self.row.start, self.row.cancel]
 
     def open_file(self, path: Path) -> None:
         """Look at the verification that a file or a folder belongs to."""
@@ -302,10 +293,6 @@ class VerificationTab(Tab):
         record = None if self.run.running else record_of(folder)
         if record is not None:
             self.open_record(record)
-
-    def _choose_record(self) -> None:
-        folder = self.form.out.path or self.context.settings.folder(".json")
-        choose_file(self, "Open an earlier verification", folder, "Verifications", [".json"], self.open_record)
 
     def _reading_text(self) -> str:
         done, total = self._reading_share
