@@ -222,6 +222,7 @@ def test_given_save_movie_then_the_field_is_predicted_and_line_scene(bench: Benc
     assert (tmp_path / "out.gif").read_bytes()[:6] == b"GIF89a"
 
 
+@pytest.mark.timeout(500)
 def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench: Bench, finished: Path) -> None:
     panel, bar = bench.panel, bench.panel.bar
     bench.edit(line_scene())
