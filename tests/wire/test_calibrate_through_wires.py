@@ -18,7 +18,7 @@ from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import CalibrationRecord
 from wavefocus.mocks.virtual.synthesis import output_errors
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
 SEED, SPREAD_S, SPREAD_DB = 4, 2e-5, 1.0  # the seed is that of the rig's text
 DELAY_S = 1.4e-5  # of the emulated box
@@ -85,10 +85,14 @@ def marks_file(folder: Path) -> Path:
 def test_given_all_wires_then_the_doctor_asks_every_instrument_and_unplugging_one_hides_no_other(
     rig: Path, sides: EmulatedInstruments
 ) -> None:
-    code, told = doctor(rig, sides)  # the loopback's full scale is not calibrated: every position would be poor
+    for _ in range(5):
+        code, told = doctor(rig, sides)
+        if ("recorder", "record") not in failures(told):  # a busy machine's
+            break
+    # The loopback's full scale is not calibrated: every position would be poor.
     assert (code, failures(told)) == (1, [("player", "loopback level")])
     full_scale_v = 5.0 * output_errors(len(ACTUATORS) + 1, SPREAD_S, SPREAD_DB, SEED)[1][-1]
-    change_text(rig, 'device = "wavefocus interface"', f'device = "wavefocus interface"\nfull_scale_v = {full_scale_v}')
+    change_text(rig, "[player]", f"[player]\nfull_scale_v = {full_scale_v}\nlimit_v = 4.0")
     for _ in range(5):
         _, told = doctor(rig, sides)
         verdicts = {(one["instrument"], one["check"]): one["verdict"] for one in told["findings"]}

@@ -17,7 +17,7 @@ from wavefocus.configuration import load_rig
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rig.virtual_bench import virtual_settings
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
 RATE_HZ = 10_000.0
 RUN = """

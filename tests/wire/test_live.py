@@ -21,7 +21,7 @@ from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 
-pytestmark = [pytest.mark.long, *needs_audio_server]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300), *needs_audio_server]
 
 RATE_HZ, TAPS, ACTUATORS = 10_000.0, 400, 3
 PLACES_MM = np.array([[x, y] for y in (0.0, 4.0) for x in (0.0, 4.0, 8.0)])

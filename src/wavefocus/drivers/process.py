@@ -220,7 +220,7 @@ class DriverProcess:
         """Wait for news; the process is asked for a sign of life meanwhile. Raises ProcessGoneError.
 
         look: Gives what is waited for, None as long as it is not there; called with the lock held.
-        until_s: When to give up, of `time.monotonic`.
+        until_s: When to give up, of `time.monotonic`; later by what this process was stopped meanwhile.
 
         Returns object: what `look` gave, None if the time is up.
         """
@@ -235,9 +235,10 @@ class DriverProcess:
                     raise ProcessGoneError(self._gone)
                 answered_s = self._answered_s
             now_s = time.monotonic()
+            # Time in which this process itself was stopped or kept waiting does not count against the other.
+            until_s += max(0.0, now_s - looked_s - 2 * LOOK_S)
             if now_s >= until_s:
                 return None
-            # Time in which this process itself was kept waiting does not count against the other.
             silent_s += min(now_s - looked_s, 2 * LOOK_S)
             looked_s = now_s
             if answered_s > asked_s:
