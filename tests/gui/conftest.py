@@ -212,4 +212,6 @@ def line_scene(
         amplitude=amplitude,
         emission=emission,
     )
-    return SceneConfig(scene=SceneTable(name="line"), source=(source,), output=Output(**output))
+    return SceneConfig(
+        scene=SceneTable(name="line"), source=(source,), output=Output(**{"interpolation": "nearest", **output})
+    )

@@ -92,9 +92,7 @@ def message(address: str, *values: object) -> OscMessage:
     return builder.build()
 
 
-def test_given_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(
-    bank: Path,
-) -> None:
+def test_given_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(bank: Path) -> None:
     coarse = with_check_rows(bank, bank.with_name("coarse.h5"), 5)
     arguments = ("--rig", bank.parent / "rig.toml", "--scene", bank.parent / "scene.toml", "--json")
     with Lines("live", coarse, *arguments) as running:

@@ -25,6 +25,9 @@ signal = { kind = "noise", band_hz = [50, 900], duration_s = 1.0 }
 start_s = 0.2
 path = { kind = "point", at_mm = [4, 8] }
 signal = { kind = "sine", frequency_hz = 800.0, duration_s = 0.5 }
+
+[output]
+interpolation = "nearest"
 """
 RIG = """
 [actuators]

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.fft
 import scipy.special
 
+from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.source import GreenArray
@@ -29,6 +30,8 @@ from wavefocus.rendering.verify.results import Sentinel, Symptom
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.storage.drive_file import Drive
+
+NEAREST = Output(interpolation="nearest")
 
 RATE_HZ, TAPS, BAND_HZ = 4000.0, 800, (40.0, 500.0)
 BANK_ERROR, SCAN_NOISE = 10 ** (-55 / 20), 10 ** (-40 / 20)
@@ -199,7 +202,7 @@ def lab(plate: str) -> tuple[GreenArray, Drive]:
     pitch = PITCH_MM.get(plate, 4.0)
     path = Line((-2 * pitch, -pitch), (2 * pitch, pitch))
     source = Source(path, Noise(BAND_HZ, 0.04, 1), speed_mm_s=25 * pitch, step_mm=pitch, emission="per_point")
-    return bank, render_with_report(Scene("stroke", (source,)), bank)[0]
+    return bank, render_with_report(Scene("stroke", (source,), output=NEAREST), bank)[0]
 
 
 def noisy(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -36,7 +36,7 @@ def bank() -> GreenArray:
 
 def scene_of(name: str = "line") -> Scene:
     source = Source(Line((-12.0, 0.0), (12.0, 0.0)), Impulse(), speed_mm_s=200.0, step_mm=4.0, emission="per_point")
-    return Scene(name, (source,), Regularisation(), Output())
+    return Scene(name, (source,), Regularisation(), Output(interpolation="nearest"))
 
 
 @cache

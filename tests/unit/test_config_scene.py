@@ -62,7 +62,7 @@ def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path: Path) -> N
     assert not scene.regularisation.saturation
     assert not scene.regularisation.saturation_absolute
     assert scene.regularisation.normalise
-    assert scene.output == Output(interpolation="nearest")
+    assert scene.output == Output(interpolation="auto")
 
 
 @pytest.mark.parametrize(

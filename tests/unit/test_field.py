@@ -115,9 +115,9 @@ def test_rows_come_as_a_stream_with_progress_in_the_calling_thread():
     def report(*count):
         reported.append((*count, threading.get_ident()))
 
-    for part in Prediction(drive, bank, measured_positions(bank)[0], dtype=np.float64).rows(report):
-        assert part.first == len(rows)
-        rows.extend(part.field)
+    for first, responses in Prediction(drive, bank, measured_positions(bank)[0], dtype=np.float64).rows(report):
+        assert first == len(rows)
+        rows.extend(responses)
     assert reported[-1] == (200, 200, threading.get_ident())
     assert len(reported) > 1
     assert reported == sorted(reported)

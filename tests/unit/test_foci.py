@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import SPACING_MM, plate_bank
+from wavefocus.config.scene import Output
 from wavefocus.drives import render
 from wavefocus.rendering.field.foci import focus_figures, predicted_at
 from wavefocus.rendering.field.prediction import predict
@@ -16,7 +17,11 @@ from wavefocus.rendering.scene.paths import Line
 from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.storage.errors import InputError
 
-STROKE = Scene("stroke", (Source(Line((-8.0, 0.0), (8.0, 0.0)), Impulse(), 0.0, 400.0, 4.0, emission="per_point"),))
+NEAREST = Output(interpolation="nearest")
+
+STROKE = Scene(
+    "stroke", (Source(Line((-8.0, 0.0), (8.0, 0.0)), Impulse(), 0.0, 400.0, 4.0, emission="per_point"),), output=NEAREST
+)
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from wavefocus.calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel
 from wavefocus.mocks.plates.soft import SOFT_PLATE
 from wavefocus.rendering.greens.interpolation.base import Neighbourhoods, OffGridError
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+from wavefocus.rendering.greens.interpolation.left_out import RowValues
 from wavefocus.rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
-from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.paths import Circle, Line, Polyline, Strokes
 from wavefocus.storage.errors import InputError

@@ -75,12 +75,14 @@ def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_foc
     sample = np.array([0, 117, 193])
     with FieldRowReader(field_file) as field:
         frames = read_frames(field, sample)
-        seen = Foci.of(drive()).seen(field)
+        focus, at, peak = Foci.of(drive()).seen(field)
     assert np.array_equal(frames, values()[:, sample].T)
-    assert seen.focus.tolist() == [0, 1, 2, 3]
-    assert seen.sample[[0, 2]].tolist() == [117, 193]
-    assert seen.peak.tolist() == [100.0, 6.0, 100.0, 12.0]
-    assert colour_limit(frames, seen) == 100.0
+    found = {focus: (at, peak) for focus, at, peak in zip(focus.tolist(), at.tolist(), peak.tolist(), strict=True)}
+    assert sorted(found) == [0, 1, 2, 3]
+    assert (np.diff(at) >= 0).all()
+    assert (found[0][0], found[2][0]) == (117, 193)
+    assert [found[index][1] for index in range(4)] == [100.0, 6.0, 100.0, 12.0]
+    assert colour_limit(frames, peak) == 100.0
     assert colour_limit(frames, None) <= 100.0
     assert colour_limit(np.zeros((2, 3), np.float32), None) == 1.0
 

@@ -8,16 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.unit.plate_banks import (
-    ACTUATOR_MM,
-    BAND_HZ,
-    RATE_HZ,
-    SPACING_MM,
-    SQUARE_MM,
-    TAPS,
-    plate_bank,
-    plate_greens,
-)
+from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS, plate_bank, plate_greens
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.field.prediction import predict
@@ -40,6 +31,9 @@ TAIL = round(0.05 * RATE_HZ)
 @pytest.fixture(scope="module")
 def bank():
     return plate_bank()
+
+
+NEAREST = Output(interpolation="nearest")
 
 
 def scene_of(*places, signal=NOISE, at=FOCUS, path=None, speed=0.0, level_db=-30.0, radius_mm=0.0, **keys):
@@ -277,7 +271,7 @@ def test_a_scene_needs_the_positions_around_its_quiet_places(bank):
 def test_a_scene_needs_the_positions_around_its_independent_sources(bank):
     sources = tuple(Source(Point(at_mm), NOISE) for at_mm in ((-14.5, 0.5), (16.5, 8.5)))
     alone, independent = (
-        scene_rows(Scene("two", sources, regularisation=Regularisation(independent=one)), bank.position_mm).path
+        scene_rows(Scene("two", sources, Regularisation(independent=one), NEAREST), bank.position_mm).path
         for one in (False, True)
     )
     assert len(alone) < 10
@@ -287,7 +281,7 @@ def test_a_scene_needs_the_positions_around_its_independent_sources(bank):
 def test_on_a_coarse_grid_a_quiet_place_between_positions_needs_all_of_them_and_one_at_a_position_does_not():
     coarse_mm = 4.0 * SQUARE_MM
     between, at_position = (
-        scene_rows(scene_of(one), coarse_mm, coarse=True).path for one in ((24.0, 24.0), (32.0, 32.0))
+        scene_rows(scene_of(one, output=NEAREST), coarse_mm, coarse=True).path for one in ((24.0, 24.0), (32.0, 32.0))
     )
     assert len(between) == len(coarse_mm)
     assert len(at_position) < len(coarse_mm)

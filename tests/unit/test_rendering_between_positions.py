@@ -18,6 +18,8 @@ from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.reader import DamagedError
 
+NEAREST = Output(interpolation="nearest")
+
 SIGNAL = Noise((80.0, 420.0), 0.4, 3)
 MOVING = Source(Circle((1.3, -0.7), 13.0, 0.9, 20.0), SIGNAL, 0.01, 180.0, 3.0, 2.0)
 REPEATING = Source(Line((-15.0, -11.0), (14.0, 9.0)), Noise((80.0, 420.0), 0.03, 4), 0.0, 180.0, 3.0, 1.5, "per_point")
@@ -85,7 +87,9 @@ def test_a_long_path_with_close_points_is_interpolated_between_nodes():
 def test_foci_and_regularisation_name_measured_rows():
     scene = Scene("s", (MOVING,), Regularisation(saturation=0.5), Output(interpolation="kernel"))
     drive, report = render_with_report(scene, bank(), method="exact")
-    nearest, _ = render_with_report(Scene("s", (MOVING,), Regularisation(saturation=0.5)), bank(), method="exact")
+    nearest, _ = render_with_report(
+        Scene("s", (MOVING,), Regularisation(saturation=0.5), output=NEAREST), bank(), method="exact"
+    )
     np.testing.assert_array_equal(drive.focus_position, nearest.focus_position)
     np.testing.assert_array_equal(drive.focus_sample, nearest.focus_sample)
     assert max(report.rows) < bank().positions
@@ -105,15 +109,15 @@ def test_an_error_beyond_the_tolerance_is_refused_with_frequency_and_error():
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan])
 def test_a_tolerance_that_is_none_is_refused(tolerance):
     with pytest.raises(InputError, match="interpolation_tolerance"):
-        render_with_report(Scene("s", (STANDING,)), bank(), interpolation_tolerance=tolerance)
+        render_with_report(Scene("s", (STANDING,), output=NEAREST), bank(), interpolation_tolerance=tolerance)
 
 
 def test_a_path_on_the_positions_has_no_error_to_report():
     source = Source(Line((-12.0, 4.0), (12.0, 4.0)), SIGNAL, 0.0, 100.0, 4.0, emission="per_point")
-    _, report = render_with_report(Scene("s", (source,)), bank())
+    _, report = render_with_report(Scene("s", (source,), output=NEAREST), bank())
     assert report.interpolation_errors is None or report.interpolation_errors.kind == "nearest"
     still = Source(Point((4.0, -8.0)), Impulse())
-    _, report = render_with_report(Scene("s", (still,)), bank())
+    _, report = render_with_report(Scene("s", (still,), output=NEAREST), bank())
     assert report.interpolation_errors is None
     assert not report.warnings
 
@@ -128,7 +132,7 @@ def test_a_path_that_leaves_the_grid_is_refused_by_source_and_place():
 def test_a_path_on_one_position_alone_needs_no_more():
     one = GreenArray(bank().values[:1], SQUARE_MM[:1], RATE_HZ, band_hz=BAND_HZ)
     source = Source(Point((-24.0, -24.0)), Impulse())
-    _, report = render_with_report(Scene("s", (source,)), one, interpolation_tolerance=0.01)
+    _, report = render_with_report(Scene("s", (source,), output=NEAREST), one, interpolation_tolerance=0.01)
     assert report.interpolation_errors is None
 
 
@@ -173,9 +177,7 @@ def test_on_a_grid_too_coarse_the_estimate_tells_the_true_error(kind, spacing_mm
     source = Source(MOVING.path, Noise((300.0, 480.0), 0.4, 3), 0.01, 180.0, 3.0, 2.0)
     expected = direct(source, "exact")
     drive, report = render_with_report(
-        Scene("s", (source,), PLAIN, Output(interpolation=kind)),
-        coarse_bank(spacing_mm),
-        method="exact",
+        Scene("s", (source,), PLAIN, Output(interpolation=kind)), coarse_bank(spacing_mm), method="exact"
     )
     error = np.linalg.norm(drive.drive_v - expected) / np.linalg.norm(expected)
     assert error > (0.2 if kind == "kernel" else 1.0)
@@ -200,7 +202,7 @@ class WithDamage:
 @pytest.mark.parametrize(
     "scene",
     [
-        Scene("quiet", (STANDING,), PLAIN, quiet=(QuietPlace(Point((8.9, 6.1)), level_db=-10.0),)),
+        Scene("quiet", (STANDING,), PLAIN, quiet=(QuietPlace(Point((8.9, 6.1)), level_db=-10.0),), output=NEAREST),
         Scene("auto", (REPEATING,), PLAIN, Output(interpolation="auto")),
     ],
     ids=["a quiet place between positions", "auto"],
@@ -209,3 +211,9 @@ def test_given_a_damaged_row_that_is_needed_then_no_other_method_takes_its_place
     near = int(np.argmin(np.hypot(*(bank().position_mm - (9.0, 6.0)).T)))
     with pytest.raises(DamagedError, match=f"position {near} is damaged"):
         render_with_report(scene, WithDamage(near))
+
+
+def test_given_no_interpolation_then_a_path_off_the_grid_is_named_by_its_point():
+    source = Source(Line((0.0, 0.0), (900.0, 0.0)), Impulse(), 0.0, 80.0, 4.0, emission="per_point")
+    with pytest.raises(InputError, match=r"source 0, path point \d+, lies at"):
+        render_with_report(Scene("s", (source,)), bank())

@@ -16,6 +16,7 @@ from PIL import Image
 
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
 from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.config.scene import Output
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.page import build_report
@@ -28,6 +29,8 @@ from wavefocus.rendering.verify.comparison import FieldComparison
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.verdict import compare
 from wavefocus.storage.field_file import Field
+
+NEAREST = Output(interpolation="nearest")
 
 NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
 
@@ -205,12 +208,12 @@ def test_a_gap_ends_a_line_and_a_longer_one_beside_the_middle_is_found():
 def test_a_bank_without_most_figures_still_gives_lines_and_a_picture(path):
     position_mm = grid(3, 2)
     bank = GreenArray(np.random.default_rng(1).standard_normal((6, 2, 30)), position_mm, 1000.0)
-    scene = Scene("s", (Source(path, Impulse(), 0.0, 80.0, 4.0),))
+    scene = Scene("s", (Source(path, Impulse(), 0.0, 80.0, 4.0),), output=NEAREST)
     waves = waves_of(scene, bank, comparison(), 4.0)
     assert (waves.travel, waves.crosstalk, waves.scanned) == (None, None, None)
-    lines = {one.name: one for one in wave_figures(waves, scene, None)}
-    assert lines["Group velocity"].value == lines["Attenuation"].value == "-"
-    assert "Not found" in lines["Attenuation"].definition
+    lines = {name: figure for name, *figure in wave_figures(waves, scene, None)}
+    assert lines["Group velocity"][0] == lines["Attenuation"][0] == "-"
+    assert "Not found" in lines["Attenuation"][1]
     assert "Correlation of neighbours" in lines
     assert waves_picture(waves, None).png.startswith(b"\x89PNG")
 
@@ -218,10 +221,10 @@ def test_a_bank_without_most_figures_still_gives_lines_and_a_picture(path):
 def test_a_bank_of_one_wave_everywhere_correlates_everywhere():
     green = np.tile(np.random.default_rng(1).standard_normal(30), (40, 2, 1))
     bank = GreenArray(green, grid(20, 2), 1000.0)
-    scene = Scene("s", (Source(Line((0, 0), (20, 0)), Impulse(), 0.0, 300.0, 4.0),))
+    scene = Scene("s", (Source(Line((0, 0), (20, 0)), Impulse(), 0.0, 300.0, 4.0),), output=NEAREST)
     waves = waves_of(scene, bank, comparison(), 4.0)
-    lines = {one.name: one for one in wave_figures(waves, scene, None)}
-    assert lines["Correlation of neighbours"].value.startswith("1.00 at")
+    lines = {name: figure for name, *figure in wave_figures(waves, scene, None)}
+    assert lines["Correlation of neighbours"][0].startswith("1.00 at")
     # The speed that is nearest to the scene's, and as much at each point from all others as from its own.
     assert [name for name in lines if name.startswith("Crosstalk")] == [
         f"Crosstalk at 32 cm/s, d = {step} mm" for step in (4, 8, 16)

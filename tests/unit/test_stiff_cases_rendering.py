@@ -35,7 +35,9 @@ def make_bank(values=None, **options):
 
 
 def rendered(source, bank, regularisation=None, **options):
-    scene = Scene("s", (source,), regularisation or Regularisation(), options.pop("output", Output()))
+    scene = Scene(
+        "s", (source,), regularisation or Regularisation(), options.pop("output", Output(interpolation="nearest"))
+    )
     return render_with_report(scene, bank, **options)
 
 
@@ -103,12 +105,7 @@ def test_row_2_path_over_a_row_of_zeros_is_refused_by_name():
 @pytest.mark.parametrize("regularisation", [Regularisation(), SATURATED])
 @pytest.mark.parametrize(
     ("scale", "dtype"),
-    [
-        (2.0**-40, np.float32),
-        (2.0**30, np.float32),
-        (1e-15, np.float64),
-        (1e15, np.float64),
-    ],
+    [(2.0**-40, np.float32), (2.0**30, np.float32), (1e-15, np.float64), (1e15, np.float64)],
 )
 def test_rows_3_to_5_bank_in_another_unit_gives_the_same_drive_in_that_unit(scale, dtype, regularisation):
     """Powers of two near 1e-12 and 1e9: float32 itself rounds any other factor to 6e-8."""
@@ -360,7 +357,11 @@ def test_rows_27_and_37_complex_bank_is_refused():
 
 def test_row_34_limit_no_factor_can_reach_is_refused():
     with pytest.raises(InputError, match="limit_v"):
-        rendered(Source(Point((4.0, 4.0)), Impulse(), amplitude=1e150), make_bank(), output=Output(limit_v=1e-300))
+        rendered(
+            Source(Point((4.0, 4.0)), Impulse(), amplitude=1e150),
+            make_bank(),
+            output=Output(limit_v=1e-300, interpolation="nearest"),
+        )
 
 
 def test_row_35_emissions_that_overlap_add_up():

@@ -23,6 +23,13 @@ from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.storage.drive_file import drive_pieces, read_drive
 from wavefocus.storage.errors import InputError
 
+
+def limited(**limits):
+    return Output(interpolation="nearest", **limits)
+
+
+NEAREST = limited()
+
 RATE_HZ = 1000.0
 MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
 REPEATING = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 0.05, 4), 0.2, 100.0, 3.0, 1.5, "per_point")
@@ -37,7 +44,7 @@ def make_bank(scale=1.0):
 
 @pytest.mark.parametrize("tolerance_db", [None, -30.0])
 def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(tolerance_db):
-    scene = Scene("s", (MOVING,))
+    scene = Scene("s", (MOVING,), output=NEAREST)
     whole, report = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
     assert report.single == (tolerance_db is not None)
     renderer = SceneRenderer(scene, make_bank(), tolerance_db=tolerance_db)
@@ -70,7 +77,7 @@ def test_blocks_come_before_the_scene_is_rendered_to_its_end():
     status[last] = 8
     bank = GreenArray(bank.values, bank.position_mm, RATE_HZ, status=status)
     source = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 60.0, 4), 0.0, 0.6, 0.3)
-    blocks = SceneRenderer(Scene("s", (source,)), bank, method="sampled").unlimited_blocks()
+    blocks = SceneRenderer(Scene("s", (source,), output=NEAREST), bank, method="sampled").unlimited_blocks()
     assert len(list(itertools.islice(blocks, 3))) == 3
     with pytest.raises(InputError, match="marked as failed"):
         list(blocks)
@@ -78,7 +85,7 @@ def test_blocks_come_before_the_scene_is_rendered_to_its_end():
 
 @pytest.mark.parametrize("interface_rate_hz", [1000, 4800, 44_100])
 def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz):
-    scene = Scene("s", (MOVING, REPEATING))
+    scene = Scene("s", (MOVING, REPEATING), output=NEAREST)
     whole, _ = render_with_report(scene, make_bank())
     scale_v = 1.5 * float(np.abs(whole.drive_v).max())
     renderer = SceneRenderer(scene, make_bank())
@@ -97,14 +104,14 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz):
 
 
 def test_a_streamed_wav_beyond_full_scale_is_refused_and_leaves_no_file(tmp_path):
-    renderer = SceneRenderer(Scene("s", (MOVING,)), make_bank())
+    renderer = SceneRenderer(Scene("s", (MOVING,), output=NEAREST), make_bank())
     blocks = renderer.unlimited_blocks()
     with pytest.raises(InputError, match="beyond the interface's full scale"):
         stream_wav(tmp_path / "b.wav", blocks, renderer.shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
     assert not list(tmp_path.iterdir())
 
 
-LIMITS = [Output(limit_v=1e-3), Output(limit_rms_v=2e-4), Output(limit_v=1e-3, limit_rms_v=2e-4), Output()]
+LIMITS = [limited(limit_v=1e-3), limited(limit_rms_v=2e-4), limited(limit_v=1e-3, limit_rms_v=2e-4), NEAREST]
 
 
 @pytest.mark.parametrize("output", LIMITS)
@@ -136,7 +143,7 @@ def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(output, 
 
 
 def test_a_written_drive_stays_within_full_scale_between_its_samples(tmp_path):
-    scene = Scene("s", (MOVING, REPEATING), output=Output(limit_v=5e-4))
+    scene = Scene("s", (MOVING, REPEATING), output=limited(limit_v=5e-4))
     interface = Interface(4800, np.array([6e-4, 5e-4, 5e-4]))
     streamed = SceneRenderer(scene, make_bank(), interface=interface)
     told = streamed.write(tmp_path / "d.h5")
@@ -150,19 +157,19 @@ def test_a_written_drive_stays_within_full_scale_between_its_samples(tmp_path):
 
 
 def test_a_gain_comes_before_the_limits(tmp_path):
-    scene = Scene("s", (MOVING,))
+    scene = Scene("s", (MOVING,), output=NEAREST)
     plain, louder = SceneRenderer(scene, make_bank()), SceneRenderer(scene, make_bank(), gain=3.0)
     assert plain.prepare().scale == louder.prepare().scale == 1.0
     assert louder.peak_v == pytest.approx(3 * plain.peak_v, rel=1e-12)
-    limited = SceneRenderer(Scene("s", (MOVING,), output=Output(limit_v=2 * plain.peak_v)), make_bank(), gain=3.0)
-    assert limited.write(tmp_path / "d.h5").scale == pytest.approx(2 / 3, rel=1e-12)
+    bounded = SceneRenderer(Scene("s", (MOVING,), output=limited(limit_v=2 * plain.peak_v)), make_bank(), gain=3.0)
+    assert bounded.write(tmp_path / "d.h5").scale == pytest.approx(2 / 3, rel=1e-12)
     assert np.abs(read_drive(tmp_path / "d.h5").drive_v).max() <= 2 * plain.peak_v
 
 
 @pytest.mark.parametrize("options", [{"gain": 0.0}, {"gain": float("nan")}, {"method": "fast"}])
 def test_what_cannot_be_streamed_is_refused(options):
     with pytest.raises(InputError):
-        SceneRenderer(Scene("s", (MOVING,)), make_bank(), **options)
+        SceneRenderer(Scene("s", (MOVING,), output=NEAREST), make_bank(), **options)
 
 
 def test_memory_does_not_grow_with_the_drives():
@@ -170,7 +177,7 @@ def test_memory_does_not_grow_with_the_drives():
     most = {}
     for turns in (2.0, 32.0):
         source = Source(Circle((0, 0), 10.0, turns), Sine(70, 1.0), 0.0, 40.0, 3.0)
-        streamed = SceneRenderer(Scene("s", (source,), output=Output(limit_v=1e-3, limit_rms_v=1e-3)), make_bank())
+        streamed = SceneRenderer(Scene("s", (source,), output=limited(limit_v=1e-3, limit_rms_v=1e-3)), make_bank())
         tracemalloc.start()
         streamed.prepare()
         most[turns] = tracemalloc.get_traced_memory()[1]
@@ -201,14 +208,15 @@ def test_running_levels_are_those_of_the_whole(samples, cuts, seed, rate_hz, sca
 
 
 def test_a_scene_of_one_sample_is_written(tmp_path):
-    scene = Scene("s", (Source(Point((3, 3)), Impulse(), 0.0),), output=Output(limit_rms_v=1e-3))
+    scene = Scene("s", (Source(Point((3, 3)), Impulse(), 0.0),), output=limited(limit_rms_v=1e-3))
     whole, _ = render_with_report(scene, make_bank())
     SceneRenderer(scene, make_bank()).write(tmp_path / "d.h5")
     np.testing.assert_allclose(read_drive(tmp_path / "d.h5").drive_v, whole.drive_v, rtol=1e-9, atol=1e-18)
 
 
 @pytest.mark.parametrize(
-    ("amplitude", "tolerance_db", "output"), [(1e42, -40.0, Output()), (1e200, None, Output(limit_rms_v=1.0))]
+    ("amplitude", "tolerance_db", "output"),
+    [(1e42, -40.0, NEAREST), (1e200, None, limited(limit_rms_v=1.0))],
 )
 def test_drives_beyond_single_precision_or_of_any_size_are_written(amplitude, tolerance_db, output, tmp_path):
     source = Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=amplitude)
@@ -216,7 +224,7 @@ def test_drives_beyond_single_precision_or_of_any_size_are_written(amplitude, to
     report = streamed.write(tmp_path / "d.h5")
     drive_v = read_drive(tmp_path / "d.h5").drive_v
     assert not report.single
-    plain, _ = render_with_report(Scene("s", (replace(source, amplitude=1.0),)), make_bank())
+    plain, _ = render_with_report(Scene("s", (replace(source, amplitude=1.0),), output=NEAREST), make_bank())
     np.testing.assert_allclose(
         drive_v, plain.drive_v * amplitude * report.scale, rtol=1e-9, atol=1e-12 * streamed.peak_v
     )

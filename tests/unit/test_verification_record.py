@@ -143,12 +143,12 @@ def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: 
     [
         (lambda content: content.update(format="other"), "is not the record of a verification"),
         (lambda content: content.update(format_version=2), "a newer wavefocus wrote it"),
-        (lambda content: content.update(made="yesterday"), "yesterday"),
-        (lambda content: content["figures"][0].update(value="much"), "value is 'much'"),
+        (lambda content: content.update(made="yesterday"), "made: "),
+        (lambda content: content["figures"][0].update(value="much"), "figures[0].value: "),
         (lambda content: content["positions"].update(error=[1.0]), "positions.error"),
         (lambda content: content["positions"].update(at_mm=[[0.0, 0.0]]), "positions.at_mm"),
         (lambda content: content["sources"][0].update(path_mm=[["a", "b"]]), "damaged"),
-        (lambda content: content["positions"].pop("correlation"), "correlation is missing"),
+        (lambda content: content["positions"].pop("correlation"), "correlation"),
     ],
 )
 def test_given_a_spoilt_record_then_one_sentence_says_what(
@@ -220,15 +220,9 @@ def test_given_a_reading_that_is_cancelled_then_it_ends(record_file: Path) -> No
     ],
 )
 def test_given_two_verifications_then_causes_are_compared_by_code_and_actuators(
-    record_file: Path,
-    before: Symptom,
-    now: Symptom,
-    gone: int,
-    new: int,
+    record_file: Path, before: Symptom, now: Symptom, gone: int, new: int
 ) -> None:
-    verification = fields()[2]
-    diagnosis = dataclasses.replace(verification.diagnosis, symptoms=(now,))
-    later = dataclasses.replace(verification, diagnosis=diagnosis)
+    later = dataclasses.replace(fields()[2], symptoms=(now,))
     earlier = msgspec.structs.replace(read_record(record_file), symptoms=(before,))
     changes = changes_since(earlier, "verify.json", later, "line", {})
     assert (len(changes.symptoms_gone), len(changes.symptoms_new)) == (gone, new)

@@ -10,7 +10,7 @@ from scipy.special import h2vp, hankel2, jv, jvp
 import wavefocus as wf
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.field.at_foci import predicted_focus_peak
+from wavefocus.rendering.field.foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.interpolation import waves as waves_module

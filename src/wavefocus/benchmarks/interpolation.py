@@ -24,7 +24,7 @@ from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, interpolation_method
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-from wavefocus.rendering.greens.interpolation.on_grid import LatticeInterpolation
+from wavefocus.rendering.greens.interpolation.on_grid import Bilinear
 from wavefocus.rendering.greens.source import GreenArray, GreenSource
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle
@@ -74,7 +74,7 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
     for name in METHODS:
         kind = kernel if name == "kernel" else interpolation_method(name).over(bank, points_mm)
         usable_mm, chosen = points_mm, np.arange(len(points_mm))
-        if isinstance(kind, LatticeInterpolation):
+        if isinstance(kind, Bilinear):
             chosen = np.array([place for place in chosen if _in_a_cell(kind, points_mm[place])])
             usable_mm = points_mm[chosen]
         nodes = kind.nodes(usable_mm)
@@ -115,7 +115,7 @@ def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *
         for name in METHODS:
             usable = np.ones(len(points_mm), dtype=bool)
             made = interpolation_method(name).over(bank, points_mm)
-            if isinstance(made, LatticeInterpolation):
+            if isinstance(made, Bilinear):
                 usable = np.array([_in_a_cell(made, one) for one in points_mm])
             places = points_mm[usable]
             timing = measure({name: partial(_interpolated, name, bank, places)}, 3, memory=True)[name]

@@ -79,9 +79,9 @@ def focus_fields(
     fields = np.empty((len(rows), bank.positions))
     for place, row in enumerate(rows):
         green = bank.values[row].astype(np.float64)
-        weights = row_weights(green, threshold, normalise=True)
-        sigma = np.ones(bank.actuators) if weights.sigma is None else weights.sigma
-        driven = (weights.gain * sigma[:, None] * green).astype(np.float32)
+        sigma, gain = row_weights(green, threshold, normalise=True)
+        factors = np.full(bank.actuators, gain) if sigma is None else gain * sigma
+        driven = (factors[:, None] * green).astype(np.float32)
         fields[place] = flat @ driven.ravel()
     return fields
 
@@ -115,8 +115,8 @@ def fields_at(drive: Drive, bank: GreenArray, samples: Sequence[int]) -> Float32
     first = round(drive.start_s * drive.sample_rate_hz)
     columns = np.asarray(samples, dtype=np.int64) - first
     found = np.empty((len(columns), bank.positions), dtype=np.float32)
-    for part in Prediction(drive, bank, range(bank.positions)).rows():
-        found[:, part.position_index] = part.field[:, columns].T
+    for begin, responses in Prediction(drive, bank, range(bank.positions)).rows():
+        found[:, begin : begin + len(responses)] = responses[:, columns].T
     return found
 
 

@@ -119,8 +119,7 @@ def _parts(
 ) -> Iterator[tuple[int, NDArray[Any]]]:
     """The first row's number and the values of each part of the field, in their order."""
     if not cluster:
-        for rows in prediction.rows(report):
-            yield rows.first, rows.field
+        yield from prediction.rows(report)
         return
     parts, index = prediction.parts(), prediction.position_index
     positions = [index[part.start : part.stop].tolist() for part in parts]

@@ -19,7 +19,7 @@ from wavefocus.rendering.device import cuda_device
 from wavefocus.rendering.drive.coil_limits import dynamic_range_db
 from wavefocus.rendering.drive.rendering import MAX_WHOLE_BYTES, SceneRenderer
 from wavefocus.rendering.drive.wav import Interface, stream_wav
-from wavefocus.rendering.field.at_foci import predicted_focus_peak
+from wavefocus.rendering.field.foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import field_unit
 from wavefocus.rendering.field.quiet_levels import QuietLevel, levels_json, quiet_levels, rendered_levels
 from wavefocus.rendering.report.render_report import RenderReport
@@ -67,26 +67,6 @@ class _Job:
         return self.rig.player.interface_rate_hz, full_scale_v, full_scale_v / interface_of(self.rig).full_scale_v
 
 
-@dataclass(frozen=True, slots=True)
-class _Rendered:
-    """Drives that were written.
-
-    method, foci: How they were rendered, and the number of foci.
-    focus_peak, unsaturated: Predicted response, and relative rms without saturation; None where not computed.
-    quiet: Levels at the quiet places.
-    """
-
-    shape: tuple[int, int]
-    method: str
-    start_s: float
-    foci: int
-    peak_v: float
-    facts: RenderReport
-    focus_peak: float | None
-    unsaturated: Float64Array | None
-    quiet: tuple[QuietLevel, ...]
-
-
 def render(
     scene_file: Path,
     bank: Path,
@@ -117,35 +97,36 @@ def render(
         limited = rig is not None and (wav is not None or rig_file is not None)
         job = _Job(scene_file, scene, view, rig, interface_of(rig) if rig is not None and limited else None, options)
         with naming(scene_file, view):
-            rendered = _render(job, out, force=force)
+            renderer, facts = _rendered(job, out, force=force)
+            focus_peak, quiet = None, rendered_levels(facts.quiet_tracks)
+            if 8 * renderer.shape[0] * renderer.shape[1] <= MAX_WHOLE_BYTES:  # a long drive is not predicted
+                focus_peak, quiet = _predicted(job, out)
+            unsaturated = _unsaturated(job, facts)
         if wav is not None:
-            _write_wav(job, rendered.shape, out, wav)
+            _write_wav(job, renderer.shape, out, wav)
         if picture is not None:
-            _write_picture(job, rendered.facts, picture)
-        figures = _report(job, rendered, out, rig_file)
+            _write_picture(job, facts, picture)
+        figures = _report(job, renderer, facts, out, rig_file, focus_peak, unsaturated, quiet)
         if as_json:
             print(json.dumps(figures))
 
 
-def _render(job: _Job, out: Path, *, force: bool) -> _Rendered:
-    """Write the drive file, and find what is said of it; a long drive is not predicted."""
+def _rendered(job: _Job, out: Path, *, force: bool) -> tuple[SceneRenderer, RenderReport]:
+    """Write the drive file."""
     working_on("preparing the scene: its interpolation and quiet places")
     renderer = _renderer(job, job.scene, job.interface)
     working_on("")
-    actuators, samples = renderer.shape
-    with progress("render", samples) as report:
-        facts = renderer.write(out, report, force=force)
-    focus_peak, quiet = None, rendered_levels(facts.quiet_tracks)
-    if 8 * actuators * samples <= MAX_WHOLE_BYTES:
-        working_on("predicting the response at the foci")
-        drive = read_drive(out)
-        focus_peak, quiet = predicted_focus_peak(drive, job.bank), quiet_levels(drive, job.bank)
-        working_on("")
-    sampled = renderer.sampled
-    return _Rendered(
-        renderer.shape, sampled.method, sampled.start_s, len(sampled.foci[0]), renderer.peak_v, facts, focus_peak,
-        _unsaturated(job, facts), quiet,
-    )  # fmt: skip
+    with progress("render", renderer.shape[1]) as report:
+        return renderer, renderer.write(out, report, force=force)
+
+
+def _predicted(job: _Job, out: Path) -> tuple[float | None, tuple[QuietLevel, ...]]:
+    """The response at the foci, and the levels at the quiet places."""
+    working_on("predicting the response at the foci")
+    drive = read_drive(out)
+    found = predicted_focus_peak(drive, job.bank), quiet_levels(drive, job.bank)
+    working_on("")
+    return found
 
 
 def _renderer(job: _Job, scene: Scene, interface: Interface | None) -> SceneRenderer:
@@ -187,21 +168,32 @@ def _write_wav(job: _Job, shape: tuple[int, int], drive_file: Path, wav: Path) -
     say(f"{wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")
 
 
-def _report(job: _Job, rendered: _Rendered, out: Path, rig_file: Path | None) -> dict[str, Any]:
-    """Say what was rendered; returns the same figures for JSON."""
-    facts, limiting, (actuators, samples) = rendered.facts, rendered.facts.limiting, rendered.shape
-    method, foci, peak_v = rendered.method, rendered.foci, rendered.peak_v
-    unit, relative = field_unit(job.bank), facts.relative_rms_drive
-    range_db, unsaturated = dynamic_range_db(relative), rendered.unsaturated
+def _report(
+    job: _Job,
+    renderer: SceneRenderer,
+    facts: RenderReport,
+    out: Path,
+    rig_file: Path | None,
+    focus_peak: float | None,
+    unsaturated: Float64Array | None,
+    quiet: tuple[QuietLevel, ...],
+) -> dict[str, Any]:
+    """Say what was rendered; returns the same figures for JSON.
+
+    focus_peak, unsaturated: Predicted response, and relative rms without saturation; None where not computed.
+    """
+    limiting, (actuators, samples), sampled = facts.limiting, renderer.shape, renderer.sampled
+    method, foci, peak_v = sampled.method, len(sampled.foci[0]), renderer.peak_v
+    unit, relative, range_db = field_unit(job.bank), facts.relative_rms_drive, facts.dynamic_range_db
     figures = {
         "drive": str(out),
         "method": method,
         "samples": samples,
-        "start_s": rendered.start_s,
+        "start_s": sampled.start_s,
         "focus_points": foci,
         "peak_v": peak_v,
         "scale": facts.scale,
-        "focus_peak": rendered.focus_peak,
+        "focus_peak": focus_peak,
         "response_unit": unit,
         "limited_by": limiting.decided_by,
         "limiting_actuator": limiting.actuator,
@@ -217,23 +209,23 @@ def _report(job: _Job, rendered: _Rendered, out: Path, rig_file: Path | None) ->
         f"{out}: {method}, {actuators} actuators, {samples / job.bank.sample_rate_hz:.3f} s, "
         f"{foci} focus points, largest drive {quantity(f'{peak_v:.3g}', job.bank.drive_unit)}"
     )
-    if rendered.focus_peak is not None:
-        say(f"predicted response at the focus: up to {rendered.focus_peak:.3g} {unit}")
+    if focus_peak is not None:
+        say(f"predicted response at the focus: up to {focus_peak:.3g} {unit}")
     if limiting.decided_by is not None:
         say(limited_words(limiting, rig_file))
     if job.options.tolerance_db is not None:
-        what = f": {', '.join(facts.left_out_words)}" if facts.left_out_words else ""
+        what = ": double precision" if facts.single else ""
         say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
     without = "" if unsaturated is None else f", {dynamic_range_db(unsaturated):.1f} dB without saturation"
     say(f"rms of the drives: actuators differ by up to {range_db:.1f} dB{without}")
-    for level in rendered.quiet:
+    for level in quiet:
         say(f"quiet: {level}")
     if facts.interpolation_errors is not None:
         say(facts.interpolation_errors.words)
         figures["interpolation"] = facts.interpolation_errors.facts
     if facts.quiet is not None:
         say(f"quiet places cost {facts.quiet.energy:.3g} times the energy of plain time reversal")
-        figures["quiet"] = levels_json(rendered.quiet, facts.quiet.plain_db, facts.quiet.multiplier)
+        figures["quiet"] = levels_json(quiet, facts.quiet.plain_db, facts.quiet.multiplier)
         figures["quiet_energy"] = facts.quiet.energy
     return figures
 

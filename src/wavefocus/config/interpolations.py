@@ -9,5 +9,5 @@ INTERPOLATIONS = {
     "bilinear": "wavefocus.rendering.greens.interpolation.on_grid:Bilinear",
     "kernel": "wavefocus.rendering.greens.interpolation.kernel:KernelInterpolation",
     "waves": "wavefocus.rendering.greens.interpolation.waves:WavesInterpolation",
-    "auto": "wavefocus.rendering.greens.interpolation.auto:AutoInterpolation",
+    "auto": "wavefocus.rendering.greens.interpolation.auto:scene_choice",
 }

@@ -253,7 +253,7 @@ class Output(Table):
     """Between grid points, and at the amplifier."""
 
     interpolation: InterpolationName = Field(
-        default="nearest",
+        default="auto",
         description="Method for Green's functions between the bank's positions; waves works on coarse grids and needs"
         " the actuators' places, auto takes the cheapest whose expected error is below 2 %",
     )

@@ -85,27 +85,20 @@ def open_session(
             # Finer rows take seconds, and warm nothing up.
             warm = "nearest" if output.interpolation in ("kernel", "waves", "auto") else output.interpolation
             _warm_up(*engine_and_limiter(warm), view)
-            finest = output.interpolation
-            coarse = bool(is_check(view).any())
-            if options.scene_file is None and (options.independent or coarse):
-                finest = "auto"
-            try:
-                engine, limiter = engine_and_limiter(finest)
-            except InputError:
-                if finest == output.interpolation:
-                    raise
-                finest = output.interpolation  # the bank does not allow the finer rows
-                engine, limiter = engine_and_limiter(finest)
+            engine, limiter = engine_and_limiter(output.interpolation)
         working_on("opening the interface")
         with progress("reading the bank", 1):
             engine.preload()
         recording = None
         if options.record is not None:
             recording = opened.enter_context(
-                SessionRecording(options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=finest)
+                SessionRecording(
+                    options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=output.interpolation
+                )
             )
         on_loaded()
         player = opened.enter_context(open_player(rig, realtime=True))
+        too_coarse = bool(is_check(view).any()) and engine.interpolation in ("nearest", "bilinear")
         ahead_ms = AHEAD_MS if options.ahead_ms is None else options.ahead_ms
         session = LiveSession(
             engine,
@@ -119,7 +112,7 @@ def open_session(
             duration_s=options.duration_s,
             gain=10.0 ** (options.gain_db / 20.0),
             recording=recording,
-            warning=TOO_COARSE.format(finest) if coarse and finest in ("nearest", "bilinear") else "",
+            warning=TOO_COARSE.format(engine.interpolation) if too_coarse else "",
         )
         ready = LiveReady(
             player.identify(),

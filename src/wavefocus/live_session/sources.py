@@ -51,7 +51,7 @@ def live(
         Path of a rig file, or ``"virtual"``; by default the rig that the bank was measured with.
     scene
         Path of a scene file: its regularisation, its output and the signal of its first source are used. By default
-        noise of the bank's band, without saturation, at the nearest position.
+        noise of the bank's band, without saturation, between positions by ``auto``.
     look_ahead_ms
         By how much sources lag what is ordered, 0 to 2000; what is not known by then is predicted.
     block_ms

@@ -12,11 +12,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.band import Band
@@ -30,43 +27,11 @@ WINDOWS_AT_ONCE = 32
 """Windows that are transformed together: about as many as stay in the cache of one core."""
 BLOCKS_AHEAD = 32
 """Most blocks whose rows are loaded together."""
-TINY = 2.0**-100
-"""Bounds what a window loses where single precision underflows."""
 MAX_SILENCE_SAMPLES = 4096
-MIN_HOP_SAMPLES = 512
-HOPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 1.5, 2.0, 3.0, 4.0)
-"""Hops that are weighed, relative to how far one event reaches."""
-TRANSFORM_S = 0.35e-9
-PRODUCT_S = 1.5e-9
-OUTPUT_S = 0.6e-9
-"""Seconds per sample and factor 2 of a transform, per bin and actuator of a product, per sample that overlap-add
-touches. Measured with scipy's transforms in float64 on a 2.5 GHz Xeon; only their ratios matter, and not much."""
 
 
-@dataclass(frozen=True, slots=True)
-class SourceStatistics:
-    """What one source cost, and where its energy lies.
-
-    pairs: (Block, row) pairs that were multiplied.
-    band_energy, energy: Energy of all windows within the bank's band, and in all.
-    """
-
-    pairs: int
-    band_energy: float
-    energy: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """Drives of one block (actuators, samples) before overlap-add, and its share of the figures.
-
-    error: Bound on the norm of the error from single precision; 0 in double precision.
-    figures, float64 (sources, 3): Pairs, energy within the band, energy.
-    """
-
-    samples: NDArray[Any]
-    error: float
-    figures: Float64Array
+_Block = tuple[Float64Array, float, Float64Array]
+"""Drives of one block, (actuators, samples), the bound on their error, and figures of each source, as `statistics`."""
 
 
 class BlockAccumulator:
@@ -102,12 +67,9 @@ class BlockAccumulator:
             frequency_hz = np.fft.rfftfreq(self.block_samples, 1.0 / rows.bank.sample_rate_hz)
             edges = np.searchsorted(frequency_hz, [band_hz[0], np.nextafter(band_hz[1], np.inf)])
             self._inside = slice(*edges.tolist())
-        self._figures = np.zeros((len(self._emissions), 3))
-
-    @property
-    def statistics(self) -> list[SourceStatistics]:
-        """Statistics of each source, of all blocks given so far."""
-        return [SourceStatistics(int(pairs), *energies) for pairs, *energies in self._figures.tolist()]
+        self.statistics = np.zeros((len(self._emissions), 3))
+        """Of each source, of all blocks given so far: rows multiplied, energy of the windows in the bank's band, and in
+        all."""
 
     def blocks(self, ahead: int = BLOCKS_AHEAD) -> Iterator[Float64Array]:
         """Yield finished drives in order, (actuators, some samples), from the lead-in's first sample to the last.
@@ -117,18 +79,18 @@ class BlockAccumulator:
         Raises InputError: a row on a path cannot be used.
         """
         spectra = RowSpectra(self._rows, Band.whole(self.block_samples, single=self._single), self._device)
-        self._figures, errors = np.zeros_like(self._figures), 0.0
+        self.statistics, errors = np.zeros_like(self.statistics), 0.0
         # A sample lies in so many blocks.
         overlap = -(-self.block_samples // self._hop)
         tail: Float64Array = np.zeros((self._rows.bank.actuators, self.block_samples - self._hop))
         yield from self._silence(self._starts[0])
-        for start, block in zip(self._starts, self._blocks(spectra, ahead), strict=True):
-            summed = block.samples.astype(np.float64, copy=False)
+        for start, (samples, error, figures) in zip(self._starts, self._blocks(spectra, ahead), strict=True):
+            summed = samples.astype(np.float64, copy=False)
             summed[:, : tail.shape[1]] += tail
             tail = summed[:, self._hop :]
-            errors = math.hypot(errors, block.error)
+            errors = math.hypot(errors, error)
             self.error = math.sqrt(overlap) * errors
-            self._figures += block.figures
+            self.statistics += figures
             yield summed[:, : min(self._hop, self._samples - start)]
         end = self._starts[-1] + self._hop
         yield tail[:, : max(self._samples - end, 0)]
@@ -189,18 +151,20 @@ class BlockAccumulator:
                 figures[source] += last - first, power[:, self._inside].sum(), power.sum()
                 driven = xp.asarray(emitted.astype(band.complex, copy=False))
                 for place, (row, by) in enumerate(zip(rows, windows.regularised_by[first:last].tolist(), strict=True)):
-                    product = spectra[row].values * driven[place, :]
+                    values, norm = spectra[row]
+                    product = values * driven[place, :]
                     if by >= 0:
                         product *= xp.asarray(self._rows.sigma(by), dtype=self._device.dtype(band.real))[:, None]
                     total += product
                     if band.single:
                         # Saturation only lessens a row.
-                        coherent += (math.sqrt(float(power[place].max())) + TINY) * spectra[row].norm
+                        # Bounds what a window loses where single precision underflows.
+                        coherent += (math.sqrt(float(power[place].max())) + 2.0**-100) * norm
         pairs = int(figures[:, 0].sum())
         if not pairs:
-            return _Block(np.zeros((actuators, self.block_samples)), 0.0, figures)
+            return np.zeros((actuators, self.block_samples)), 0.0, figures
         samples = self._device.to_host(self._device.fft(single=band.single).irfft(total, n=self.block_samples, axis=1))
-        return _Block(samples, band.rounding_error(coherent, pairs), figures)
+        return samples, band.rounding_error(coherent, pairs), figures
 
 
 def choose_fft_samples(reach: int, span: int, actuators: int, paths: Sequence[tuple[Int64Array, int]]) -> int:
@@ -216,15 +180,24 @@ def choose_fft_samples(reach: int, span: int, actuators: int, paths: Sequence[tu
     moves = sum(nodes * np.count_nonzero(np.diff(position)) for position, nodes in paths)
     staying = sum(nodes for _, nodes in paths)
     best, least = 0, np.inf
-    for hop in sorted({min(span, max(MIN_HOP_SAMPLES, int(share * reach))) for share in HOPS}):
+    # Hops that are weighed, relative to how far one event reaches.
+    for hop in sorted(
+        {
+            min(span, max(512, int(share * reach)))
+            for share in (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 1.5, 2.0, 3.0, 4.0)
+        }
+    ):
         fft_samples = fast_length(reach + hop - 1)
         blocks = -(-span // (fft_samples - reach + 1))
         pairs = moves + staying * blocks
-        transform_s = TRANSFORM_S * fft_samples * np.log2(fft_samples)
+        transform_s = 0.35e-9 * fft_samples * np.log2(fft_samples)
+        # Seconds per sample and factor 2 of a transform, per bin and actuator of a product, per sample that overlap-
+        # add touches. Measured with scipy's transforms in float64 on a 2.5 GHz Xeon; only their ratios matter, and not
+        # much.
         cost_s = (
             transform_s * (actuators * (rows + blocks) + pairs)
-            + PRODUCT_S * pairs * actuators * fft_samples / 2
-            + OUTPUT_S * blocks * actuators * fft_samples
+            + 1.5e-9 * pairs * actuators * fft_samples / 2
+            + 0.6e-9 * blocks * actuators * fft_samples
         )
         if cost_s < least:
             best, least = fft_samples, cost_s

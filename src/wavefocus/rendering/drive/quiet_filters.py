@@ -35,12 +35,8 @@ multiplier changes in one step, at most."""
 CLOSE_DB = 0.02
 MIN_MULTIPLIER, MAX_MULTIPLIER = 1e-6, 1e6
 """Bounds of a multiplier over the reciprocal of its place's mean power."""
-CAP_STEPS = 12
-"""Halvings of the range of multipliers, in decades, until the energy of the drives is met."""
 WORTH = 10**-0.1
 """Where the energy that is allowed lowers no place by 1 dB, none is spent."""
-CUT_ROUNDS = 3
-"""Times that levels are asked lower by what cutting the filters to their length costs."""
 FAINT = 1e-9
 """Bins with less of the emitted power than this, relative to the largest, do not count."""
 TINY = 1e-300
@@ -205,7 +201,8 @@ def find_multipliers(
     loud = _sounding(moments)
     unit, plain = _units(loud), energies_of(loud, [[reversed_in_time(focus) for focus in m.foci] for m in loud])
     relative, wanted = np.where(plain.level > level, 10.0, MIN_MULTIPLIER), level
-    for _ in range(CUT_ROUNDS):
+    # Times that levels are asked lower by what cutting the filters to their length costs.
+    for _ in range(3):
         relative, uncut, capped = _within(most_energy * plain.drive, loud, wanted, unit, relative)
         after = energies_of(moments, [[cut(one) for one in own] for own in filters_of(moments, relative * unit)])
         excess = after.level / level
@@ -269,7 +266,8 @@ def _within(
         return relative, found, False
     low, high, asked = np.log10(MIN_MULTIPLIER), np.log10(MAX_MULTIPLIER), relative
     relative, found = _met(moments, level, unit, np.full_like(asked, MIN_MULTIPLIER), MIN_MULTIPLIER)
-    for _ in range(CAP_STEPS):
+    # Halvings of the range of multipliers, in decades, until the energy of the drives is met.
+    for _ in range(12):
         middle = 0.5 * (low + high)
         tried = _met(moments, level, unit, np.minimum(asked, 10.0**middle), 10.0**middle)
         if tried[1].drive > most:

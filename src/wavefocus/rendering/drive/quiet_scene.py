@@ -43,18 +43,9 @@ TAILS_S = (0.05, 0.07, 0.1, 0.14, 0.2)
 BELOW_DB = 20.0
 """What is cut then changes a level by 1 dB at most."""
 MAX_STATES = 64
-MOMENTS = 4
-"""Instants of a scene that moves from which the multipliers are found."""
-FAINT = 1e-12
-"""Bins with less of a row's energy than this, relative to the largest, are left to time reversal."""
 MAX_SIGNAL_SAMPLES = 2**21
-MAX_COHERENT = 16
-"""Of more sources that sound together the spectra only, not the cross spectra."""
-SPECTRA_KEPT = 256
 MISSED_DB = 0.2
 """Level above the one asked for from which it is said; the search ends within a tenth of it."""
-TRACK_INSTANTS, MAX_TRACK_INSTANTS = 32, 1000
-"""Instants at which a place that moves is kept in drive files, and those of all places together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,13 +129,7 @@ class QuietRows(BankRows):
     _bins: Int64Array
 
     def __init__(
-        self,
-        scene: Scene,
-        sampled: SampledScene,
-        bank: GreenSource,
-        place_rows: PlaceRows,
-        plan: QuietPlan,
-        tail: int,
+        self, scene: Scene, sampled: SampledScene, bank: GreenSource, place_rows: PlaceRows, plan: QuietPlan, tail: int
     ) -> None:
         self._moments, self._lasts = _instants(scene, sampled, plan)
         rate_hz = float(bank.sample_rate_hz)
@@ -163,7 +148,7 @@ class QuietRows(BankRows):
         self._keys: list[tuple[int, int, int]] = []
         self._length = fast_length(2 * (bank.taps + tail))
         self._quiet_reader = RowReader(place_rows.rows)
-        self._quiet_spectrum = lru_cache(SPECTRA_KEPT)(self._transform)
+        self._quiet_spectrum = lru_cache(256)(self._transform)
         self._quiet = lru_cache(MAX_STATES)(self._stack)  # foci that keep the same rows quiet share the array
 
     @property
@@ -201,7 +186,8 @@ class QuietRows(BankRows):
     def figures(self, drive: Drive | None) -> QuietFigures:
         """The places with the levels of the finished drive, where there is one in memory."""
         found, places = self.found, self.plan.places
-        instants = min(TRACK_INSTANTS, max(2, MAX_TRACK_INSTANTS // len(places)))
+        # Instants at which a place that moves is kept in drive files, and those of all places together.
+        instants = min(32, max(2, 1000 // len(places)))
         reached_db, plain_db = (10.0 * np.log10(np.maximum(level, 1e-30)) for level in (found.level, found.plain_level))
         tracks = [self._track(*pair, instants) for pair in zip(places, reached_db.tolist(), strict=True)]
         levels = rendered_levels(tuple(tracks))
@@ -268,7 +254,8 @@ class QuietRows(BankRows):
                 row = np.sum([weight * self._measured(row) for row, weight in parts if weight], axis=0)
                 green[number, m] = row, int(nodes.nearest[m])
         energy = sum(np.square(np.abs(np.fft.rfft(row, self._length, axis=1))).sum(axis=0) for row, _ in green.values())
-        self._bins = np.flatnonzero(energy > FAINT * np.max(energy))
+        # Bins with less of a row's energy than this, relative to the largest, are left to time reversal.
+        self._bins = np.flatnonzero(energy > 1e-12 * np.max(energy))
         cross = self._emitted(scene, emissions)
         whole = np.maximum(sounding @ lasts, 1)
         made = []
@@ -278,7 +265,7 @@ class QuietRows(BankRows):
             foci, applies = [], np.zeros((len(together), len(plan.places)), dtype=bool)
             for index, source in enumerate(together):
                 own, (row, by) = int(plan.of_source[source, knot]), green[source, m]
-                applies[index, plan.sets[own].place] = True
+                applies[index, plan.sets[own][2]] = True
                 foci.append(Focus(self._spectrum_of(row), *self._quiet(own), self.sigma(by), source))
             gains = self.weigh(np.array([green[source, m][1] for source in together]))[0]
             gains = gains * np.sqrt(lasts[m] / whole[together])
@@ -304,7 +291,8 @@ class QuietRows(BankRows):
             signals.append(kept * np.sqrt(share * repeats))
             begins.append(emission.first_sample)
         ends = [begin + len(signal) for begin, signal in zip(begins, signals, strict=True)]
-        coherent = len(signals) <= MAX_COHERENT and max(ends) - min(begins) <= MAX_SIGNAL_SAMPLES
+        # Of more sources that sound together the spectra only, not the cross spectra.
+        coherent = len(signals) <= 16 and max(ends) - min(begins) <= MAX_SIGNAL_SAMPLES
         span = max(ends) - min(begins) if coherent else max(len(signal) for signal in signals)
         samples = fast_length(2 * max(span, self._length))
         shift = [begin - min(begins) if coherent else 0 for begin in begins]
@@ -351,8 +339,8 @@ class QuietRows(BankRows):
         return np.stack([self._quiet_spectrum(row) for row in rows.tolist()], axis=1)
 
     def _stack(self, number: int) -> tuple[Complex128Array, Int64Array]:
-        own = self.plan.sets[number]
-        return self._spectra(own.rows), own.place
+        _, rows, place = self.plan.sets[number]
+        return self._spectra(rows), place
 
 
 def _instants(scene: Scene, sampled: SampledScene, plan: QuietPlan) -> tuple[Int64Array, Int64Array]:
@@ -370,7 +358,8 @@ def _instants(scene: Scene, sampled: SampledScene, plan: QuietPlan) -> tuple[Int
     chosen: set[int] = set()
     for own in sounding:
         knots = np.flatnonzero(own)
-        places = np.linspace(0, len(knots) - 1, 2 * min(MOMENTS, len(knots)) + 1)[1::2]
+        # Instants of a scene that moves from which the multipliers are found.
+        places = np.linspace(0, len(knots) - 1, 2 * min(4, len(knots)) + 1)[1::2]
         chosen |= set(knots[places.round().astype(int)].tolist())
     return np.array(sorted(chosen), dtype=np.int64), np.ones(len(chosen), dtype=np.int64)
 

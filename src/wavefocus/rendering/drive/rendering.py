@@ -42,10 +42,6 @@ Put = Callable[[int, Float64Array], None]
 MAX_WHOLE_BYTES = 2 * 2**30
 """Drives that take more are never held in memory whole: 22 minutes on 20 actuators at 10 kHz."""
 
-PIECE_SAMPLES = 4096
-LEVELS_BYTES = 2**31
-"""Drives with quiet places are kept while they are made, up to this size, for the levels are those of the drive."""
-
 
 class SceneRenderer:
     """The drives of a scene, block by block, scaled by one factor to stay within its limits.
@@ -218,7 +214,7 @@ class SceneRenderer:
         self._levels = self._new_levels()
         blocks = self._watched(on_progress, put)
         if self._rate is not None:
-            return largest_of(self._rate.pieces(blocks, *self.shape, PIECE_SAMPLES), self.shape[0])
+            return largest_of(self._rate.pieces(blocks, *self.shape, 4096), self.shape[0])
         for _ in blocks:
             pass
         return None

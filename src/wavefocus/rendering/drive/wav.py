@@ -17,7 +17,6 @@ from wavefocus.storage.output_files import replacement, require_room
 
 BETWEEN_SAMPLES = "full scale of the interface between samples"
 CHUNK_SAMPLES = 2**15
-_HEADER_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +146,7 @@ def stream_wav(
     largest_v = 0.0
     seconds = samples / sample_rate_hz
     with replacement(path) as temporary, sound_failures(path):
-        require_room(temporary, round(4 * actuators * seconds * interface_rate_hz) + _HEADER_BYTES)
+        require_room(temporary, round(4 * actuators * seconds * interface_rate_hz) + 4096)
         with soundfile.SoundFile(
             temporary, "w", samplerate=interface_rate_hz, channels=actuators, subtype="FLOAT", format="WAV"
         ) as file:

@@ -120,16 +120,9 @@ class Windows:
         return np.add.reduceat(spectra, np.searchsorted(parts, np.arange(first, last) * self._pieces), axis=0)
 
 
-@dataclass(frozen=True, slots=True)
-class RowSpectrum:
-    """The spectrum of one row.
-
-    values, complex array of the device, shape (actuators, bins).
-    norm: Norm over actuators and bins, at least `MIN_ROW_NORM`; in single precision only.
-    """
-
-    values: Any
-    norm: float = 0.0
+RowSpectrum = tuple[Any, float]
+"""Spectrum of one row, a complex array of the device (actuators, bins), and its norm, at least `MIN_ROW_NORM`; the norm
+in single precision only."""
 
 
 class RowSpectra:
@@ -167,4 +160,4 @@ class RowSpectra:
         values = self._device.fft(single=single).rfft(reversed_in_time, n=self.band.fft_samples, axis=1)
         # Of what is transformed: the spectrum of a whole transform has sqrt(n) times the norm.
         norm = math.sqrt(self.band.fft_samples) * norm_of(green) if single else 0.0
-        return RowSpectrum(values, max(norm, MIN_ROW_NORM))
+        return values, max(norm, MIN_ROW_NORM)

@@ -13,8 +13,6 @@ from wavefocus.rendering.device import Device, fast_length, host_device, threade
 from wavefocus.rendering.greens.source import GreenSource, RowReader
 from wavefocus.storage.errors import InputError
 
-BLOCK_SHARE = 4.1
-"""Transform length in taps of spectra that are kept: longer blocks overlap less and take as much more memory."""
 ROWS_AT_ONCE = 8
 PASSED = 0.8
 """Frequencies up to this share of half the lower rate are passed."""
@@ -50,7 +48,8 @@ class BankSpectra:
         rate = float(bank.sample_rate_hz)
         self.decimation = Decimation(rate, rate if rate_hz is None else rate_hz)
         factor = self.decimation.factor
-        least = (int(BLOCK_SHARE * bank.taps) + self.decimation.kernel_samples) // factor + 1
+        # Transform length in taps of spectra that are kept: longer blocks overlap less and take as much more memory.
+        least = (int(4.1 * bank.taps) + self.decimation.kernel_samples) // factor + 1
         fft_samples = factor * fast_length(least)
         self.band = Band(fft_samples, fft_samples // factor // 2 + 1, single=True)
         rows = np.unique(np.asarray(positions, dtype=np.int64))
@@ -72,11 +71,6 @@ class BankSpectra:
         for _ in threaded_map(fill, range(0, len(rows), ROWS_AT_ONCE)):
             pass
         self._made = kept
-
-    @property
-    def size_bytes(self) -> int:
-        """Memory that the spectra take."""
-        return int(self._made.nbytes)
 
     def rows(self, positions: Int64Array) -> Any:
         """Spectra of some rows, see `transform_rows`. Raises InputError where one was not among the positions."""

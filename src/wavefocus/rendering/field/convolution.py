@@ -17,57 +17,7 @@ from wavefocus.storage.errors import InputError
 
 RealArray = Float32Array | Float64Array
 
-HOST_PART_BYTES = 24 * 2**20
-"""Memory of one part of a field on this processor; the call of a matrix product costs about as much as ten rows."""
-SPECTRA_BYTES = 96 * 2**20
-"""The drive's spectra are kept up to this size, else made anew for every part of the field."""
 BLOCKS_AT_ONCE = 64
-MIN_HOP_SAMPLES = 512
-HOPS = (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""Hops that are weighed, relative to the taps."""
-PRODUCT = 2.0
-"""Cost of a bin of a product, in samples of a transform times factors of 2."""
-
-
-class DriveSpectra:
-    """Spectra of the blocks of a finite drive; the transform length is a multiple of the decimation's factor."""
-
-    def __init__(
-        self, drive_v: Float64Array, taps: int, fft_samples: int, decimation: Decimation, device: Device
-    ) -> None:
-        self._drive, self._device = drive_v, device
-        factor = decimation.factor
-        hop = fft_samples - (taps + decimation.kernel_samples - 1) + 1
-        self.hop = hop - hop % factor
-        self.fft_samples, self.lower_samples = fft_samples, fft_samples // factor
-        self.lower_hop, self.bins = self.hop // factor, self.lower_samples // 2 + 1
-        self.count = -(-drive_v.shape[1] // self.hop)
-        self._weights = decimation.weights(fft_samples) if factor > 1 else None
-        self._keeps = 16 * self.bins * drive_v.shape[0] * self.count <= SPECTRA_BYTES
-
-    def groups(self) -> list[range]:
-        """Blocks that are multiplied together."""
-        return [range(n, min(n + BLOCKS_AT_ONCE, self.count)) for n in range(0, self.count, BLOCKS_AT_ONCE)]
-
-    def blocks(self, group: range) -> Any:
-        """Spectra of some blocks, (bins, actuators, blocks)."""
-        if self._keeps:
-            return self._kept[:, :, group.start : group.stop]
-        return self._made(group)
-
-    @cached_property
-    def _kept(self) -> Any:
-        return self._made(range(self.count))
-
-    def _made(self, group: range) -> Any:
-        part = self._drive[:, group.start * self.hop : group.stop * self.hop]
-        cut = np.zeros((len(self._drive), len(group) * self.hop))
-        cut[:, : part.shape[1]] = part
-        xp = self._device.xp
-        cut = xp.asarray(cut.reshape(len(self._drive), len(group), self.hop))
-        whole = self._device.fft(single=False).rfft(xp.moveaxis(cut, 2, 0), n=self.fft_samples, axis=0)
-        spectra = whole[: self.bins, :, :]
-        return spectra if self._weights is None else spectra * xp.asarray(self._weights)[:, None, None]
 
 
 class Convolution:
@@ -86,46 +36,69 @@ class Convolution:
         device: Device,
         kept: BankSpectra | None = None,
     ) -> None:
-        self._reader, self._dtype, self._device = reader, dtype, device
-        self._decimation, self._kept = decimation, kept
-        self.samples = -(-(drive_v.shape[1] + reader.taps - 1) // decimation.factor)
+        self._drive_v, self._reader, self._dtype, self._device = drive_v, reader, dtype, device
+        self._decimation, self._kept, factor = decimation, kept, decimation.factor
+        self.samples = -(-(drive_v.shape[1] + reader.taps - 1) // factor)
         """Samples of a response."""
-        self._drive_v = drive_v
-        fft_samples = self._fft_samples() if kept is None else kept.band.fft_samples
-        self._drive = DriveSpectra(drive_v, reader.taps, fft_samples, decimation, device)
-        whole = Band(self._drive.fft_samples, self._drive.bins, single=dtype == np.float32)
-        self.band = whole if kept is None else kept.band
+        self._length = self._fft_samples() if kept is None else kept.band.fft_samples
+        hop = self._length - (reader.taps + decimation.kernel_samples - 1) + 1
+        self._hop = hop - hop % factor
+        self._lower_length, self._lower_hop = self._length // factor, self._hop // factor
+        self._blocks = -(-drive_v.shape[1] // self._hop)
+        bins = self._lower_length // 2 + 1
+        self.band = Band(self._length, bins, single=dtype == np.float32) if kept is None else kept.band
+        self._drive_bins = bins
+        # The drive's spectra are kept up to this size, else made anew for every part of the field.
+        self._keeps = 16 * bins * drive_v.shape[0] * self._blocks <= 96 * 2**20
 
     @property
     def rows_at_once(self) -> int:
         """Rows to ask for at a time."""
-        blocks = min(self._drive.count, BLOCKS_AT_ONCE)
+        blocks = min(self._blocks, BLOCKS_AT_ONCE)
         each = self.band.kept * blocks + (0 if self._kept else self.band.bins * self._reader.actuators)
         row_bytes = each * np.dtype(self.band.complex).itemsize + 8 * self.samples
-        most_bytes = HOST_PART_BYTES if self._device.is_host else self._device.memory_bytes
+        # Memory of one part of a field on this processor; the call of a matrix product costs about as much as ten
+        # rows.
+        most_bytes = 24 * 2**20 if self._device.is_host else self._device.memory_bytes
         return int(max(1, most_bytes // row_bytes))
 
     @np.errstate(over="ignore", invalid="ignore")  # what does not fit is refused in words
     def respond(self, positions: Int64Array) -> RealArray:
         """Responses (positions, samples); raises InputError where a row cannot be used or a response does not fit."""
-        xp, band, drive = self._device.xp, self.band, self._drive
+        xp, band, length = self._device.xp, self.band, self._lower_length
         if self._kept is None:
             rows = transform_rows(self._reader, positions.tolist(), band, self._device)
         else:
             rows = self._kept.rows(positions)
-        total = np.zeros((len(positions), (drive.count - 1) * drive.lower_hop + drive.lower_samples), dtype=band.real)
-        for group in drive.groups():
-            blocks = drive.blocks(group)
-            kept = xp.asarray(blocks[: band.kept, :, :], dtype=self._device.dtype(band.complex))
+        total = np.zeros((len(positions), (self._blocks - 1) * self._lower_hop + length), dtype=band.real)
+        for begin in range(0, self._blocks, BLOCKS_AT_ONCE):
+            group = range(begin, min(begin + BLOCKS_AT_ONCE, self._blocks))
+            spectra = self._spectra[:, :, group.start : group.stop] if self._keeps else self._made(group)
+            kept = xp.asarray(spectra[: band.kept, :, :], dtype=self._device.dtype(band.complex))
             product = xp.moveaxis(xp.matmul(rows, kept), 0, 2)
-            parts = self._device.to_host(
-                self._device.fft(single=band.single).irfft(product, n=drive.lower_samples, axis=2)
-            )
+            parts = self._device.to_host(self._device.fft(single=band.single).irfft(product, n=length, axis=2))
             for place, block in enumerate(group):
-                first = block * drive.lower_hop
-                total[:, first : first + drive.lower_samples] += parts[:, place]
+                first = block * self._lower_hop
+                total[:, first : first + length] += parts[:, place]
         lead = self._decimation.half
         return self._finite(total[:, lead : lead + self.samples], positions)
+
+    @cached_property
+    def _spectra(self) -> Any:
+        return self._made(range(self._blocks))
+
+    def _made(self, group: range) -> Any:
+        """Spectra of some blocks of the drive, (bins, actuators, blocks)."""
+        part = self._drive_v[:, group.start * self._hop : group.stop * self._hop]
+        cut = np.zeros((len(self._drive_v), len(group) * self._hop))
+        cut[:, : part.shape[1]] = part
+        xp = self._device.xp
+        cut = xp.asarray(cut.reshape(len(self._drive_v), len(group), self._hop))
+        whole = self._device.fft(single=False).rfft(xp.moveaxis(cut, 2, 0), n=self._length, axis=0)
+        spectra = whole[: self._drive_bins, :, :]
+        if self._decimation.factor == 1:
+            return spectra
+        return spectra * xp.asarray(self._decimation.weights(self._length))[:, None, None]
 
     def _finite(self, field: NDArray[Any], positions: Int64Array) -> RealArray:
         field = np.asarray(field, dtype=self._dtype)
@@ -140,10 +113,17 @@ class Convolution:
         taps, (actuators, samples), factor = self._reader.taps, self._drive_v.shape, self._decimation.factor
         reach = taps + self._decimation.kernel_samples - 1 + factor
         best, least = 0, np.inf
-        for hop in sorted({min(samples, max(MIN_HOP_SAMPLES, int(part * taps))) for part in HOPS}):
+        # Hops that are weighed, relative to the taps.
+        for hop in sorted(
+            {
+                min(samples, max(512, int(part * taps)))
+                for part in (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+            }
+        ):
             length = factor * fast_length(-(-(reach + hop) // factor))
             blocks = -(-samples // (length - reach))
-            cost = length * np.log2(length) * (actuators + blocks / factor) + PRODUCT * length * actuators * blocks / 2
+            # Cost of a bin of a product, in samples of a transform times factors of 2.
+            cost = length * np.log2(length) * (actuators + blocks / factor) + 2.0 * length * actuators * blocks / 2
             if cost < least:
                 best, least = length, cost
         return best

@@ -15,8 +15,6 @@ from wavefocus.rendering.greens.regularisation import row_weights, saturation_th
 from wavefocus.rendering.greens.source import GreenSource, RowReader
 from wavefocus.storage.errors import InputError
 
-RESPONSE_BYTES = 2**29
-
 
 @dataclass(frozen=True, slots=True)
 class CrosstalkTable:
@@ -53,7 +51,7 @@ class PathResponses:
         self.lead = bank.taps - 1
         self._emitted = len(emitted)
         length = fast_length(2 * bank.taps - 1 + len(emitted) - 1)
-        if 8 * len(rows) ** 2 * length > RESPONSE_BYTES:
+        if 8 * len(rows) ** 2 * length > 2**29:
             raise InputError(f"{len(rows)} path points are too many for a crosstalk table; choose fewer")
         keep = np.ones(length // 2 + 1)
         if bank.band_hz is not None:
@@ -67,11 +65,11 @@ class PathResponses:
             green = reader.read(row)
             if not green.any():
                 raise InputError(f"position {row} is all zeros, so not measured; choose another path")
-            weights = row_weights(green, threshold, normalise=regularisation.normalise)
+            sigma, gain = row_weights(green, threshold, normalise=regularisation.normalise)
             spectrum = np.fft.rfft(green, length, axis=1)[:, bins]
-            sigma = np.ones(bank.actuators) if weights.sigma is None else weights.sigma
+            factors = np.full(bank.actuators, gain) if sigma is None else gain * sigma
             greens[place] = spectrum
-            driven[place] = weights.gain * sigma[:, None] * spectrum.conj()
+            driven[place] = factors[:, None] * spectrum.conj()
         responses = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
         responses *= keep[bins] * np.fft.rfft(emitted, length)[bins]
         # Lags from -(taps - 1) on: the focus instant is at `lead`.

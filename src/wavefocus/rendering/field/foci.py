@@ -1,9 +1,10 @@
-"""Figures of a drive's foci, in the field that the bank predicts or in one that was measured."""
+"""Figures of a drive's foci, in the field that the bank predicts or in one that was measured; responses at the foci."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,46 +19,32 @@ from wavefocus.rendering.field.focus_figures import (
 )
 from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions
+from wavefocus.rendering.greens.interpolation.base import OffGridError
 from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.scene.quiet_places import PlaceRows
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field
 
-MAX_RESPONSES_BYTES = 128 * 2**20
 ROWS_AT_ONCE = 64
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LoudestInstants:
-    """Foci, the instant at which each is loudest, and the largest response there, float64 (K,)."""
-
-    instants: tuple[FocusInstant, ...]
-    peak: Float64Array
-
-    def time_s(self, sample_rate_hz: float) -> Float64Array:
-        """The instants in scene time, (K,)."""
-        return np.array([instant.sample for instant in self.instants]) / sample_rate_hz
-
-
-def loudest_instants(drive: Drive, bank: GreenSource) -> LoudestInstants:
+def loudest_instants(drive: Drive, bank: GreenSource) -> tuple[FocusInstant, ...]:
     """Choose at most 64 foci, and find the instant at which each is loudest, at the full rate; quiet ones are left out.
 
     Raises InputError: a path point of the drive is not measured in the bank.
     """
     samples = drive.drive_v.shape[1] + bank.taps - 1
     windows = emission_windows(drive)
-    most = max(1, MAX_RESPONSES_BYTES // (4 * samples))
+    most = max(1, (128 * 2**20) // (4 * samples))
     if len(windows) > most:
         windows = tuple(windows[index] for index in evenly_spread(len(windows), most))
     if not windows:
-        return LoudestInstants((), np.zeros(0))
+        return ()
     rows, place = np.unique([window.row for window in windows], return_inverse=True)
     field = Prediction(drive, bank, chosen_positions(drive, bank, rows.tolist())).field().field
     first = round(drive.start_s * drive.sample_rate_hz)
-    instants = focus_instants(windows, field[place].astype(np.float32, copy=False), first)
-    where = dict(zip(rows.tolist(), range(len(rows)), strict=True))
-    peak = np.array([abs(float(field[where[instant.row], instant.sample - first])) for instant in instants])
-    return LoudestInstants(instants, peak)
+    return focus_instants(windows, field[place].astype(np.float32, copy=False), first)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +92,7 @@ def focus_figures(
     """
     rate_hz = float(drive.sample_rate_hz)
     rows = chosen_positions(drive, bank, None if field is None else field.position_index.tolist())
-    instants = loudest_instants(drive, bank).instants
+    instants = loudest_instants(drive, bank)
     sample = np.array([instant.sample for instant in instants], np.int64)
     if field is None:
         values = predicted_at(drive, bank, rows, sample)
@@ -151,3 +138,41 @@ def predicted_at(drive: Drive, bank: GreenSource, rows: Int64Array, sample: Int6
         green = np.stack([bank.green(row).ravel() for row in part]).astype(np.float64, copy=False)
         values[:, first : first + len(part)] = played @ green.T
     return values
+
+
+def windows_at_foci(drive: Drive, bank: GreenSource) -> tuple[tuple[FocusInstant, ...], GreenSource]:
+    """The scene's foci with their emission windows, each with the row at its own place, and the source of these rows.
+
+    Where the drive does not say where its foci are, or the bank has nothing there: the nearest positions' rows.
+    """
+    windows = emission_windows(drive)
+    if drive.focus_mm is None or not windows:
+        return windows, bank
+    place_rows = PlaceRows(bank)
+    try:
+        rows = place_rows.at(drive.focus_mm[[window.focus for window in windows]]).tolist()
+    except OffGridError:
+        return windows, bank
+    return tuple(replace(window, row=row) for window, row in zip(windows, rows, strict=True)), place_rows.rows
+
+
+def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
+    """Largest magnitude of the predicted response at a scene's foci, each while it is emitted.
+
+    In the bank's response unit, of at most 16 foci; None where there is none that is finite.
+    """
+    windows, rows = windows_at_foci(drive, bank)
+    foci: dict[int, list[FocusInstant]] = {}
+    for index in evenly_spread(len(windows), 16).tolist():
+        foci.setdefault(windows[index].row, []).append(windows[index])
+    if not foci:
+        return None
+    peak, begin = 0.0, round(drive.start_s * drive.sample_rate_hz)
+    with np.errstate(over="ignore", invalid="ignore"):
+        prediction = Prediction(drive, rows, list(foci), dtype=np.float64)
+        for row, instants in foci.items():
+            response = np.abs(prediction.respond(np.array([row], dtype=np.int64))[0])
+            for instant in instants:
+                part = response[instant.start_sample - begin : instant.stop_sample - begin]
+                peak = max(peak, float(part.max(initial=0.0)))
+    return peak if math.isfinite(peak) else None

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
 FOCUS_RADIUS_MM = 15.0
 """A focus is searched for within this distance of its path point: about one wavelength at 300 Hz."""
-MAX_INSTANTS = 64
-QUIET = 0.25
-"""Foci quieter than this part of the loudest one lie between two swings of the source's signal."""
 NEEDED_NEIGHBOURS = 0.9
 """This part of the bank's positions around a focus must be compared before it is judged."""
 
@@ -97,7 +94,7 @@ def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
             row = int(drive.focus_position[focus])
             last = min(max(int(following), int(first) + 1), max(end, int(first) + 1))
             windows.append(FocusInstant(int(source), row, int(first), last, int(first), int(focus)))
-    return tuple(windows[index] for index in evenly_spread(len(windows), MAX_INSTANTS))
+    return tuple(windows[index] for index in evenly_spread(len(windows), 64))
 
 
 def focus_instants(
@@ -115,7 +112,8 @@ def focus_instants(
         if part.size and np.all(np.isfinite(part)):
             moved[index] = replace(window, sample=window.start_sample + int(np.argmax(part)))
             level[index] = part.max()
-    quietest = QUIET * float(np.nanmax(level)) if np.isfinite(level).any() else 0.0
+    # Foci quieter than this part of the loudest one lie between two swings of the source's signal.
+    quietest = 0.25 * float(np.nanmax(level)) if np.isfinite(level).any() else 0.0
     return tuple(instant for instant, loud in zip(moved, level, strict=True) if not loud < quietest)
 
 

@@ -20,8 +20,6 @@ Place = tuple[float, float] | Float64Array
 
 # Cells per grid spacing on which a focal spot is drawn: area to about 1 % at 8 mm width on 4 mm.
 CELLS_PER_SPACING = 8
-# How far around its peak a focal spot is drawn, in grid spacings.
-SPOT_REACH_SPACINGS = 5.0
 # Neighbours of a peak below this part of it belong to its skirt and not to its lobe.
 LOBE_LEAST = 0.05
 
@@ -139,7 +137,7 @@ def focal_width_mm(position_mm: Float64Array, field: RealArray, peak_row: int, s
     from scipy.interpolate import RBFInterpolator  # a render measures no spot, and does not wait for these
 
     value = float(field[peak_row])
-    reach = SPOT_REACH_SPACINGS * spacing_mm
+    reach = 5.0 * spacing_mm  # so far around its peak a focal spot is drawn
     offset = position_mm - position_mm[peak_row]
     near = np.hypot(*offset.T) <= reach + spacing_mm
     if np.count_nonzero(near) < 9 or value == 0.0 or not np.all(np.isfinite(field[near])):
@@ -169,11 +167,7 @@ def focal_width_mm(position_mm: Float64Array, field: RealArray, peak_row: int, s
 
 
 def artefact_level_db(
-    position_mm: Float64Array,
-    field: RealArray,
-    near_mm: Place,
-    radius_mm: float,
-    others_mm: Float64Array | None = None,
+    position_mm: Float64Array, field: RealArray, near_mm: Place, radius_mm: float, others_mm: Float64Array | None = None
 ) -> float:
     """Largest ``|field|`` further than `radius_mm` from every focus over the largest within it of one, in dB.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -25,18 +24,6 @@ RealArray = Float32Array | Float64Array
 OnProgress = Callable[[int, int], None]
 
 LISTED = 8
-LOOKED_AT_ROWS = 4
-MIN_ROWS = 8
-"""Fewer rows are not worth a thread of their own."""
-
-
-@dataclass(frozen=True, slots=True)
-class FieldRows:
-    """Rows of a predicted field from index `first` on: their bank rows (k,), and their responses (k, samples)."""
-
-    first: int
-    position_index: Int64Array
-    field: RealArray
 
 
 class Prediction:
@@ -94,8 +81,11 @@ class Prediction:
         )
         self.samples = self._convolution.samples
 
-    def rows(self, on_progress: OnProgress | None = None) -> Iterator[FieldRows]:
-        """Compute all rows; `on_progress` is called with positions done and positions in all."""
+    def rows(self, on_progress: OnProgress | None = None) -> Iterator[tuple[int, RealArray]]:
+        """Compute all rows; `on_progress` is called with positions done and positions in all.
+
+        Yields the index of a part's first row, and its responses (k, samples).
+        """
         index, parts = self.position_index, self.parts()
         workers = WORKERS if self._device.is_host and len(parts) > 1 else 1
         with one_blas_thread():
@@ -103,15 +93,15 @@ class Prediction:
                 lambda part: self._convolution.respond(index[part.start : part.stop]), parts, workers
             )
             for part, response in zip(parts, computed, strict=True):
-                yield FieldRows(part.start, index[part.start : part.stop], response)
+                yield part.start, response
                 if on_progress is not None:
                     on_progress(part.stop, len(index))
 
     def field(self, on_progress: OnProgress | None = None) -> Field:
         """Compute all rows into memory."""
         whole = np.empty((len(self.position_index), self.samples), dtype=self._dtype)
-        for rows in self.rows(on_progress):
-            whole[rows.first : rows.first + len(rows.field)] = rows.field
+        for first, responses in self.rows(on_progress):
+            whole[first : first + len(responses)] = responses
         return Field(
             whole, self.position_index, self.sample_rate_hz, self.start_s, field_unit(self._bank),
             low_pass=self.low_pass, known_finite=True,
@@ -122,7 +112,8 @@ class Prediction:
         count = len(self.position_index)
         # As many parts for each worker.
         turns = -(-count // (WORKERS * self._convolution.rows_at_once))
-        at_once = max(1, min(self._convolution.rows_at_once, max(MIN_ROWS, -(-count // (WORKERS * turns)))))
+        # Fewer rows are not worth a thread of their own.
+        at_once = max(1, min(self._convolution.rows_at_once, max(8, -(-count // (WORKERS * turns)))))
         return [range(first, min(first + at_once, count)) for first in range(0, count, at_once)]
 
     def respond(self, positions: Int64Array) -> RealArray:
@@ -156,7 +147,7 @@ def predict(
 
 def share_above(drive: Drive, bank: GreenSource, positions: Int64Array, highest_hz: float) -> float:
     """Share of the response's energy above a frequency: the largest of a few of the positions, evenly chosen."""
-    some = positions[evenly_spread(len(positions), LOOKED_AT_ROWS)]
+    some = positions[evenly_spread(len(positions), 4)]
     power = np.square(np.abs(np.fft.rfft(predict(drive, bank, some, dtype=np.float32).field)), dtype=np.float64)
     above = np.fft.rfftfreq(drive.drive_v.shape[1] + bank.taps - 1, 1.0 / drive.sample_rate_hz) > highest_hz
     whole = power.sum(axis=1)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.field.at_foci import windows_at_foci
+from wavefocus.rendering.field.foci import windows_at_foci
 from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows
 from wavefocus.rendering.field.prediction import Prediction
 from wavefocus.rendering.greens.interpolation.base import OffGridError
@@ -160,11 +160,7 @@ def positions_at(track: QuietTrack, position_mm: Float64Array) -> tuple[list[Int
 
 
 def _focus_energies(
-    drive: Drive,
-    windows: Sequence[FocusInstant],
-    field: NDArray[Any],
-    position_index: Int64Array,
-    at_mm: Float64Array,
+    drive: Drive, windows: Sequence[FocusInstant], field: NDArray[Any], position_index: Int64Array, at_mm: Float64Array
 ) -> list[float]:
     """Energy of the response at the foci of each source whose foci are all in a field.
 

@@ -76,7 +76,6 @@ def _unit(green: Float64Array) -> Float64Array:
 IMPULSE_BAND_HZ = (50.0, 450.0)
 """The paper's band of impulses."""
 SPAN_MM = (20.0, 100.0)
-MAX_ROWS = 96
 MIN_PAIRS = 20
 MIN_CORRELATION = 0.7
 
@@ -123,7 +122,7 @@ def impulse_travel(
     Raises InputError: too few pairs of a measured position and an actuator of known place are that far apart.
     """
     allowed = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
-    allowed = allowed[evenly_spread(len(allowed), MAX_ROWS)]
+    allowed = allowed[evenly_spread(len(allowed), 96)]
     actuator_mm = np.asarray(bank.actuator_mm, dtype=np.float64)
     distance, arrival, level, actuator = ([] for _ in range(4))
     time_s, reader = np.arange(bank.taps) / bank.sample_rate_hz, RowReader(bank)
@@ -147,28 +146,18 @@ def impulse_travel(
             f" {span_mm[1]:g} mm apart; at least {MIN_PAIRS} are needed for a velocity"
         )
     of = np.concatenate(actuator)
-    arrivals = _fit(np.concatenate(distance), np.concatenate(arrival), of)
-    levels = _fit(np.concatenate(distance), np.concatenate(level), of)
-    velocity = 1e-3 / arrivals.slope if arrivals.slope else np.inf
-    return ImpulseTravel(
-        velocity,
-        -10.0 * levels.slope,
-        velocity_error_m_s=abs(velocity * arrivals.doubt / arrivals.slope) if arrivals.slope else np.inf,
-        attenuation_error_db_per_cm=10.0 * levels.doubt,
-        correlation=arrivals.correlation,
-    )
+    slope, doubt, correlation = _fit(np.concatenate(distance), np.concatenate(arrival), of)
+    fall, fall_doubt, _ = _fit(np.concatenate(distance), np.concatenate(level), of)
+    velocity = 1e-3 / slope if slope else np.inf
+    error = abs(velocity * doubt / slope) if slope else np.inf
+    return ImpulseTravel(velocity, -10.0 * fall, error, 10.0 * fall_doubt, correlation)
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    slope: float
-    doubt: float
-    """Standard error of the slope: the larger one of least squares and of leaving out one actuator at a time."""
-    correlation: float
+def _fit(distance_mm: Float64Array, value: Float64Array, actuator: Int64Array) -> tuple[float, float, float]:
+    """Common slope of straight lines with an offset per actuator, its standard error, and the correlation.
 
-
-def _fit(distance_mm: Float64Array, value: Float64Array, actuator: Int64Array) -> _Line:
-    """Common slope of straight lines with an offset per actuator."""
+    The standard error is the larger one of least squares and of leaving out one actuator at a time.
+    """
     _, group = np.unique(actuator, return_inverse=True)
     count = np.bincount(group)
     x = distance_mm - (np.bincount(group, distance_mm) / count)[group]
@@ -183,7 +172,7 @@ def _fit(distance_mm: Float64Array, value: Float64Array, actuator: Int64Array) -
         jackknife = (len(count) - 1) / len(count) * np.sum(np.square(without - without.mean()))
         doubt = max(doubt, float(np.sqrt(jackknife)))
     power = float(np.sqrt((x @ x) * (y @ y)))
-    return _Line(slope, doubt, float(x @ y) / power if power else 0.0)
+    return slope, doubt, float(x @ y) / power if power else 0.0
 
 
 RESOLUTION_HZ = 5.0
@@ -217,10 +206,7 @@ class PathSpectrum:
 
 
 def path_spectrum(
-    responses: NDArray[np.floating[Any]],
-    sample_rate_hz: float,
-    first_sample: Int64Array,
-    samples: int,
+    responses: NDArray[np.floating[Any]], sample_rate_hz: float, first_sample: Int64Array, samples: int
 ) -> PathSpectrum:
     """Transform each point's response over a window of its own.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from wavefocus.rendering.greens.source import (
 )
 from wavefocus.storage.errors import InputError
 
-MIN_TOTAL = 1e-300
-"""The reciprocal of a smaller sum of energies is beyond the range of numbers."""
+RowWeights = tuple[Float64Array | None, float]
 
 
 def rms_map(bank: GreenSource) -> Float64Array:
@@ -74,24 +72,14 @@ def saturation_threshold(regularisation: Regularisation, bank: GreenSource) -> f
     return threshold
 
 
-@dataclass(frozen=True, slots=True)
-class RowWeights:
-    """Regularisation of one focus position.
-
-    sigma, float64 (actuators,), or None: Saturation factors; None where all are 1.
-    gain: n(x); 1 where normalisation is off.
-    """
-
-    sigma: Float64Array | None
-    gain: float
-
-
 def row_weights(green: Float64Array, threshold: float, *, normalise: bool) -> RowWeights:
     """Evaluate eqs. (14) and (15) at one position.
 
     green, (actuators, taps): Its Green's functions, not all zero, of values whose squares are in range.
     threshold: C in their unit, > 0, infinity for off.
     normalise: Whether to form n(x).
+
+    Returns the saturation factors, float64 (actuators,), None where all are 1; and n(x), 1 where normalisation is off.
     """
     sigma = None
     if np.isfinite(threshold):
@@ -101,12 +89,13 @@ def row_weights(green: Float64Array, threshold: float, *, normalise: bool) -> Ro
             sigma = np.ones(len(level))
             sigma[saturated] = threshold / level[saturated]
     if not normalise:
-        return RowWeights(sigma, 1.0)
+        return sigma, 1.0
     energies = np.einsum("ij,ij->i", green, green)
     total = float(energies.sum() if sigma is None else sigma @ energies)
-    if not total > MIN_TOTAL:
+    # The reciprocal of a smaller sum of energies is beyond the range of numbers.
+    if not total > 1e-300:
         raise InputError(f"the saturation threshold is {threshold:.3g}, too small for numbers; use a larger saturation")
-    return RowWeights(sigma, 1.0 / total)
+    return sigma, 1.0 / total
 
 
 def focus_gains(bank: GreenSource, positions: Sequence[int], threshold: float) -> Float64Array:
@@ -122,7 +111,7 @@ def focus_gains(bank: GreenSource, positions: Sequence[int], threshold: float) -
     for place, position in enumerate(positions):
         row = None if refusal(int(bank.status[position])) else reader.read(int(position))
         if row is not None and row.any():
-            gain[place] = row_weights(row, threshold, normalise=True).gain
+            gain[place] = row_weights(row, threshold, normalise=True)[1]
     return gain
 
 
@@ -211,7 +200,7 @@ class BankRows:
 
     def sigma(self, regularised_by: int) -> Float64Array | None:
         """Saturation factors (actuators,) of a row, None where all are 1."""
-        return self._of(regularised_by).sigma
+        return self._of(regularised_by)[0]
 
     def weigh(self, regularised_by: Int64Array) -> tuple[Float64Array, BoolArray]:
         """n(x) of rows, float64 (k,), and where `sigma` is not None, bool (k,).
@@ -219,8 +208,8 @@ class BankRows:
         regularised_by, int64 (k,): Bank rows.
         """
         weights = [self._of(row) for row in regularised_by.tolist()]
-        saturated = np.array([weight.sigma is not None for weight in weights], dtype=bool)
-        return np.array([weight.gain for weight in weights]), saturated
+        saturated = np.array([sigma is not None for sigma, _ in weights], dtype=bool)
+        return np.array([gain for _, gain in weights]), saturated
 
     def _of(self, row: int) -> RowWeights:
         if row not in self._weights:

@@ -150,19 +150,6 @@ class GreenArray:
         return np.asarray(self.values[bank_row(position, self.positions)])
 
 
-def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
-    """Read one row as the bank has it, (actuators, taps).
-
-    Raises InputError: the row is not real or has the wrong shape.
-    """
-    raw = np.asarray(bank.green(position))
-    if raw.shape != (bank.actuators, bank.taps):
-        raise InputError(f"row {position} of the bank has shape {raw.shape}; expected {(bank.actuators, bank.taps)}")
-    if raw.dtype.kind not in "fiu":
-        raise InputError(f"row {position} of the bank is of type {raw.dtype}; allowed are real numbers")
-    return raw
-
-
 class RowReader:
     """Reads rows of a bank; several threads may read, the bank itself is asked by one at a time.
 
@@ -189,7 +176,13 @@ class RowReader:
         Raises InputError: the row is not real, has the wrong shape, or holds NaN or infinity.
         """
         with self._asking:
-            raw = fetch_row(self.bank, position)
+            raw = np.asarray(self.bank.green(position))
+        if raw.shape != (self.actuators, self.taps):
+            raise InputError(
+                f"row {position} of the bank has shape {raw.shape}; expected {(self.actuators, self.taps)}"
+            )
+        if raw.dtype.kind not in "fiu":
+            raise InputError(f"row {position} of the bank is of type {raw.dtype}; allowed are real numbers")
         values = np.array(raw, dtype=np.float64, order="C")
         if not np.isfinite(values).all():
             actuator = int(np.argmin(np.isfinite(values).all(axis=1)))

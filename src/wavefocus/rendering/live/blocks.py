@@ -46,21 +46,10 @@ from wavefocus.storage.errors import InputError
 
 CACHE_BYTES = 2**30
 """Memory of row spectra: 1500 positions of 20 actuators, 500 Hz and 200 ms take 4 % of it."""
-MAX_INSTANTS = 64
-"""Instants whose independent filters are kept: those of four sources take 0.1 MB, and a block has about ten."""
-BAND_MARGINS, BEYOND_DB, LOOKED_AT = (1.2, 1.5, 2.0), -30.0, 16
-"""Frequencies are computed up to the first of these multiples of the upper end of the bank's band that leaves out at
-most this share of the energy of so many rows; all of them where none does."""
-RAMP_S = 0.02
-"""What is emitted before a block has no effect on it, except that a sudden begin has frequencies beyond the band."""
 HAT_S, EXTENSION_S = 0.02, 0.02
 """Sources are quiet where the others are at the instant of a hat, and where they are at those before and after."""
 AT_ONCE = 4
 """Blocks computed at once: the one that is due, two that stand where no order comes, and one to fade from."""
-BOUNDED_SHARE = 0.1
-"""Share of the frequencies from which on it is worth saying that the bound of the energy acts."""
-MAX_PLACES = 24
-"""Where there would be more, those before and after are left out."""
 
 WeightedRows = tuple[tuple[int, float], ...]
 """Rows of a place, and their weights."""
@@ -107,7 +96,9 @@ class CrossfadedBlocks:
         self._independent, self._finer = independent, finer
         self._between: Complex64Array | None = None
         extension = round(EXTENSION_S * rate_hz) if independent else 0
-        ramp = round(RAMP_S * rate_hz)
+        # What is emitted before a block has no effect on it, except that a sudden begin has frequencies beyond the
+        # band.
+        ramp = round(0.02 * rate_hz)
         self._ramp = np.sin(np.pi / 2 * (np.arange(ramp) + 0.5) / max(ramp, 1)).astype(np.float32) ** 2
         self.extension_samples = ramp + extension
         self.window_samples = bank.taps - 1 + AT_ONCE * block_samples + extension
@@ -126,7 +117,8 @@ class CrossfadedBlocks:
                 f" {CACHE_BYTES / 2**30:g} GiB; use 'nearest'"
             )
         self._row_filter = lru_cache(self.most_rows)(self._make_row_filter)
-        self._filters = lru_cache(MAX_INSTANTS)(self._make_filters)
+        # Instants whose independent filters are kept: those of four sources take 0.1 MB, and a block has about ten.
+        self._filters = lru_cache(64)(self._make_filters)
         self._gain = lru_cache(None)(self._make_gain)
         self._ahead: Float64Array = np.zeros((bank.actuators, self._frame(block_samples)))
         """What the last computation gave for the blocks to come."""
@@ -137,12 +129,14 @@ class CrossfadedBlocks:
         if bank.band_hz is None:
             return whole
         usable_rows, power = np.flatnonzero(usable(bank)), np.zeros(whole)
-        for row in usable_rows[np.linspace(0, len(usable_rows) - 1, LOOKED_AT).astype(np.int64)].tolist():
+        for row in usable_rows[np.linspace(0, len(usable_rows) - 1, 16).astype(np.int64)].tolist():
             with suppress(InputError):  # it matters only where a source comes near
                 power += power_over(np.fft.rfft(self._rows.read(row), n=self._fft_samples, axis=1), axis=0)
-        for margin in BAND_MARGINS:
+        # Frequencies are computed up to the first of these multiples of the upper end of the bank's band that leaves
+        # out at most a thousandth of the energy of these rows; all of them where none does.
+        for margin in (1.2, 1.5, 2.0):
             bins = math.floor(margin * bank.band_hz[1] / float(bank.sample_rate_hz) * self._fft_samples) + 1
-            if power[bins:].sum() <= 10.0 ** (BEYOND_DB / 10.0) * power.sum():
+            if power[bins:].sum() <= 1e-3 * power.sum():
                 return min(bins, whole)
         return whole
 
@@ -235,7 +229,8 @@ class CrossfadedBlocks:
             predicted = hat[1] > due
             share = _hat_weights(hat[1] - hat[0], hat[2] - hat[1], last=predicted)
             # Where places are predicted, those before and after are no better known.
-            counted = (0,) if predicted or 3 * len(there) > MAX_PLACES else (0, -1, 1)
+            # Where there would be more, those before and after are left out.
+            counted = (0,) if predicted or 3 * len(there) > 24 else (0, -1, 1)
             own = tuple(tuple(places[number][index + other][0] for other in counted) for number in there)
             weights = [self._gain(places[number][index][1]) for number in there]
             filters = self._filters(own, tuple(by for _, by in weights)) if own else ()
@@ -312,7 +307,8 @@ class CrossfadedBlocks:
         green = np.array([self._at(place, -1) for place in places]).conj()
         plain = np.array([self._at(mine[0], by) for mine, by in zip(own, saturated_by, strict=True)])
         filters, bounded = independent_filters(green, [[places[place] for place in mine] for mine in own], plain)
-        return list(zip(filters, (bounded.mean(axis=1) > BOUNDED_SHARE).tolist(), strict=True))
+        # Share of the frequencies from which on it is worth saying that the bound of the energy acts.
+        return list(zip(filters, (bounded.mean(axis=1) > 0.1).tolist(), strict=True))
 
     def _at(self, place: WeightedRows, saturated_by: int) -> Complex64Array:
         """Filters of time reversal at a place, (actuators, bins)."""

@@ -24,8 +24,6 @@ from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage.errors import InputError
 
-MAX_NAMES = 64
-"""Names whose signals are kept; of more, those that were silent longest are forgotten."""
 MAX_SOURCES = 32
 MAX_NAME = 100
 MAX_AMPLITUDE = 1e9
@@ -96,6 +94,8 @@ class LiveEngine:
     Raises InputError: a value is out of range, or the bank does not allow the interpolation or regularisation.
     """
 
+    interpolation: str
+    """The one in use, "auto" resolved."""
     next_sample: int = 0
     """Scene sample of the first sample of the next block."""
 
@@ -126,8 +126,8 @@ class LiveEngine:
         regularisation = Regularisation() if regularisation is None else regularisation
         default = default_signal(bank) if signal is None else signal
         default_samples = live_samples(default, self.rate_hz)
-        interpolation, finer = finer_rows(bank, interpolation, default_samples)
-        self._surface = PlayableSurface(bank, interpolation, self._read, finer)
+        self.interpolation, finer = finer_rows(bank, interpolation, default_samples)
+        self._surface = PlayableSurface(bank, self.interpolation, self._read, finer)
         self._blocks = CrossfadedBlocks(
             BankRows(bank, regularisation),
             block_samples,
@@ -360,7 +360,8 @@ class LiveEngine:
             raise InputError(f"a source's name has {len(name)} characters; allowed are 1 to {MAX_NAME}")
         source = _Source(self._default if emitted is None else emitted)
         active = self._active(self.next_sample + self._look_ahead)
-        while len(self._sources) >= max(MAX_NAMES, self._most_sources + 1):
+        # Names whose signals are kept; of more, those that were silent longest are forgotten.
+        while len(self._sources) >= max(64, self._most_sources + 1):
             del self._sources[next(name for name in self._sources if name not in active)]
         self._sources[name] = source
         return source

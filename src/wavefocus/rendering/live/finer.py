@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
@@ -20,54 +19,35 @@ from wavefocus.rendering.greens.interpolation.waves import WavesInterpolation
 from wavefocus.rendering.greens.source import GreenSource, usable, well_measured
 from wavefocus.rendering.live.independent import Complex64Array
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.reader import DamagedError
 
 PITCH_MM = 2.0
 """Places are at most so far apart along x and y; 1 mm makes independent sources quieter by 1 dB and takes 4 times the
 memory."""
-MIN_SHARED = 8
-"""Positions whose neighbours lie alike that make a shape worth its matrices, 70 ms each; further ones are not refined:
-most positions of a grid have one shape, and those near a curved rim one each."""
-
-
-AUTO_PLACES = 40
-"""Places between the positions at which the interpolation of least expected error is chosen."""
 
 
 def finer_rows(bank: GreenSource, interpolation: str, signal: Float64Array) -> tuple[str, FinerRows | None]:
     """The interpolation in use, "auto" resolved, and the rows between the bank's that it takes, if any.
 
-    signal: What sources emit, at the bank's rate; "auto" takes what errs least in its band.
+    signal: What sources emit, at the bank's rate; "auto" takes what errs least in its band, and "nearest" where the
+        bank allows no rows between its positions, or needs none.
 
     Raises InputError: the bank does not allow the interpolation.
     """
     if interpolation == "auto":
-        between_mm = _between(np.asarray(bank.position_mm, dtype=np.float64)[well_measured(bank)])
-        if not len(between_mm):
-            return "nearest", None  # the positions are as near to one another as such rows would be
-        places_mm = between_mm[evenly_spread(len(between_mm), AUTO_PLACES)]
-        interpolation = choose_interpolation(bank, places_mm, [signal]).name
+        try:
+            between_mm = _between(np.asarray(bank.position_mm, dtype=np.float64)[well_measured(bank)])
+            if not len(between_mm):
+                return "nearest", None  # the positions are as near to one another as such rows would be
+            places_mm = between_mm[evenly_spread(len(between_mm), 40)]
+            return finer_rows(bank, choose_interpolation(bank, places_mm, [signal]).name, signal)
+        except DamagedError:
+            raise
+        except InputError:
+            return "nearest", None
     if interpolation == "waves":
         return interpolation, WaveRowsBetween(bank)
     return interpolation, KernelRowsBetween(bank) if interpolation == "kernel" else None
-
-
-class FinerRows(Protocol):
-    """Places finer than the bank's grid, and filters at those between its positions."""
-
-    count: int
-    """Number of rows between the bank's; their numbers follow on the bank's."""
-
-    def nearest(self, at_mm: Float64Array) -> Int64Array:
-        """Rows (n,) nearest to places (n, 2)."""
-        ...
-
-    def filters(self, of_row: Callable[[int], Complex64Array], bin_hz: Float64Array) -> Complex64Array:
-        """Filters of time reversal of the rows between, complex64 (count, actuators, bins).
-
-        of_row: Those of a row of the bank, (actuators, bins). bin_hz, float64 (bins,): Multiples of one frequency,
-            from 0 on.
-        """
-        ...
 
 
 def _between(position_mm: Float64Array) -> Float64Array:
@@ -92,7 +72,9 @@ def _between(position_mm: Float64Array) -> Float64Array:
 
 
 class WaveRowsBetween:
-    """Rows by waves from the actuators and from the rim, as `WavesInterpolation` has them (`FinerRows`).
+    """Rows by waves from the actuators and from the rim, as `WavesInterpolation` has them.
+
+    count: Number of rows between the bank's; their numbers follow on the bank's.
 
     Raises InputError: the bank does not allow waves.
     """
@@ -107,11 +89,15 @@ class WaveRowsBetween:
         self._row = np.concatenate([self._method.grid_row, bank.positions + np.arange(self.count)])
 
     def nearest(self, at_mm: Float64Array) -> Int64Array:
-        """See `FinerRows`."""
+        """Rows (n,) nearest to places (n, 2)."""
         return np.asarray(self._row[self._grid.nearest(at_mm)[0]])
 
     def filters(self, of_row: Callable[[int], Complex64Array], bin_hz: Float64Array) -> Complex64Array:
-        """See `FinerRows`."""
+        """Filters of time reversal of the rows between, complex64 (count, actuators, bins).
+
+        of_row: Those of a row of the bank, (actuators, bins). bin_hz, float64 (bins,): Multiples of one frequency,
+            from 0 on.
+        """
         samples = round(self._rate_hz * (len(bin_hz) - 1) / bin_hz[-1])
         rows = self._method.rows
         found = np.empty((self.count, rows.actuators, len(bin_hz)), np.complex64)
@@ -122,7 +108,7 @@ class WaveRowsBetween:
 
 
 class KernelRowsBetween:
-    """Rows on a lattice finer than the bank's, by the kernel (`FinerRows`).
+    """Rows on a lattice finer than the bank's, by the kernel; `count` as of `WaveRowsBetween`.
 
     A filter is the same for all samples, so that weights of neighbours are taken at the frequencies of blocks; what
     would come before the first tap or after the last is not cut.
@@ -152,8 +138,10 @@ class KernelRowsBetween:
             if patch.rows[0] == row:
                 patches[row] = patch
         shared = Counter(patch.key for patch in patches.values())
+        # Positions whose neighbours lie alike that make a shape worth its matrices, 70 ms each; further ones are not
+        # refined: most positions of a grid have one shape, and those near a curved rim one each.
         self._patches = sorted(
-            (patch for patch in patches.values() if len(self._offset_mm) and shared[patch.key] >= MIN_SHARED),
+            (patch for patch in patches.values() if len(self._offset_mm) and shared[patch.key] >= 8),
             key=lambda patch: patch.key,
         )
         anchors = np.array([patch.rows[0] for patch in self._patches], dtype=np.int64)
@@ -162,11 +150,11 @@ class KernelRowsBetween:
         self.count = len(between_mm)
 
     def nearest(self, at_mm: Float64Array) -> Int64Array:
-        """See `FinerRows`."""
+        """See `WaveRowsBetween`."""
         return self._grid.nearest(at_mm)[0]
 
     def filters(self, of_row: Callable[[int], Complex64Array], bin_hz: Float64Array) -> Complex64Array:
-        """See `FinerRows`."""
+        """See `WaveRowsBetween`."""
         waves, made, key = self._kernel.waves.at(bin_hz), [], b""
         with one_blas_thread():
             for patch in self._patches:
@@ -176,3 +164,7 @@ class KernelRowsBetween:
                 around = np.stack([of_row(row) for row in patch.rows.tolist()])
                 made.append((weights @ np.ascontiguousarray(around.transpose(2, 0, 1))).transpose(1, 2, 0))
         return np.ascontiguousarray(np.concatenate(made)) if made else np.zeros((0, 0, len(bin_hz)), np.complex64)
+
+
+FinerRows = WaveRowsBetween | KernelRowsBetween
+"""Places finer than the bank's grid, and filters at those between its positions."""

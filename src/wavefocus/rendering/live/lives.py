@@ -24,8 +24,6 @@ VELOCITY_S = 0.03
 """Time over which the velocity is taken: two positions of a 60 Hz screen, for the jitter of one."""
 JUMP_MM_S = 2000.0
 """No finger that stays on a surface is as fast."""
-JUMP_MM = 5.0
-"""Smaller steps, such as of a pointer in a small window, are no jumps at any speed."""
 LOOK_S = 0.0025
 """A course is looked at so often; closer where the rows change."""
 
@@ -134,7 +132,8 @@ class Life:
             knots, points = knots[:-1], [position._replace(sample=last.sample)]
         if knots:
             way_mm = math.hypot(position.x_mm - knots[-1].x_mm, position.y_mm - knots[-1].y_mm)
-            if way_mm > max(JUMP_MM, self._timing.jump_mm_per_sample * (points[-1].sample - knots[-1].sample)):
+            # Smaller steps, such as of a pointer in a small window, are no jumps at any speed.
+            if way_mm > max(5.0, self._timing.jump_mm_per_sample * (points[-1].sample - knots[-1].sample)):
                 return False
         return self._accept(knots, points)
 

@@ -32,9 +32,6 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, write_whole
 
 SCENE_NAME = "scene.toml"
-MAX_LIVES = 10_000
-"""Sources of one scene file; further lives go into ``scene-2.toml`` and so on, whose drives add to those of the first.
-A thousand take about half a minute of processor time to render, 20 actuators and 2000 taps."""
 
 
 class SessionRecording(Closing):
@@ -128,7 +125,9 @@ class SessionRecording(Closing):
             signal=signal, repeat=life.repeat,
         )  # fmt: skip
         text = f"\n# {printable(life.name)}\n{toml_table('[[source]]', source)}"
-        part, number = divmod(self._named, MAX_LIVES)
+        # Sources of one scene file; further lives go into ``scene-2.toml`` and so on, whose drives add to those of the
+        # first. A thousand take about half a minute of processor time to render, 20 actuators and 2000 taps.
+        part, number = divmod(self._named, 10_000)
         scene = self._folder / (SCENE_NAME if not part else f"scene-{part + 1}.toml")
         if number:
             with scene.open("a", encoding="utf-8", newline="\n") as file_of_scene:

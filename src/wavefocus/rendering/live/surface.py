@@ -20,9 +20,6 @@ from wavefocus.rendering.greens.source import GreenSource, usable
 from wavefocus.rendering.live.finer import FinerRows
 from wavefocus.storage.errors import InputError
 
-HULL_LOOKS, MAX_HULL_LOOKS = 3.0, 1e6
-"""Looks per grid spacing by which a convex grid is found to have no holes; larger grids are not looked at."""
-
 
 class PlayableSurface:
     """Places of a bank from which the interpolation can be made; a row is read when a place first needs it.
@@ -77,10 +74,11 @@ class PlayableSurface:
         """Edges (n, 3) of the positions' convex hull, a x + b y + c <= 0; impossible ones where the hull has holes."""
         from scipy.spatial import ConvexHull, QhullError
 
-        position_mm, step_mm = self._method.grid.position_mm, self._method.grid.spacing_mm / HULL_LOOKS
+        # Looks per grid spacing by which a convex grid is found to have no holes; larger grids are not looked at.
+        position_mm, step_mm = self._method.grid.position_mm, self._method.grid.spacing_mm / 3.0
         nowhere = np.array([[0.0, 0.0, 1.0]])
         count = np.ptp(position_mm, axis=0) / max(step_mm, 1e-9)
-        if count.prod() > MAX_HULL_LOOKS:
+        if count.prod() > 1e6:
             return nowhere
         try:
             edges = np.asarray(ConvexHull(position_mm).equations)

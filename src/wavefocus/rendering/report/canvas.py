@@ -148,10 +148,7 @@ class ReportSurface:
 
     @classmethod
     def of(
-        cls,
-        bank: GreenSource,
-        paths_mm: Sequence[Float64Array] = (),
-        outline_mm: Float64Array | None = None,
+        cls, bank: GreenSource, paths_mm: Sequence[Float64Array] = (), outline_mm: Float64Array | None = None
     ) -> ReportSurface:
         """The surface of a bank."""
         position_mm = np.asarray(bank.position_mm, np.float64)

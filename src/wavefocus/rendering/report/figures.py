@@ -233,8 +233,6 @@ def _single_map(name: str, surface: ReportSurface) -> tuple[Canvas, Axes]:
 
 
 VERDICT_COLOURS = {"steady": "#0b3c5d", "warn": "#e69f00", "stop": "#d55e00"}
-ROOM = 1.35
-"""Steady figures fill the middle of the picture; limits far beyond them would flatten them."""
 
 
 @drawn_in_style
@@ -271,7 +269,8 @@ def _draw_limits(axes: Axes, values: np.ndarray, warn: float, stop: float, *, bo
     """Show the limits that are near enough to the values, and the span that leaves."""
     finite = np.abs(values[np.isfinite(values)])
     largest = float(finite.max(initial=0.0))
-    span = ROOM * max(warn if largest <= warn else stop, largest)
+    # Steady figures fill the middle of the picture; limits far beyond them would flatten them.
+    span = 1.35 * max(warn if largest <= warn else stop, largest)
     for limit, colour in ((warn, VERDICT_COLOURS["warn"]), (stop, VERDICT_COLOURS["stop"])):
         for side in (1.0, -1.0) if both_sides else (1.0,):
             if limit < span:

@@ -37,11 +37,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-DEFAULT_FRAMES = 240
 MAX_FRAMES = 2000
 AROUND_S = 0.02
 """Time shown before the first focus and after the last."""
-TOP_SHARE = 0.999
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +80,7 @@ def plan_frames(
             f" {field.start_s:g} s to {ends_s:g} s"
         )
     if slow is None:
-        step_s = max(1.0, round((end_s - begin_s) * rate_hz / DEFAULT_FRAMES)) / rate_hz
+        step_s = max(1.0, round((end_s - begin_s) * rate_hz / 240)) / rate_hz
     else:
         step_s = 1.0 / (slow * frame_rate_hz)
     frames = math.floor((end_s - begin_s) / step_s * (1 + 1e-12)) + 1
@@ -124,8 +122,12 @@ class Foci:
         """Bank rows of the foci that count at an instant."""
         return self.position[(self.start_s <= time_s) & (time_s < self.stop_s)]
 
-    def seen(self, field: FieldRowReader) -> Seen:
-        """Those whose position and instant the field holds."""
+    def seen(self, field: FieldRowReader) -> tuple[Int64Array, Int64Array, Float64Array]:
+        """Indices of those whose position and instant the field holds, in time, all of shape (n,).
+
+        With the sample at which the response at the focus is largest between its instant and the next, and its
+        magnitude.
+        """
         row_of = {int(position): row for row, position in enumerate(field.position_index.tolist())}
         windows: dict[int, list[tuple[int, int, int]]] = {}
         for focus in range(len(self.position)):
@@ -140,27 +142,9 @@ class Foci:
                 for focus, first, last in windows.get(row, ()):
                     magnitude = np.abs(values[row - start, first:last])
                     found[focus] = (first + int(np.argmax(magnitude)), float(magnitude.max()))
-        held = sorted(found)
+        held = sorted(found, key=lambda focus: (found[focus][0], focus))
         sample = np.array([found[focus][0] for focus in held], dtype=np.int64)
-        return Seen(np.array(held, dtype=np.int64), sample, np.array([found[focus][1] for focus in held]))
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """Indices of the drive's foci that a field holds, all of shape (n,).
-
-    With the sample at which the response at the focus is largest between its instant and the next, and its magnitude.
-    """
-
-    focus: Int64Array
-    sample: Int64Array
-    peak: Float64Array
-
-    def some(self, most: int) -> Seen:
-        """Some of them chosen in time."""
-        order = np.argsort(self.sample, kind="stable")
-        chosen = order[evenly_spread(len(order), most)]
-        return Seen(self.focus[chosen], self.sample[chosen], self.peak[chosen])
+        return np.array(held, dtype=np.int64), sample, np.array([found[focus][1] for focus in held])
 
 
 def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:
@@ -171,24 +155,23 @@ def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:
     return frames
 
 
-def colour_limit(frames: Float32Array, seen: Seen | None) -> float:
+def colour_limit(frames: Float32Array, peak: Float64Array | None) -> float:
     """Magnitude at the end of the colour scale, > 0: the largest response at a focus, if the field holds any.
 
     Next to an actuator the surface may move far more; a scale for that would hide the focus. Without foci it holds all
     but the outermost thousandth.
     """
-    top = float(seen.peak.max()) if seen is not None and len(seen.peak) else 0.0
+    top = float(peak.max(initial=0.0)) if peak is not None else 0.0
     if top > 0:
         return top
     magnitude = np.abs(frames)
-    return float(np.quantile(magnitude, TOP_SHARE)) or float(magnitude.max()) or 1.0
+    return float(np.quantile(magnitude, 0.999)) or float(magnitude.max()) or 1.0
 
 
 OnProgress = Callable[[int, int], None]
 
 COLOURS = "RdBu_r"
 LEFT_PX, TOP_PX, BAR_PX, BOTTOM_PX = 52, 30, 92, 42
-MIN_WIDTH_PX = 240
 SNAPSHOT_PX, MAX_SNAPSHOTS = 346, 6
 
 
@@ -223,16 +206,16 @@ def write_movie(
     from PIL.Image import Dither
 
     frames = read_frames(field, plan.sample)
-    top = colour_limit(frames, None if drive is None else Foci.of(drive).seen(field))
+    top = colour_limit(frames, None if drive is None else Foci.of(drive).seen(field)[2])
     with rc_context(STYLE):
-        stage = _Stage(field, surface, drive, plan, top, max(width_px, MIN_WIDTH_PX))
+        draw = _stage(field, surface, drive, plan, top, max(width_px, 240))
         # The first frame has half the colours at best; the palette is that of the loudest one.
         loudest = int(np.argmax(np.einsum("ij,ij->i", frames, frames)))
-        palette = stage.draw(frames, loudest).quantize(256)
+        palette = draw(frames, loudest).quantize(256)
 
         def drawn() -> Iterator[Image]:
             for frame in range(len(frames)):
-                yield stage.draw(frames, frame).quantize(palette=palette, dither=Dither.NONE)
+                yield draw(frames, frame).quantize(palette=palette, dither=Dither.NONE)
                 if on_progress is not None:
                     on_progress(frame + 1, len(frames))
 
@@ -245,51 +228,42 @@ def write_movie(
     return top
 
 
-class _Stage:
-    """One figure that all frames are drawn on: what does not change is drawn once."""
+def _stage(
+    field: FieldRowReader, surface: ReportSurface, drive: Drive | None, plan: FramePlan, top: float, width_px: int
+) -> Callable[[Float32Array, int], Image]:
+    """One figure that all frames are drawn on: what does not change is drawn once. Gives what draws a frame."""
+    from PIL import Image
 
-    def __init__(
-        self,
-        field: FieldRowReader,
-        surface: ReportSurface,
-        drive: Drive | None,
-        plan: FramePlan,
-        top: float,
-        width_px: int,
-    ) -> None:
-        self._field, self._surface, self._plan = field, surface, plan
-        self._drive_foci = None if drive is None else Foci.of(drive)
-        self._factor, unit = scaled_unit(top, field.response_unit)
-        map_px = width_px - LEFT_PX - BAR_PX
-        height = surface.height_px(map_px)
-        height_px = round(TOP_PX + height + BOTTOM_PX)
-        canvas = Canvas("movie", width_px, height_px, density=1)
-        figure, self._canvas = canvas.figure, canvas.agg
-        axes = canvas.axes(LEFT_PX, TOP_PX, map_px, height)
-        draw_surface(axes, surface, path=True)
-        axes.set(xlabel="x (mm)", ylabel="y (mm)")
-        level = self._factor * top
-        self._cells = draw_cells(
-            axes, surface, field.position_index, np.zeros(len(field.position_index)), colours=COLOURS,
-            limits=(-level, level),
-        )  # fmt: skip
-        canvas.colour_bar(self._cells, (LEFT_PX + map_px + 12, TOP_PX, 11, height), f"y ({unit})", extend="both")
-        (self._foci,) = axes.plot([], [], "o", ms=13, mfc="none", mec=INK, mew=1.3, zorder=7)
-        self._time = figure.text(LEFT_PX / width_px, 1 - 20 / height_px, "", color=INK, fontsize=10)
-        speed = _speed(plan.slowed)
-        figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, speed, color=FAINT, ha="right", fontsize=9)
+    drive_foci = None if drive is None else Foci.of(drive)
+    factor, unit = scaled_unit(top, field.response_unit)
+    map_px = width_px - LEFT_PX - BAR_PX
+    height = surface.height_px(map_px)
+    height_px = round(TOP_PX + height + BOTTOM_PX)
+    canvas = Canvas("movie", width_px, height_px, density=1)
+    figure = canvas.figure
+    axes = canvas.axes(LEFT_PX, TOP_PX, map_px, height)
+    draw_surface(axes, surface, path=True)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
+    cells = draw_cells(
+        axes, surface, field.position_index, np.zeros(len(field.position_index)), colours=COLOURS,
+        limits=(-factor * top, factor * top),
+    )  # fmt: skip
+    canvas.colour_bar(cells, (LEFT_PX + map_px + 12, TOP_PX, 11, height), f"y ({unit})", extend="both")
+    (rings,) = axes.plot([], [], "o", ms=13, mfc="none", mec=INK, mew=1.3, zorder=7)
+    clock = figure.text(LEFT_PX / width_px, 1 - 20 / height_px, "", color=INK, fontsize=10)
+    speed = _speed(plan.slowed)
+    figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, speed, color=FAINT, ha="right", fontsize=9)
 
-    def draw(self, frames: Float32Array, frame: int) -> Image:
-        """Draw one frame."""
-        from PIL import Image
+    def draw(frames: Float32Array, frame: int) -> Image.Image:
+        time_s = field.start_s + int(plan.sample[frame]) / field.sample_rate_hz
+        cells.set_array(factor * frames[frame])
+        rows = np.empty(0, np.int64) if drive_foci is None else drive_foci.at(time_s)
+        rings.set_data(*surface.position_mm[rows].T)
+        clock.set_text(f"t = {1e3 * time_s:.1f} ms")
+        canvas.agg.draw()
+        return Image.fromarray(np.array(canvas.agg.buffer_rgba())[:, :, :3])
 
-        time_s = self._field.start_s + int(self._plan.sample[frame]) / self._field.sample_rate_hz
-        self._cells.set_array(self._factor * frames[frame])
-        rows = np.empty(0, np.int64) if self._drive_foci is None else self._drive_foci.at(time_s)
-        self._foci.set_data(*self._surface.position_mm[rows].T)
-        self._time.set_text(f"t = {1e3 * time_s:.1f} ms")
-        self._canvas.draw()
-        return Image.fromarray(np.array(self._canvas.buffer_rgba())[:, :, :3])
+    return draw
 
 
 @drawn_in_style
@@ -301,13 +275,13 @@ def snapshots(field: FieldRowReader, surface: ReportSurface, drive: Drive) -> Pi
     Raises InputError: the field holds no focus of the drive.
     """
     foci = Foci.of(drive)
-    seen = foci.seen(field)
-    if not len(seen.focus):
+    focus, sample, peak = foci.seen(field)
+    if not len(focus):
         raise InputError(f"{field.path} holds no focus of the drive; predict it from this drive, with its positions")
-    seen = seen.some(MAX_SNAPSHOTS)
-    sample, focus = seen.sample, seen.focus
+    chosen = evenly_spread(len(focus), MAX_SNAPSHOTS)
+    focus, sample = focus[chosen], sample[chosen]
     frames = read_frames(field, sample)
-    top = colour_limit(frames, seen)
+    top = colour_limit(frames, peak[chosen])
     factor, unit = scaled_unit(top, field.response_unit)
     columns = min(3, len(sample))
     panels = []

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
 
-MAX_SNAPSHOTS = 6
-
 
 def build_report(
     out_dir: Path,
@@ -98,16 +96,12 @@ def build_report(
 
 
 def _pictures(
-    surface: ReportSurface,
-    verification: Verification,
-    drive: Drive,
-    bank: GreenSource,
-    gain: Float64Array,
+    surface: ReportSurface, verification: Verification, drive: Drive, bank: GreenSource, gain: Float64Array
 ) -> tuple[dict[str, Picture | None], dict[str, str]]:
     fields = verification.fields
     every_row = np.arange(len(surface.position_mm))
     has_foci = len(fields.instant) > 0 and bool(np.any(fields.predicted_snapshot))
-    chosen = evenly_spread(len(fields.instant), MAX_SNAPSHOTS)
+    chosen = evenly_spread(len(fields.instant), 6)
     snr_rows, snr_db, snr_caption = _signal_to_noise(verification, bank, every_row)
     with np.errstate(divide="ignore", invalid="ignore"):
         error_db = 20.0 * np.log10(fields.position_error)

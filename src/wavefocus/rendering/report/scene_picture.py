@@ -34,11 +34,9 @@ if TYPE_CHECKING:
 
 # Without black, the colour of outlines; more sources than colours begin anew.
 SOURCE_COLOURS = COLOURS[:-1]
-QUIET_POINTS, QUIET_MARK_MM = 49, 1.5
 MAX_NAMED = 12
 MAP_PX = 500
 TOP_PX = 26
-MAX_LINE_POINTS = 4000
 UNMEASURED = "#d9d9d9"
 
 
@@ -56,11 +54,7 @@ class _Drawn:
 
 @drawn_in_style
 def scene_picture(
-    scene: Scene,
-    bank: GreenSource,
-    *,
-    outline_mm: Float64Array | None = None,
-    sampled: Sequence[SampledSource] = (),
+    scene: Scene, bank: GreenSource, *, outline_mm: Float64Array | None = None, sampled: Sequence[SampledSource] = ()
 ) -> Picture:
     """Draw a scene before and after snapping.
 
@@ -106,7 +100,7 @@ def _sources(scene: Scene, bank: GreenSource, sampled: Sequence[SampledSource]) 
     """Each source as it is drawn; its positions are those that count for its foci."""
     drawn = []
     for source, points in zip(scene.sources, sampled, strict=True):
-        count = min(MAX_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
+        count = min(4000, max(2, int(4 * source.path.length_mm) + 2))
         focus_s = points.focus_sample / float(bank.sample_rate_hz)
         line_mm, rows = path_line_mm(source, count), points.focus_position
         drawn.append(_Drawn(source, line_mm, points.points_mm, focus_s, rows, points.snap_mm))
@@ -128,9 +122,9 @@ def _draw_asked(axes: Axes, surface: ReportSurface, sources: list[_Drawn], bank:
 
 def _draw_quiet(axes: Axes, scene: Scene) -> None:
     """A dashed rim about each quiet place, at the start of its path."""
-    angle = np.linspace(0.0, 2.0 * np.pi, QUIET_POINTS)
+    angle = np.linspace(0.0, 2.0 * np.pi, 49)
     for place in scene.quiet:
-        rim_mm = max(place.radius_mm, QUIET_MARK_MM) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        rim_mm = max(place.radius_mm, 1.5) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         axes.plot(*(place.path.point_at(np.zeros(1)) + rim_mm).T, "--", color="black", lw=0.8, zorder=7)
 
 

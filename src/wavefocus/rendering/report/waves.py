@@ -36,12 +36,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.verify.comparison import FieldComparison
 
 
-SPEEDS_MM_S = (40.0, 80.0, 160.0, 320.0, 640.0, 1000.0)
-EVERY = (1, 2, 4)
-"""Path sample distances of the crosstalk, in grid spacings."""
 LINE_POINTS = 24
-MIN_LINE = 8
-CORRELATION_BINS = 10
 BEFORE_S, AFTER_S = 0.02, 0.1
 """About each focus instant, the window whose spectrum is formed."""
 MARKERS = ("o", "s", "^", "D")
@@ -67,13 +62,19 @@ def waves_of(scene: Scene, bank: GreenSource, fields: FieldComparison, spacing_m
     with suppress(InputError):
         travel = impulse_travel(bank)
     with suppress(InputError):
-        edges_mm = spacing_mm * (np.arange(CORRELATION_BINS + 1) + 0.5)
+        edges_mm = spacing_mm * (np.arange(10 + 1) + 0.5)
         correlation = correlation_over_distance(bank, edges_mm.tolist(), _about_the_middle(bank))
     line = line_of(np.asarray(bank.position_mm, dtype=np.float64), usable(bank), spacing_mm)
-    if len(line) >= MIN_LINE:
+    if len(line) >= 8:
         with suppress(InputError):
+            # Path sample distances of the crosstalk, in grid spacings.
             crosstalk = crosstalk_table(
-                bank, line.tolist(), spacing_mm, SPEEDS_MM_S, EVERY, regularisation=scene.regularisation
+                bank,
+                line.tolist(),
+                spacing_mm,
+                (40.0, 80.0, 160.0, 320.0, 640.0, 1000.0),
+                (1, 2, 4),
+                regularisation=scene.regularisation,
             )
     predicted, scanned = (
         _spectrum(fields, waveform) for waveform in (fields.predicted_waveform, fields.scanned_waveform)
@@ -151,7 +152,7 @@ def wave_figures(waves: Waves, scene: Scene, band_hz: tuple[float, float] | None
             middle = (band_hz[0] + band_hz[1]) / 2
             share = number(100.0 * waves.scanned.share_within((band_hz[0], middle)), "%")
             lines.append((f"of which below {middle:g} Hz", share, "Share of that energy in the band's lower half."))
-    return [FigureLine(*line) for line in lines]
+    return lines
 
 
 @drawn_in_style

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +21,7 @@ NOTED_LEVEL_DB = 0.2
 NOTED_DELAY_SAMPLES = 0.1
 NOTED_GAIN = 0.01
 NOISE_SHARE = 0.7
-"""Share of the error above which noise is named as its cause."""
+"""Share of the error above which noise is named as its cause: half of the error's square."""
 
 REMEDIES = {
     "the scan failed": "look at the instruments' messages and scan these positions again",
@@ -31,28 +30,18 @@ REMEDIES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class FigureLine:
-    """A line of the report's table of figures."""
-
-    name: str
-    value: str
-    definition: str
+FigureLine = tuple[str, str, str]
+"""A line of the report's table of figures: name, value and definition."""
 
 
 def figure_lines(verification: Verification, gain_range_db: float) -> list[FigureLine]:
     """The figures without a limit, with those that only the report has."""
-    lines = [
-        FigureLine(figure.name, _value(figure), figure.definition)
-        for figure in verification.figures
-        if not figure.relation
-    ]
-    gain_range = FigureLine(
-        "range of n(x)",
-        number(gain_range_db, "dB"),
+    lines = [(figure.name, _value(figure), figure.definition) for figure in verification.figures if not figure.relation]
+    gain_range = (
+        "range of n(x)", number(gain_range_db, "dB"),
         "20 lg of largest over smallest normalisation factor (equation 15) over all measured positions, those next to"
         " the actuators included",
-    )
+    )  # fmt: skip
     return [*lines, gain_range]
 
 

@@ -30,14 +30,8 @@ from wavefocus.storage.ledger.reader import DamagedError
 
 SEGMENT_S = 0.01
 """Filters follow places that move in steps of this, and fade from step to step."""
-SAME_MM = 0.01
-"""A quiet point this near to a focus is at the focus."""
-PASSING_MM = 3.0
-"""A source that moves past a quiet place is not quiet there from this distance on: far within half a wavelength."""
 RING, RING_ROWS = 0.8, 8
 """A disc of a fingertip's size that is quiet at its centre and on this part of its radius is quiet all over."""
-MAX_ROWS, MAX_PAIRS, MAX_INCIDENCES = 2000, 20_000, 10**8
-"""Of all places, of rows and sources, and of these at all instants: more would take hours."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,13 +151,8 @@ class PlaceRows:
         return 0.0 if found is None else found.overall
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class QuietSet:
-    """The rows that one source keeps quiet at an instant: rows of `PlaceRows`, and the place of each, int64 (rows,)."""
-
-    source: int
-    rows: Int64Array
-    place: Int64Array
+QuietSet = tuple[int, Int64Array, Int64Array]
+"""A source, the rows that it keeps quiet at an instant, of `PlaceRows`, and the place of each, int64 (rows,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +195,8 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
     rows = tuple(_rows(place, knots, rate_hz, place_rows) for place in places)
     total = sum(rows_of_place.shape[1] for rows_of_place in rows)
     pairs = total * len(scene.sources)
-    if total > MAX_ROWS or pairs > MAX_PAIRS or pairs * len(knots) > MAX_INCIDENCES:
+    # Of all places, of rows and sources, and of these at all instants: more would take hours.
+    if total > 2000 or pairs > 20_000 or pairs * len(knots) > (10**8):
         raise InputError(
             f"{len(places)} quiet places of {total} rows for {len(scene.sources)} sources are too many; use fewer"
             " places or sources, or a shorter scene"
@@ -227,7 +217,7 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
         for used_rows in different:
             key = (source, used_rows.tobytes())
             numbers.append(number.setdefault(key, len(number)))
-            sets.setdefault(key, QuietSet(source, used_rows[used_rows >= 0], place_of[used_rows >= 0]))
+            sets.setdefault(key, (source, used_rows[used_rows >= 0], place_of[used_rows >= 0]))
         of_source[source] = np.array(numbers)[inverse.ravel()]
     return QuietPlan(places, knots, rows, tuple(sets.values()), of_source, tuple(warnings))
 
@@ -271,7 +261,10 @@ def _applies(
                 other = sampled.sources[place.source].emission
                 applies[index, number] &= (knots > other.first_sample - segment) & (knots < other.stop_sample + segment)
             rests = source.path.length_mm == 0 and place.path.length_mm == 0
-            within_mm = max(place.radius_mm, SAME_MM if rests else PASSING_MM)
+            # A quiet point this near to a focus is at the focus.
+            # A source that moves past a quiet place is not quiet there from this distance on: far within half a
+            # wavelength.
+            within_mm = max(place.radius_mm, 0.01 if rests else 3.0)
             covered = np.hypot(*(own_mm - at_mm[number]).T) <= within_mm
             covered &= sounds & applies[index, number]
             if not covered.any():

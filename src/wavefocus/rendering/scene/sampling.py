@@ -29,7 +29,6 @@ from wavefocus.storage.errors import InputError
 Method = Literal["sampled", "exact"]
 
 MAX_POINTS = 10**8
-MIN_PIECE_SAMPLES = 2048
 SAMPLES_AT_ONCE = 2**16
 
 
@@ -61,13 +60,7 @@ class SampledSource:
 
 
 def sample_source(
-    source: Source,
-    index: int,
-    interpolation: Interpolation,
-    *,
-    sample_rate_hz: float,
-    taps: int,
-    method: Method,
+    source: Source, index: int, interpolation: Interpolation, *, sample_rate_hz: float, taps: int, method: Method
 ) -> SampledSource:
     """Sample one source as docs/reference/scene-file.md says.
 
@@ -109,7 +102,7 @@ def sample_source(
 
     emission: Emission
     if source.emission == "per_point" and moving:
-        emission = PointEmission(signal, focus[:-1], of_points, max(MIN_PIECE_SAMPLES, taps))
+        emission = PointEmission(signal, focus[:-1], of_points, max(2048, taps))
     else:
         last = int(focus[-1]) if moving else int(focus[0]) + len(signal)
         if last <= focus[0]:

@@ -22,8 +22,6 @@ from wavefocus.rendering.scene.size import MAX_PATH_POINTS
 from wavefocus.storage.errors import InputError
 
 POINTS_AT_ONCE = 4096
-STEPS_PER_SPACING = 32
-"""Points per grid spacing at which a path is looked at; what lies between them is covered by a margin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,15 +74,16 @@ def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False)
 
 
 def _method(name: str, *, coarse: bool) -> type[Interpolation]:
-    """The method whose rows a scene needs: what "auto" takes on a coarse grid is waves."""
-    return interpolation_method("waves" if name == "auto" and coarse else name)
+    """The method whose rows a scene needs: "auto" those of the kernel, and on a coarse grid those of waves."""
+    return interpolation_method(("waves" if coarse else "kernel") if name == "auto" else name)
 
 
 def _along(path: Path, spacing_mm: float, *, allow_large: bool) -> tuple[Float64Array, float]:
     """Points along a path so close that none on it is further than the returned distance from one of them."""
     if path.length_mm <= 0 or spacing_mm <= 0:
         return path.point_at(np.zeros(1)), 0.0
-    steps = path.length_mm / spacing_mm * STEPS_PER_SPACING
+    # Points per grid spacing at which a path is looked at; what lies between them is covered by a margin.
+    steps = path.length_mm / spacing_mm * 32
     if steps > (MAX_POINTS if allow_large else MAX_PATH_POINTS):
         raise InputError(
             f"a path is {path.length_mm:.4g} mm long and is looked at in {steps:.4g} points; more than"

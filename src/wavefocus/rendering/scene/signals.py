@@ -24,9 +24,6 @@ MAX_SAMPLES = 2**31
 """No signal and no scene may have more."""
 
 
-READ_VALUES = 2**20
-
-
 class Signal(Protocol):
     """Anything that gives its samples at a rate."""
 
@@ -139,7 +136,7 @@ class SoundFile:
         """
         with self._opened() as file:
             # Block by block, because a header can declare any number of frames and channels.
-            blocks, at_once = [np.zeros(0)], max(1, READ_VALUES // file.channels)
+            blocks, at_once = [np.zeros(0)], max(1, (2**20) // file.channels)
             while len(block := file.read(at_once, dtype="float64", always_2d=True)):
                 blocks.append(block[:, 0].copy())
             channel, rate_hz = np.concatenate(blocks), file.samplerate

@@ -22,7 +22,6 @@ _NUMBER = re.compile(r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
 _FLAG = re.compile(r"[\s,]*([01])")
 _COMMAND = re.compile(r"[\s,]*([A-Za-z])")
 _END = re.compile(r"[\s,]*\Z")
-MAX_PIECES = 10_000
 MAX_POINTS = 10**6
 MAX_COORDINATE = 1e100
 """Squares and cubes of coordinates must stay within the range of numbers."""
@@ -136,7 +135,7 @@ class _Pen:
 
     def _pieces(self, bend: float) -> Float64Array:
         # A chord of a curve with second derivative `bend` strays by at most bend / (8 n^2).
-        count = math.ceil(min(max(math.sqrt(bend / (8.0 * self._tolerance)), 1.0), MAX_PIECES))
+        count = math.ceil(min(max(math.sqrt(bend / (8.0 * self._tolerance)), 1.0), 10_000))
         self._count(count)
         return np.arange(1, count + 1) / count
 
@@ -180,8 +179,6 @@ class _Pen:
 
 
 MAX_BYTES = 16 * 2**20
-FLATNESS_MM = 0.005
-"""Largest distance of the flattened path from the curve: a thousandth of the default grid spacing."""
 
 MIN_SCALE = 1e-100
 
@@ -213,42 +210,32 @@ class SvgPath(DrawnPath):
         if not (math.isfinite(self.scale) and self.scale > 0):
             raise InputError(f"scale is {self.scale}; it must be a finite number above 0")
         check_point(self.origin_mm, "origin_mm")
-        found = _find_path(self.file, self.path_id)
-        enlarged = self.scale * max(math.hypot(*found.transform[:, :2].flat), 1e-12)
+        path_id, data, transform = _find_path(self.file, self.path_id)
+        enlarged = self.scale * max(math.hypot(*transform[:, :2].flat), 1e-12)
         try:
             if not MIN_SCALE < enlarged < 1.0 / MIN_SCALE:
                 raise InputError(f"scale and transforms enlarge it {enlarged:.3g} times; use a scale nearer to 1")
             most_points = math.inf if self.allow_large else MAX_POINTS
-            drawn = flatten(found.data, FLATNESS_MM / enlarged, most_points)
+            # Largest distance of the flattened path from the curve: a thousandth of the default grid spacing.
+            drawn = flatten(data, 0.005 / enlarged, most_points)
             strokes = []
             for stroke in drawn:
-                moved = stroke @ found.transform[:, :2].T + found.transform[:, 2]
+                moved = stroke @ transform[:, :2].T + transform[:, 2]
                 strokes.append(np.array(self.origin_mm) + self.scale * moved * (1.0, -1.0))
             self._draw(strokes)
         except InputError as error:
-            raise InputError(f"{self.file}, path {found.path_id[:60]!r}: {error}") from error
+            raise InputError(f"{self.file}, path {path_id[:60]!r}: {error}") from error
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
-    path_id: str
-    data: str
-    transform: Float64Array
-
-
-def svg_path_ids(file: Path) -> tuple[str, ...]:
-    """The `id` of each `path` element of an SVG file, in order; empty where it has none.
-
-    Raises InputError: the file cannot be read, is no XML, or declares a document type or an entity.
-    """
-    return tuple(drawn.path_id for drawn in _paths_of(file))
+_Found = tuple[str, str, Float64Array]
+"""Id, data and transform of a path element."""
 
 
 def _find_path(file: Path, path_id: str) -> _Found:
     paths = _paths_of(file)
-    found = next((drawn for drawn in paths if not path_id or drawn.path_id == path_id), None)
+    found = next((one for one in paths if not path_id or one[0] == path_id), None)
     if found is None:
-        names = ", ".join(repr(drawn.path_id) for drawn in paths[:10] if drawn.path_id) or "none with an id"
+        names = ", ".join(repr(one[0]) for one in paths[:10] if one[0]) or "none with an id"
         raise InputError(f"{file} has no path {path_id!r}; its paths are: {names}")
     return found
 
@@ -276,7 +263,7 @@ def _paths_of(file: Path) -> list[_Found]:
             raise InputError(f"{file} has transforms that together go beyond the range of numbers")
         transforms.append(joined)
         if name.rpartition(":")[2] == "path":
-            found.append(_Found(attributes.get("id", ""), attributes.get("d", ""), joined))
+            found.append((attributes.get("id", ""), attributes.get("d", ""), joined))
 
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = refuse

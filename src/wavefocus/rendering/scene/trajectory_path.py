@@ -16,8 +16,6 @@ from wavefocus.rendering.scene.trajectory import FURTHEST_MM, Trajectory
 from wavefocus.storage.argument_types import check_fields, real_array
 from wavefocus.storage.errors import InputError
 
-FOCUS_S = 0.01
-"""Rows closer in time than this to the focus before are no foci: a screen gives 60 positions a second."""
 HEADERS = (["time_s", "x_mm", "y_mm"], ["time_s", "x_mm", "y_mm", "amplitude"])
 
 
@@ -68,7 +66,8 @@ class TrajectoryPath(DrawnPath):
         for row in np.flatnonzero(amplitude[:-1]).tolist() or [0]:
             if time_s[row] >= earliest_s:
                 foci.append(row)
-                earliest_s = time_s[row] + FOCUS_S
+                # Rows closer in time than this to the focus before are no foci: a screen gives 60 positions a second.
+                earliest_s = time_s[row] + 0.01
         object.__setattr__(self, "focus_rows", np.array(foci, dtype=np.int64))
         object.__setattr__(self, "time_s", tuple(time_s.tolist()))
         object.__setattr__(self, "points_mm", tuple(map(tuple, points_mm.tolist())))

@@ -10,17 +10,10 @@ import numpy as np
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.verify.superposition import Blocks, squares_left
 
-LATEST_S = 0.02
-"""Delays are looked for within this time, either way."""
-DELAY_STEP = 0.01
-"""Of the search, in periods of the highest frequency: a hundredth of a turn, from where the fit converges."""
 TIE = 0.02
 """A smaller delay is taken where it does as well as a larger one within this share: a tone repeats in each period."""
 WORTH_A_STEP = 0.01
 """Share of what is left that a step of the search must take off."""
-MAX_STEP_S = 5e-4
-"""Larger steps of a delay leave the range in which its effect is linear: a quarter of a period at 500 Hz."""
-ITERATIONS = 10
 MIN_DB, MIN_DELAY_S = 0.4, 3e-5
 """Changes that are named, and apart from which two are one: 0.4 dB, and 0.03 ms at 250 Hz, make an error of 5 %, the
 tolerance of a verification by default."""
@@ -97,8 +90,10 @@ def _groups(blocks: Blocks, errors: ActuatorErrors, allowed: float) -> Iterator[
 
 def _best_step(blocks: Blocks) -> ActuatorErrors | None:
     """The change of one actuator, or of all alike, that takes off most; None where none takes off enough."""
-    finest_s = DELAY_STEP / max(float(block.frequency_hz.max()) for block in blocks)
-    ahead_s = np.arange(0.0, LATEST_S, finest_s)
+    # Step of the search, in periods of the highest frequency: a hundredth of a turn, from where the fit converges.
+    finest_s = 0.01 / max(float(block.frequency_hz.max()) for block in blocks)
+    # Delays are looked for within this time, either way.
+    ahead_s = np.arange(0.0, 0.02, finest_s)
     delays_s = np.concatenate([-ahead_s[:0:-1], ahead_s])
     own = matched = agreement = np.zeros(0)
     for index, block in enumerate(blocks):
@@ -128,9 +123,10 @@ def _best_step(blocks: Blocks) -> ActuatorErrors | None:
 def _refined(blocks: Blocks, errors: ActuatorErrors, members: Float64Array) -> ActuatorErrors:
     """Gauss-Newton steps, halved where they do not help; the actuators of a column of `members` change alike."""
     left = squares_left(errors.applied(blocks))
-    for _ in range(ITERATIONS):
+    for _ in range(10):
         level, late_s = (members @ change for change in _linear_changes(errors.applied(blocks), members))
-        step = min(1.0, MAX_STEP_S / max(float(np.abs(late_s).max()), 1e-12))
+        # Larger steps of a delay leave the range in which its effect is linear: a quarter of a period at 500 Hz.
+        step = min(1.0, 5e-4 / max(float(np.abs(late_s).max()), 1e-12))
         for _half in range(4):
             tried = ActuatorErrors(errors.factor * (1.0 + step * level), errors.late_s + step * late_s)
             if (now := squares_left(tried.applied(blocks))) < left:

@@ -25,11 +25,10 @@ if TYPE_CHECKING:
 
 # Positions per step of the pass: a few MB for seconds of signal.
 CHUNK_POSITIONS = 64
-MAX_WAVEFORMS = 6
 
 
 # Frequencies at which causes of a difference are looked for: those at which the drive is loudest.
-MAX_FREQUENCIES, MAX_HARMONICS = 128, 24
+MAX_FREQUENCIES = 128
 MIN_POWER = 1e-6
 """Quieter bins say nothing."""
 
@@ -129,7 +128,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     instants = focus_instants(tuple(windows), at_foci, first_sample)
     columns = np.array([instant.sample - first_sample for instant in instants], np.int64)
     focused = np.unique([instant.row for instant in instants if instant.row in rows]).astype(np.int64)
-    waveform_index = focused[evenly_spread(len(focused), MAX_WAVEFORMS)]
+    waveform_index = focused[evenly_spread(len(focused), 6)]
 
     scanned_energy, predicted_energy, product, error_energy = np.zeros((4, rows.size))
     raw_error = raw_scanned = 0.0

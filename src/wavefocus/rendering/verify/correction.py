@@ -37,10 +37,6 @@ from wavefocus.storage.point_status import Status
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
-MIN_POWER = 1e-4
-"""Frequencies at which the drive has less, relative to its loudest, are left alone: the scan says nothing there."""
-RIDGES = 10.0 ** np.arange(-3.0, 2.25, 0.25)
-"""lambda over the mean power of a row, from the most to the least thorough step."""
 NO_BETTER = 0.95
 """A round that leaves more than this of the error is the last."""
 HELD_OUT, MIN_CONTROLS = 5, 10
@@ -143,7 +139,8 @@ def _bins(drive: Drive, bank: GreenSource) -> tuple[int, Int64Array]:
     low_hz, high_hz = bank.band_hz or (0.0, drive.sample_rate_hz / 2)
     power = np.square(np.abs(scipy.fft.rfft(drive.drive_v, length))).sum(axis=0)
     power[(frequency_hz < low_hz) | (frequency_hz > high_hz)] = 0.0
-    return length, np.flatnonzero(power > MIN_POWER * power.max())
+    # Frequencies at which the drive has less, relative to its loudest, are left alone: the scan says nothing there.
+    return length, np.flatnonzero(power > 1e-4 * power.max())
 
 
 STOPPED_WORDS = {
@@ -243,7 +240,8 @@ class _Model:
         scale = float(np.square(np.abs(green)).sum()) / (green.shape[0] * green.shape[1])
         eye = np.eye(gram.shape[1])
         step_v = np.zeros_like(played.drive_v)
-        for ridge in RIDGES:
+        # lambda over the mean power of a row, from the most to the least thorough step.
+        for ridge in 10.0 ** np.arange(-3.0, 2.25, 0.25):
             solved = np.linalg.solve(gram + ridge * scale * eye, right)
             spectra: Complex128Array = np.asarray(solved if many else adjoint @ solved)[:, :, 0].T
             step_v = self._signals(spectra, played)

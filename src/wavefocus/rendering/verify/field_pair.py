@@ -64,10 +64,6 @@ class BandLimit:
         return float(peak - most + parabola_vertex(*near[peak - 1 : peak + 2]))
 
 
-LOUDEST_SHARE = 0.999
-"""A few very loud positions, mostly next to actuators, do not count for colour scales."""
-
-
 class CancelledError(Exception):
     """Reading was cancelled."""
 
@@ -124,7 +120,8 @@ class FieldPair:
 
 def _loud(magnitude: NDArray[np.floating]) -> float:
     known = magnitude[np.isfinite(magnitude)]
-    return float(np.quantile(known, LOUDEST_SHARE)) if known.size else 0.0
+    # A few very loud positions, mostly next to actuators, do not count for colour scales.
+    return float(np.quantile(known, 0.999)) if known.size else 0.0
 
 
 def read_pair(

@@ -19,22 +19,16 @@ from wavefocus.storage.point_status import Status
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
-PATCH = 21
-"""Positions that a place is interpolated from: a lattice's, within two and a half steps."""
-MIN_POSITIONS = 9
-WAVE_PATCHES, WAVE_FREQUENCIES, FIT_FREQUENCIES = 6, 9, 32
 MAX_OUTSIDE = 0.75
-"""Grid spacings from the nearest measured position beyond which a field is not known."""
+"""Grid spacings from the nearest measured position beyond which a field is not known: places of a full square grid lie
+within half a diagonal, 0.71."""
 MIN_INSIDE = 0.5
-"""Share of the positions that must show a known field."""
+"""Share of the positions that must show a known field: most of them."""
 START_STEPS = (-1.0, -0.5, 0.5, 1.0)
 """Shifts in grid spacings that the search starts from; turned or scaled, the rim moves as far."""
 MIN_SPACINGS = 1 / 16
 """Smaller displacements are not named: at four positions a wavelength they make errors below 10 %."""
-ITERATIONS = 8
 STEP_MM = 0.05
-BENDING_SLOPE = 0.75
-"""Exponent of the wave number over the frequency, midway between a bending plate's, 1/2, and a gel's, 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +67,7 @@ class BankAsField:
         self._rows = np.flatnonzero(np.asarray(bank.status) == Status.VALID).astype(np.int64)
         there_mm = self.place_mm[self._rows]
         self._tree = cKDTree(there_mm)
-        two_ways = len(self._rows) >= MIN_POSITIONS and np.linalg.matrix_rank(there_mm - there_mm[0], 1e-3) == 2
+        two_ways = len(self._rows) >= 9 and np.linalg.matrix_rank(there_mm - there_mm[0], 1e-3) == 2
         self.spacing_mm = float(np.median(np.asarray(self._tree.query(there_mm, 2)[0])[:, 1])) if two_ways else 0.0
 
     @property
@@ -83,7 +77,8 @@ class BankAsField:
 
     def patch(self, row: int) -> Patch:
         """A row and its nearest neighbours."""
-        near = self._rows[np.asarray(self._tree.query(self.place_mm[row], min(PATCH, len(self._rows)))[1])]
+        # Positions that a place is interpolated from: a lattice's, within two and a half steps.
+        near = self._rows[np.asarray(self._tree.query(self.place_mm[row], min(21, len(self._rows)))[1])]
         offset_mm = (self.place_mm[near] - self.place_mm[row]).round(6)
         order = np.lexsort((offset_mm[:, 1], offset_mm[:, 0], np.hypot(*offset_mm.T).round(6)))
         return Patch(near[order], offset_mm[order], offset_mm[order].tobytes())
@@ -97,8 +92,8 @@ class BankAsField:
         """Wave numbers over the bank's band, or the lower half of its frequencies."""
         bank = self.bank
         low_hz, high_hz = bank.band_hz or (0.0, bank.sample_rate_hz / 4.0)
-        frequency_hz = np.geomspace(max(low_hz, high_hz / 20.0), high_hz, WAVE_FREQUENCIES)
-        patches = [self.patch(int(self._rows[index])) for index in evenly_spread(len(self._rows), WAVE_PATCHES)]
+        frequency_hz = np.geomspace(max(low_hz, high_hz / 20.0), high_hz, 9)
+        patches = [self.patch(int(self._rows[index])) for index in evenly_spread(len(self._rows), 6)]
         return fit_waves(patches, frequency_hz, lambda rows: self.green(rows, frequency_hz), self.spacing_mm)
 
     def green(self, rows: Int64Array, frequency_hz: Float64Array) -> Complex128Array:
@@ -111,7 +106,8 @@ class BankAsField:
         """Exponent of the wave number over the frequency: 1 of a gel's waves, 1/2 of a plate's that bends."""
         waves = self.waves
         slope = np.polyfit(np.log(waves.frequency_hz), np.log(waves.wavenumber_rad_mm.real), 1)[0]
-        return 0.5 if slope < BENDING_SLOPE else 1.0
+        # Exponent of the wave number over the frequency, midway between a bending plate's, 1/2, and a gel's, 1.
+        return 0.5 if slope < 0.75 else 1.0
 
 
 class DisplacedField:
@@ -158,7 +154,7 @@ class MirrorFit:
     def __init__(self, surface: BankAsField, block: Block, rows: Int64Array, change: float = 0.0) -> None:
         self._surface, self._block, self._rows = surface, block, rows
         self._place_mm = surface.place_mm[rows]
-        chosen = evenly_spread(len(block.frequency_hz), FIT_FREQUENCIES)
+        chosen = evenly_spread(len(block.frequency_hz), 32)
         low = chosen[: (len(chosen) + 1) // 2 : 2]  # long waves lead from afar
         self._parts = [self._part(frequencies, change) for frequencies in (low, chosen)]
 
@@ -200,7 +196,7 @@ class MirrorFit:
     def _refined(self, numbers: Float64Array, part: _Part) -> Float64Array:
         """Gauss-Newton steps, halved where they do not help."""
         left = self._left(numbers, part)
-        for _ in range(ITERATIONS):
+        for _ in range(8):
             by_mm = MirrorError.of(numbers).displacement_mm(self._place_mm)
             known = self._surface.is_known(self._place_mm + by_mm)
             at = self._difference(by_mm, part)

@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 GIVE_UP_POSITIONS = 5
 """So many positions given up one after the other mean that the rig, and not a position, is at fault."""
 
-PREDICTED_ROWS = 16
-"""Positions whose predicted responses say from which frequency on a scan is quiet."""
-
 
 @dataclass(frozen=True, slots=True)
 class Scan:
@@ -103,11 +100,8 @@ class _Visit:
     clipped_before: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class _Pending:
-    visit: _Visit
-    status: Status
-    future: Future[Aligned]
+_Pending = tuple[_Visit, Status, Future[Aligned]]
+"""A record that is being aligned, and its status so far."""
 
 
 def scan(
@@ -186,10 +180,7 @@ class _ScanRun:
         self._visits = deque(_Visit(row) for row in plan.position if row not in kept)
 
     def run(self) -> Scan:
-        with (
-            one_blas_thread(),
-            ThreadPoolExecutor(max_workers=1, thread_name_prefix="scan") as worker,
-        ):
+        with one_blas_thread(), ThreadPoolExecutor(max_workers=1, thread_name_prefix="scan") as worker:
             pending: _Pending | None = None
             while self._visits or pending is not None:
                 previous, pending = pending, None
@@ -212,7 +203,7 @@ class _ScanRun:
             self._visits.appendleft(_Visit(visit.row, visit.attempt + 1, clipped_before=True))
             return None
         future = worker.submit(self._alignment.align, recording)
-        return _Pending(visit, Status.OVER_RANGE if clipped else Status.VALID, future)
+        return visit, Status.OVER_RANGE if clipped else Status.VALID, future
 
     def _record(self, visit: _Visit) -> Recording:
         x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
@@ -221,12 +212,12 @@ class _ScanRun:
         return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, label)
 
     def _collect(self, pending: _Pending) -> None:
+        visit, status, future = pending
         try:
-            aligned = pending.future.result()
+            aligned = future.result()
         except ReferenceMissingError as missing:
-            self._try_again(pending.visit, missing)
+            self._try_again(visit, missing)
             return
-        status, visit = pending.status, pending.visit
         # Clipping, too, makes noise where nothing plays; such a record is marked already.
         if aligned.signal_lost and status == Status.VALID:
             if visit.attempt < self._plan.attempts:
@@ -270,7 +261,8 @@ def _quiet_above_hz(drive: Drive, bank: GreenSource, rows: Int64Array) -> float:
     """Frequency above which the responses expected at these rows have no energy; half the rate where there are none."""
     if not rows.size:
         return drive.sample_rate_hz / 2
-    some = rows[evenly_spread(rows.size, PREDICTED_ROWS)]
+    # Positions whose predicted responses say from which frequency on a scan is quiet.
+    some = rows[evenly_spread(rows.size, 16)]
     expected = predict(drive, bank, some.tolist(), dtype=np.float32).field
     return quiet_above_hz(expected, drive.sample_rate_hz, bank.band_hz)
 

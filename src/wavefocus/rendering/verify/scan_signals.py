@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive
 
 MARKER_START_HZ = 20.0
-MARKER_STOP_HZ = 1000.0  # the fewer bins it fills the less a fit costs; at 60 dB it gives the clock ratio to 0.1 ppm
-MARKER_FADE_S = 0.02
 # Shortest silence from which noise is measured, and the part before the drive that is not used, in samples.
 MIN_SILENCE_SAMPLES = 50
 SILENCE_GUARD_SAMPLES = 8
@@ -70,10 +68,10 @@ def marker_v(setup: Setup, samples: int, rate_hz: float) -> Float64Array:
     """
     amplitude_v = min(0.5 * setup.instruments.player.full_scale_v, 0.7 * setup.range_v[0] / setup.reference_gain)
     time_s = np.arange(samples) / rate_hz
-    stop_hz = min(0.4 * rate_hz, MARKER_STOP_HZ)
+    stop_hz = min(0.4 * rate_hz, 1000.0)
     slope = (stop_hz - MARKER_START_HZ) / (samples / rate_hz)
     sweep = np.sin(2.0 * np.pi * (MARKER_START_HZ + 0.5 * slope * time_s) * time_s)
-    fade = np.sin(0.5 * np.pi * np.clip(np.minimum(time_s, time_s[::-1]) / MARKER_FADE_S, 0.0, 1.0)) ** 2
+    fade = np.sin(0.5 * np.pi * np.clip(np.minimum(time_s, time_s[::-1]) / 0.02, 0.0, 1.0)) ** 2
     return np.asarray(amplitude_v * fade * sweep)
 
 
@@ -118,16 +116,10 @@ class Alignment:
 
 # Share of a response's energy above the frequency from which it is taken to be only noise.
 QUIET_SHARE = 1e-5
-# A dropout lasts some milliseconds (speckle crossing the spot); windows of this length overlap by half.
-WINDOW_S = 0.0032
-# The window's shape keeps all that lies more than this many of its bins away below -60 dB.
-WINDOW_BETA = 6.0
-CLEAR_BINS = 2
 # A window is lost when it holds more than this many times the noise, and more than this share of the loudest
 # window of the response, both as rms.
 NOISE_FACTOR = 6.0
 RESPONSE_SHARE = 0.02
-MIN_WINDOWS = 8
 
 
 def quiet_above_hz(response: NDArray[np.floating], rate_hz: float, band_hz: tuple[float, float] | None) -> float:
@@ -145,10 +137,11 @@ class DropoutCheck:
     """Looks for bursts of noise in recorded responses, above the frequency from which these are quiet."""
 
     def __init__(self, rate_hz: float, quiet_hz: float) -> None:
-        half = max(round(WINDOW_S * rate_hz / 2), 1)
+        # A dropout lasts some milliseconds (speckle crossing the spot); windows of 3.2 ms overlap by half.
+        half = max(round(0.0032 * rate_hz / 2), 1)
         self._half = half
-        shape = np.kaiser(2 * half, WINDOW_BETA)
-        bins = np.arange(int(quiet_hz * 2 * half / rate_hz) + 1 + CLEAR_BINS, half)
+        shape = np.kaiser(2 * half, 6.0)  # keeps all that lies more than two of its bins away below -60 dB
+        bins = np.arange(int(quiet_hz * 2 * half / rate_hz) + 1 + 2, half)
         turn = np.exp(-1j * np.pi * np.outer(np.arange(2 * half), bins) / half)
         outside = shape[:, None] * turn / np.sqrt(max(bins.size, 1) * np.square(shape).sum())
         # Where responses fill the spectrum, no bin is left for the check.
@@ -157,7 +150,7 @@ class DropoutCheck:
     def finds_one(self, response_v: Float32Array) -> bool:
         """The vibrometer lost the signal during a record."""
         windows = np.lib.stride_tricks.sliding_window_view(response_v, 2 * self._half)[:: self._half]
-        if not self._outside.size or len(windows) < MIN_WINDOWS:
+        if not self._outside.size or len(windows) < 8:
             return False
         windows = np.ascontiguousarray(windows)
         loudest = float(_norm(windows).max()) / np.sqrt(2 * self._half)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 ALLOWED = 0.01
 """Error of a sound bank, relative to the response: rows with a signal-to-noise ratio of 40 dB, as a good bank has."""
-SENTINEL_FREQUENCIES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +135,7 @@ def sentinel_block(sentinel: Sentinel, bank: GreenSource) -> Block:
     """One response for each actuator, which alone is driven, with 1 V at all frequencies."""
     rate_hz, rows = bank.sample_rate_hz, np.asarray(bank.green(sentinel.position), np.float32)[None]
     low_hz, high_hz = bank.band_hz or (0.0, 0.45 * rate_hz)
-    frequency_hz = np.linspace(max(low_hz, rate_hz / bank.taps), min(high_hz, 0.48 * rate_hz), SENTINEL_FREQUENCIES)
+    frequency_hz = np.linspace(max(low_hz, rate_hz / bank.taps), min(high_hz, 0.48 * rate_hz), 64)
     alone = np.repeat(np.eye(bank.actuators)[:, :, None], len(frequency_hz), axis=2).astype(np.complex128)
     response = transforms(sentinel.green, frequency_hz, rate_hz)
     noise = 2.0 * energies(response) * 10.0 ** (-np.asarray(sentinel.snr_db, np.float64) / 10.0)  # of both measurements

@@ -29,22 +29,13 @@ from wavefocus.rendering.verify.actuator_errors import (
 )
 from wavefocus.rendering.verify.mirror_error import MIN_SPACINGS, BankAsField, MirrorFit, displaced
 from wavefocus.rendering.verify.results import CERTAIN_SHARE, ActuatorFigures, Sentinel, Symptom, SymptomCode
-from wavefocus.rendering.verify.superposition import (
-    Block,
-    Blocks,
-    block_of,
-    energy,
-    sentinel_block,
-    squares_left,
-)
+from wavefocus.rendering.verify.superposition import Block, Blocks, block_of, energy, sentinel_block, squares_left
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.verify.comparison import FieldComparison
 
 MAX_ROWS, MIN_ROWS, MIRROR_ROWS = 48, 4, 36
-ROWS_BYTES = 64 << 20
-SPEED_ROWS, SPEED_FREQUENCIES = 8, 64
 MAX_SENTINEL_ACTUATORS = 128
 """The sentinel's equations grow with the square of the number of actuators."""
 MAX_CAUSES = 3
@@ -54,20 +45,11 @@ and speed explain up to 0.2 of another plate's field, whose waves take similar t
 TIE = 0.02
 """A cause is not named where another explains as much within this share of the excess."""
 SPEEDS = (-0.08, -0.06, -0.04, -0.03, -0.02, -0.01, 0.0, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08)
-SPEED_FACTORS = (0.8, 1.25)
-"""A softer surface moves more: the change of all levels that a change of speed may bring with it."""
 MIN_SPEED = 0.002
 """Smaller changes are not named: ten wavelengths away 0.2 % makes an error of about 10 %."""
 SHOWN_SQUARES = 6.0
-"""Level and delay of an actuator are stated where a change of 0.4 dB would change the sum of squares by so much."""
-
-
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
-    """Causes found, and the state of each actuator."""
-
-    symptoms: tuple[Symptom, ...]
-    actuators: tuple[ActuatorFigures, ...]
+"""Level and delay of an actuator are stated where a change of 0.4 dB would change the sum of squares by so much: the
+95 % quantile of chi-squared with two degrees of freedom is 5.99."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +103,7 @@ def diagnose(
     error_limit: float,
     model_error: float,
     nonlinear_share: float | None = None,
-) -> Diagnosis:
+) -> tuple[tuple[Symptom, ...], tuple[ActuatorFigures, ...]]:
     """Name the causes of a difference between scan and prediction.
 
     fields: Both fields at some frequencies.
@@ -132,22 +114,25 @@ def diagnose(
     model_error: Error without the noise's part.
     nonlinear_share: Share of the squared difference that is not there when the scene is played quieter; None where it
         was not.
+
+    Returns what is wrong, the largest cause first, and each actuator against the bank, none where the error is not
+    explained.
     """
     search = _Search(fields, bank, sentinel)
     if nonlinear_share is not None and nonlinear_share >= CERTAIN_SHARE and model_error > error_limit:
         percent = 100.0 * model_error * float(np.sqrt(nonlinear_share))
-        return Diagnosis((Symptom("nonlinear", (), percent, nonlinear_share),), ())
+        return (Symptom("nonlinear", (), percent, nonlinear_share),), ()
     state, found = search.state, _chain(search, error_limit)
     if found:
         state = found[-1].apply()
-        return Diagnosis(_explained(search.state, found), _actuator_figures(state))
+        return _explained(search.state, found), _actuator_figures(state)
     if model_error <= error_limit or state.left - state.noise <= state.responses:
-        return Diagnosis((), _actuator_figures(state))
+        return (), _actuator_figures(state)
     alike = _likeness(search, state)
     if 1.0 - alike >= UNLIKE:
         # Something heavy on a stiff plate looks the same.
-        return Diagnosis((Symptom("wrong_bank", (), fields.correlation_median, 1.0 - alike, certain=False),), ())
-    return Diagnosis((Symptom("unexplained", explained=0.0, certain=False),), ())
+        return (Symptom("wrong_bank", (), fields.correlation_median, 1.0 - alike, certain=False),), ()
+    return (Symptom("unexplained", explained=0.0, certain=False),), ()
 
 
 def _chain(search: _Search, error_limit: float) -> list[_Cause]:
@@ -204,7 +189,7 @@ class _Search:
 
     def __init__(self, fields: FieldComparison, bank: GreenSource, sentinel: Sentinel | None) -> None:
         self._bank, spectra = bank, fields.spectra
-        most = int(np.clip(ROWS_BYTES // (4 * bank.actuators * bank.taps), MIN_ROWS, MAX_ROWS))
+        most = int(np.clip((64 << 20) // (4 * bank.actuators * bank.taps), MIN_ROWS, MAX_ROWS))
         chosen = evenly_spread(len(fields.position_index), most)
         rows = fields.position_index[chosen]
         blocks: Blocks = (
@@ -328,7 +313,7 @@ def speed_cause(state: _State, dispersion: Callable[[], float]) -> _Cause:
     """
     from scipy.optimize import minimize_scalar  # slow to load
 
-    some = tuple(block.some(SPEED_ROWS, SPEED_FREQUENCIES) for block in state.blocks)
+    some = tuple(block.some(8, 64) for block in state.blocks)
     left = [_with_speed(some, change)[0] for change in SPEEDS]
     middle = int(np.clip(np.argmin(left), 1, len(SPEEDS) - 2))
     bounds = SPEEDS[middle - 1], SPEEDS[middle + 1]
@@ -349,7 +334,8 @@ def _with_speed(blocks: Blocks, change: float) -> tuple[float, Blocks]:
     own = sum(energy(values) for values in predicted)
     pairs = zip(predicted, changed, strict=True)
     matched = sum(float((values.conj() * block.response).sum().real) for values, block in pairs)
-    factor = float(np.clip(matched / own, *SPEED_FACTORS)) if own > 0.0 else 1.0
+    # A softer surface moves more: the change of all levels that a change of speed may bring with it.
+    factor = float(np.clip(matched / own, 0.8, 1.25)) if own > 0.0 else 1.0
     louder: list[Block] = [replace(block, drive=factor * block.drive) for block in changed]
     return squares_left(tuple(louder)), tuple(louder)
 

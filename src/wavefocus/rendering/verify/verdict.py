@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -38,7 +38,7 @@ from wavefocus.rendering.verify.results import (
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.sentinel import drift_figures, drift_of
 from wavefocus.rendering.verify.symptom_words import sentence
-from wavefocus.rendering.verify.symptoms import Diagnosis, diagnose
+from wavefocus.rendering.verify.symptoms import diagnose
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
@@ -74,7 +74,8 @@ class Verification:
         as white, over all compared samples and within the band, divided by ``||scan||``. None where the noise was not
         measured.
     figures: Those that have a limit, then the others.
-    diagnosis: What is wrong with the rig or the bank, as far as the scan shows it.
+    symptoms: What is wrong with the rig or the bank, as far as the scan shows it, the largest cause first.
+    actuators: Each actuator against the bank; empty where the error is not explained.
     drift: Of the bank's sentinel position; None where it was not measured again.
     changes: Since an earlier verification; None where there is none to compare with.
     correction: Of the drive by further scans; None where none was asked for.
@@ -85,20 +86,11 @@ class Verification:
     spacing_mm: float | None
     noise_error: float | None
     figures: tuple[Figure, ...]
-    diagnosis: Diagnosis
+    symptoms: tuple[Symptom, ...]
+    actuators: tuple[ActuatorFigures, ...]
     drift: SentinelDrift | None = None
     changes: Changes | None = None
     correction: Correction | None = None
-
-    @property
-    def symptoms(self) -> tuple[Symptom, ...]:
-        """What is wrong, the largest cause first."""
-        return self.diagnosis.symptoms
-
-    @property
-    def actuators(self) -> tuple[ActuatorFigures, ...]:
-        """Each actuator against the bank; empty where the error is not explained."""
-        return self.diagnosis.actuators
 
     @property
     def sources(self) -> tuple[SourceFigures, ...]:
@@ -228,24 +220,18 @@ def compare(
     if quiet is not None and isinstance(scan, Scan):
         linear = linearity_figures(scan, quiet, bank.band_hz, limits.normalised_error)
         share = nonlinear_share(prediction, scan, quiet, bank.band_hz)
-    diagnosis = diagnose(
-        fields,
-        bank,
-        sentinel,
-        error_limit=limits.normalised_error,
-        model_error=model_error,
-        nonlinear_share=share,
+    symptoms, actuators = diagnose(
+        fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error, nonlinear_share=share
     )
     if leak is not None:
-        symptoms = with_crosstalk(diagnosis.symptoms, crosstalk_symptom(leak, fields, marker_v))
-        diagnosis = replace(diagnosis, symptoms=symptoms)
+        symptoms = with_crosstalk(symptoms, crosstalk_symptom(leak, fields, marker_v))
     drift = None if sentinel is None else drift_of(sentinel, bank, drift_limits or DriftLimits())
     figures = (
         *checks, *linear[:1], *_unlimited(fields, focus, noise_error),
         *_quiet_figures(prediction, scan, drive, fields, spacing_mm or 0.0), *linear[1:],
         *(drift_figures(drift) if drift else ()),
     )  # fmt: skip
-    return Verification(fields, focus, spacing_mm, noise_error, figures, diagnosis, drift)
+    return Verification(fields, focus, spacing_mm, noise_error, figures, symptoms, actuators, drift)
 
 
 def _quiet_figures(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,16 +11,17 @@ from numpy.typing import ArrayLike
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.interpolation.base import (
-    Estimate,
     Interpolation,
     InterpolationChoice,
-    Nodes,
     OffGridError,
     grid_position_mm,
     interpolation_method,
+    near,
     scene_points,
 )
 from wavefocus.rendering.greens.interpolation.errors import BANDS, MAX_POINTS, EmittedSpectrum, bank_band_hz
+from wavefocus.rendering.greens.interpolation.on_grid import Nearest
+from wavefocus.rendering.greens.interpolation.path_nodes import REACH_SPACINGS
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, RowReader, usable
 from wavefocus.rendering.scene.model import Scene
@@ -35,34 +35,20 @@ CHANCE = 0.5
 """Error from which the positions say nothing of what lies between them: half of what is there is missed."""
 ON_POSITION = 1e-6
 """Distance from a position, in grid spacings, up to which a place is on it."""
-ON_GRID_POINTS = 4096
 
 
-class AutoInterpolation(Interpolation):
-    """Not a method of its own: `over_scene` gives the cheapest method that serves."""
+def scene_choice(scene: Scene, bank: GreenSource) -> Interpolation:
+    """The cheapest method that serves a scene; as of `choose_interpolation`.
 
-    name = "auto"
-
-    @classmethod
-    def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
-        raise InputError("interpolation is 'auto', which is chosen for a scene; name a method instead")
-
-    @classmethod
-    def over_scene(cls, scene: Scene, bank: GreenSource) -> Interpolation:
-        rate_hz = float(bank.sample_rate_hz)
+    Of a path that leaves the grid "nearest", by which the path point is named where it is sampled.
+    """
+    rate_hz, points_mm, grid = float(bank.sample_rate_hz), scene_points(scene, 4096), PositionGrid(bank.position_mm)
+    try:
+        near(grid, points_mm, REACH_SPACINGS)
         signals = [source.amplitude * source.signal.samples(rate_hz) for source in scene.sources]
-        return choose_interpolation(bank, scene_points(scene, ON_GRID_POINTS), signals)
-
-    @classmethod
-    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
-        """Those of the kernel; a grid too coarse for it needs all, as for "waves"."""
-        return interpolation_method("kernel").needed_rows(grid, rows, points_mm, step_mm)
-
-    def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
-        raise NotImplementedError
-
-    def nodes(self, points_mm: Float64Array) -> Nodes:
-        raise NotImplementedError
+        return choose_interpolation(bank, points_mm, signals)
+    except OffGridError:
+        return Nearest(PositionGrid(grid_position_mm(bank)))
 
 
 def choose_interpolation(
@@ -177,7 +163,7 @@ def interpolated(
     hz = emitted_bands(bank, ())[0] if frequency_hz is None else np.atleast_1d(real_array("frequency_hz", frequency_hz))
     if hz.ndim != 1 or not len(hz) or not ((hz > 0) & (hz <= 0.5 * float(bank.sample_rate_hz))).all():
         raise InputError(f"frequency_hz is {hz.tolist()}; allowed are frequencies up to half the bank's rate")
-    auto = method == AutoInterpolation.name
+    auto = method == "auto"
     kind = choose_interpolation(bank, points_mm) if auto else interpolation_method(method).over(bank, points_mm)
     nodes, reader = kind.nodes(points_mm), RowReader(kind.rows_of(bank))
     green = np.zeros((len(points_mm), bank.actuators, bank.taps))

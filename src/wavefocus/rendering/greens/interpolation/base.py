@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from wavefocus.storage.errors import InputError
 
 SLACK = 1e-9
 """Rounding that is forgiven, relative to the grid spacing."""
-AROUND = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +105,6 @@ class Interpolation(ABC):
     remarks: tuple[str, ...] = ()
     """What a person should know of it."""
 
-    @classmethod
-    def over_scene(cls, scene: Scene, bank: GreenSource) -> Interpolation:
-        """Make it for a bank and a scene."""
-        return cls.over(bank, scene_points(scene))
-
     @abstractmethod
     def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
         """Values and errors at points (n, 2). Raises InputError: the bank has nothing that judges them."""
@@ -160,7 +154,7 @@ class GridInterpolation(Interpolation):
     @classmethod
     def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
         method, found = cls(grid), set[int]()
-        for shift_mm in AROUND * step_mm:
+        for shift_mm in np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]) * step_mm:
             places_mm = points_mm + shift_mm
             while len(places_mm):
                 try:
@@ -207,16 +201,19 @@ def show_mm(point_mm: Float64Array) -> str:
     return f"({point_mm[0]:.6g}, {point_mm[1]:.6g})"
 
 
-POINTS_PER_SOURCE = 64
-
-
 def interpolation_method(name: str) -> type[Interpolation]:
-    """Load a registered method; raises InputError where there is none of that name."""
+    """Load a registered method; raises InputError where there is none of that name, as "auto" is none."""
     if name not in INTERPOLATIONS:
         raise InputError(f"interpolation is {name!r}; allowed are {', '.join(INTERPOLATIONS)}")
-    module, _, method = INTERPOLATIONS[name].partition(":")
-    found: type[Interpolation] = getattr(import_module(module), method)
+    if name == "auto":
+        raise InputError("interpolation is 'auto', which is chosen for a scene; name a method instead")
+    found: type[Interpolation] = _registered(name)
     return found
+
+
+def _registered(name: str) -> Any:
+    module, _, what = INTERPOLATIONS[name].partition(":")
+    return getattr(import_module(module), what)  # which builds on this module
 
 
 def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
@@ -224,10 +221,13 @@ def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
     name = scene.output.interpolation
     if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(name):
         raise InputError(f"interpolation is {name!r}, and the bank was imported: {reason}; use 'nearest'")
-    return interpolation_method(name).over_scene(scene, bank)
+    if name == "auto":
+        chosen: Interpolation = _registered(name)(scene, bank)
+        return chosen
+    return interpolation_method(name).over(bank, scene_points(scene))
 
 
-def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:
+def scene_points(scene: Scene, most: int = 64) -> Float64Array:
     """Points evenly chosen along the paths of a scene's sources, at most so many each, float64 (n, 2).
 
     Of a source that emits anew at every path point, path points.

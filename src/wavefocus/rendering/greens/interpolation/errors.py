@@ -22,14 +22,11 @@ from wavefocus.storage.ledger.reader import DamagedError
 
 WORTH_SAYING = 0.05
 """Error from which a render says something where no tolerance is given."""
-EMITTED_SHARE = 0.01
-"""Bands with less of the scene's energy do not count."""
 MAX_POINTS = 128
 SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
 BANDS = 6
 EDGE_SHARE = 5e-3
 """Energy at either end of the emitted spectrum that the bands need not reach."""
-HALF_BAND = 2.0 ** (1.0 / 6.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +100,8 @@ class InterpolationErrors:
 
     @property
     def _worst_band(self) -> int:
-        used = np.flatnonzero(self.emitted >= EMITTED_SHARE)
+        # Bands with less of the scene's energy do not count.
+        used = np.flatnonzero(self.emitted >= 0.01)
         return int(used[np.argmax(self.median[used])]) if len(used) else int(np.argmax(self.emitted))
 
 
@@ -212,7 +210,7 @@ class EmittedSpectrum:
             bins_hz = self._bins_hz[inside]
             low_hz, high_hz = (float(bins_hz[min(int(edge), len(bins_hz) - 1)]) for edge in (first, last))
         low_hz = max(low_hz, within_hz[0], 1e-3 * high_hz)
-        if high_hz <= low_hz * HALF_BAND:
+        if high_hz <= low_hz * 2.0 ** (1.0 / 6.0):
             return np.array([high_hz])
         edges_hz = np.geomspace(low_hz, high_hz, count + 1)
         return np.asarray(np.sqrt(edges_hz[1:] * edges_hz[:-1]))

@@ -26,7 +26,7 @@ from wavefocus.rendering.greens.interpolation.base import (
     near,
     show_mm,
 )
-from wavefocus.rendering.greens.interpolation.left_out import left_out_estimate
+from wavefocus.rendering.greens.interpolation.left_out import RowValues, left_out_estimate
 from wavefocus.rendering.greens.interpolation.path_nodes import (
     PATH_ERROR,
     REACH_SPACINGS,
@@ -35,27 +35,9 @@ from wavefocus.rendering.greens.interpolation.path_nodes import (
     node_spacing_mm,
 )
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.source import GreenSource, RowReader, well_measured
 
-PHASE_STEP = 0.35
-"""Radians that a wave may turn across half a patch from one frequency of the weights to the next: the cubic spline
-between them is then right to 1e-4."""
-GROWTH = 0.12
-"""Towards 0 Hz, where the ridge decides, knots follow each other by this factor."""
-MAX_KNOTS = 400
-FADE = (1.25, 1.5)
-"""Between these multiples of the band's upper end interpolated rows fade out: above its band a bank holds nothing."""
-LEFT_OUT = 1e-6
-"""Where no band is stated, it ends where this share of the bank's energy is left above."""
-ROWS_LOOKED_AT = 4
-HALF_PATCH_SPACINGS = 3.2
-MIN_ROOM_SAMPLES = 16
-ROOM = 4.0
-"""Room for the weights' own ringing, in times that a wave takes to cross half a patch."""
-KERNELS_KEPT = 32
 ROWS_KEPT = 96
-SPECTRA_BYTES = 160 * 2**20
 
 
 class KernelRows(AddedRows):
@@ -78,7 +60,7 @@ class KernelRows(AddedRows):
         self._kernels: OrderedDict[bytes, PatchKernel] = OrderedDict()
         self._plan(waves)
         row_bytes = 16 * len(self._to_bins) * self.actuators
-        self._spectrum = lru_cache(max(2 * (NEIGHBOURS + 1), SPECTRA_BYTES // row_bytes))(self._transform)
+        self._spectrum = lru_cache(max(2 * (NEIGHBOURS + 1), (160 * 2**20) // row_bytes))(self._transform)
 
     def add(self, points_mm: Float64Array) -> Int64Array:
         """Add rows at points, float64 (n, 2), and return their numbers; a point is added once."""
@@ -113,19 +95,25 @@ class KernelRows(AddedRows):
         """Choose transform length and the frequencies at which weights are worked out."""
         rate_hz = float(self.measured.sample_rate_hz)
         slowness_s_mm = float(np.median(waves.wavenumber_rad_mm.real / (2.0 * np.pi * waves.frequency_hz)))
-        across_s = HALF_PATCH_SPACINGS * self._neighbourhoods.spacing_mm * slowness_s_mm
-        room = min(max(int(np.ceil(ROOM * across_s * rate_hz)), MIN_ROOM_SAMPLES), self.measured.taps)
+        across_s = 3.2 * self._neighbourhoods.spacing_mm * slowness_s_mm
+        # Room for the weights' own ringing, in times that a wave takes to cross half a patch.
+        room = min(max(int(np.ceil(4.0 * across_s * rate_hz)), 16), self.measured.taps)
         self._samples = int(scipy_fft.next_fast_len(self.measured.taps + room, real=True))
         bins_hz = scipy_fft.rfftfreq(self._samples, 1.0 / rate_hz)
         top_hz = self._loud_hz(bins_hz) if self.band_hz is None else self.band_hz[1]
-        fade_hz = np.array(FADE) * max(top_hz, float(waves.frequency_hz[-1]))
+        # Between these multiples of the band's upper end interpolated rows fade out: above its band a bank holds
+        # nothing.
+        fade_hz = np.array((1.25, 1.5)) * max(top_hz, float(waves.frequency_hz[-1]))
         highest_hz = min(float(fade_hz[1]), float(bins_hz[-1]))
         bins_hz = bins_hz[: int(np.searchsorted(bins_hz, highest_hz, side="right"))]
-        widest_hz = max(PHASE_STEP / (2.0 * np.pi * across_s), highest_hz / MAX_KNOTS)
+        # Radians that a wave may turn across half a patch from one frequency of the weights to the next: the cubic
+        # spline between them is then right to 1e-4.
+        widest_hz = max(0.35 / (2.0 * np.pi * across_s), highest_hz / 400)
         lowest_hz = min(float(waves.frequency_hz[0]), widest_hz) / 4.0
         knots_hz = [0.0, lowest_hz]
         while knots_hz[-1] < highest_hz:
-            knots_hz.append(knots_hz[-1] + min(GROWTH * knots_hz[-1], widest_hz))
+            # Towards 0 Hz, where the ridge decides, knots follow each other by this factor.
+            knots_hz.append(knots_hz[-1] + min(0.12 * knots_hz[-1], widest_hz))
         self._waves = waves.at(np.array(knots_hz))
         from scipy.interpolate import CubicSpline  # slow to load
 
@@ -136,10 +124,11 @@ class KernelRows(AddedRows):
     def _loud_hz(self, bins_hz: Float64Array) -> float:
         """Frequency above which some rows of the bank have next to nothing."""
         energy = np.zeros(len(bins_hz))
-        for row in self._neighbourhoods.some_rows(ROWS_LOOKED_AT):
+        for row in self._neighbourhoods.some_rows(4):
             energy += np.square(np.abs(scipy_fft.rfft(self._reader.read(row), self._samples, axis=1))).sum(axis=0)
         above = np.cumsum(energy[::-1])[::-1]
-        loud = int(np.count_nonzero(above > LEFT_OUT * above[0]))
+        # Where no band is stated, it ends where this share of the bank's energy is left above.
+        loud = int(np.count_nonzero(above > 1e-6 * above[0]))
         return float(bins_hz[min(loud, len(bins_hz) - 1)])
 
     def _make(self, patch: Patch, numbers: list[int]) -> None:
@@ -160,7 +149,7 @@ class KernelRows(AddedRows):
     def _kernel(self, patch: Patch) -> PatchKernel:
         if patch.key not in self._kernels:
             self._kernels[patch.key] = PatchKernel(self._waves, patch.offset_mm)
-            while len(self._kernels) > KERNELS_KEPT:
+            while len(self._kernels) > 32:
                 self._kernels.popitem(last=False)
         self._kernels.move_to_end(patch.key)
         return self._kernels[patch.key]
@@ -171,13 +160,7 @@ class KernelRows(AddedRows):
         return np.ascontiguousarray(spectrum.T)
 
 
-FIT_PATCHES, FIT_SHAPES = 24, 4
-COMMON = 3
-"""A shape that a third of the patches have is enough to fit the waves: each further one costs as much again."""
 BANDS_PER_OCTAVE = 3
-MAX_BANDS = 16
-FAINT = 1e-4
-"""Without a stated band: frequencies where the bank's power is above this part of its largest."""
 
 
 class KernelInterpolation(PathInterpolation):
@@ -226,11 +209,7 @@ class KernelInterpolation(PathInterpolation):
         return {row for near_rows in tree.query_ball_point(centres_mm, furthest_mm) for row in near_rows}
 
     def estimate(
-        self,
-        bank: GreenSource,
-        points_mm: Float64Array,
-        frequency_hz: Float64Array,
-        other: Interpolation | None = None,
+        self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array, other: Interpolation | None = None
     ) -> Estimate:
         """Its own values and errors, or another interpolation's."""
         with one_blas_thread():
@@ -259,10 +238,11 @@ class KernelInterpolation(PathInterpolation):
         patches = [self.neighbourhoods.patch(row) for row in anchors if not self._is_sparse(row)]
         if not patches:
             return [self.neighbourhoods.patch(anchors[0])]  # which says what is wrong
-        shapes = Counter(patch.key for patch in patches).most_common(FIT_SHAPES)
-        common = {shape for shape, _ in (shapes[:1] if COMMON * shapes[0][1] >= len(patches) else shapes)}
+        shapes = Counter(patch.key for patch in patches).most_common(4)
+        # A shape that a third of the patches have is enough to fit the waves: each further one costs as much again.
+        common = {shape for shape, _ in (shapes[:1] if 3 * shapes[0][1] >= len(patches) else shapes)}
         patches = [patch for patch in patches if patch.key in common]
-        chosen = evenly_spread(len(patches), FIT_PATCHES)
+        chosen = evenly_spread(len(patches), 24)
         return [patches[index] for index in chosen]
 
 
@@ -270,7 +250,7 @@ def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array
     """Frequencies a third of an octave apart over the bank's band."""
     low_hz, high_hz = bank.band_hz if bank.band_hz is not None else _loud_hz(bank, neighbourhoods)
     high_hz = min(high_hz, 0.499 * bank.sample_rate_hz)
-    low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (MAX_BANDS / BANDS_PER_OCTAVE))
+    low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (16 / BANDS_PER_OCTAVE))
     if low_hz >= high_hz:
         return np.array([high_hz])
     count = int(np.ceil(BANDS_PER_OCTAVE * np.log2(high_hz / low_hz))) + 1
@@ -281,6 +261,7 @@ def _loud_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> tuple[float, 
     power, reader = np.zeros(bank.taps // 2 + 1), RowReader(bank)
     for row in neighbourhoods.some_rows(8):
         power += np.square(np.abs(np.fft.rfft(reader.read(row), axis=1))).sum(axis=0)
-    loud = np.flatnonzero(power > FAINT * power.max()) if power.any() else np.array([1])
+    # Without a stated band: frequencies where the bank's power is above this part of its largest.
+    loud = np.flatnonzero(power > 1e-4 * power.max()) if power.any() else np.array([1])
     step_hz = bank.sample_rate_hz / bank.taps
     return max(float(loud[0]), 1.0) * step_hz, max(float(loud[-1]), 1.0) * step_hz

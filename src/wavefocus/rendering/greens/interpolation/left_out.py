@@ -6,14 +6,47 @@ from typing import Any
 
 import numpy as np
 
+from wavefocus.calibration.numerics import transform_at
 from wavefocus.calibration.wave_model import PatchKernel
-from wavefocus.rendering.arrays import Complex128Array, Float64Array
+from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import Estimate, Interpolation
-from wavefocus.rendering.greens.interpolation.row_values import RowValues
+from wavefocus.rendering.greens.source import GreenSource, RowReader
+from wavefocus.storage.errors import InputError
 
 UNRESOLVED = 0.3
 """Where the kernel misses more than this from a frequency on, in the median, its result is chance."""
 NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
+
+
+class RowValues:
+    """Fourier transforms of a bank's rows at frequencies (n,), each row read once."""
+
+    def __init__(self, bank: GreenSource, frequency_hz: Float64Array) -> None:
+        self._bank = bank
+        self.frequency_hz = frequency_hz
+        self._cached: dict[int, Complex128Array] = {}
+        self._reader = RowReader(bank)
+        self.actuators = bank.actuators
+
+    def of(self, rows: Int64Array) -> Complex128Array:
+        """Values of rows, (frequencies, rows, actuators).
+
+        Raises InputError where a row is all zeros, or holds NaN or infinity.
+        """
+        for row in rows.tolist():
+            if row not in self._cached:
+                self._cached[row] = self._read(row)
+        return np.stack([self._cached[row] for row in rows.tolist()], axis=1)
+
+    def _read(self, row: int) -> Complex128Array:
+        green = self._reader.read(row)
+        if not green.any():
+            x, y = np.asarray(self._bank.position_mm)[row]
+            raise InputError(
+                f"position {row} at ({x:.6g}, {y:.6g}) mm is all zeros, so not measured, but interpolation"
+                " needs it; remeasure or disable the position"
+            )
+        return np.ascontiguousarray(transform_at(green, self.frequency_hz, self._bank.sample_rate_hz).T)
 
 
 def left_out_estimate(

@@ -24,15 +24,17 @@ class Nearest(GridInterpolation):
         return Nodes(rows[:, None], np.ones((len(rows), 1)), rows, distance_mm)
 
 
-class LatticeInterpolation(GridInterpolation):
-    """A method that needs positions on a lattice along x and y, which may have holes.
+class Bilinear(GridInterpolation):
+    """The four corners of the grid cell around a point, weighted by area; on a lattice, which may have holes.
 
     Raises InputError where the positions do not lie on such a lattice, or all on one line.
     """
 
+    name = "bilinear"
+
     def __init__(self, grid: PositionGrid) -> None:
         super().__init__(grid)
-        position, refused = grid.position_mm, f"interpolation is {self.name!r}, but"
+        position, refused = grid.position_mm, "interpolation is 'bilinear', but"
         for axis in (0, 1):
             if not np.ptp(position[:, axis]) > 0:
                 same = f"all positions have the same {'xy'[axis]}; it needs a grid in two directions"
@@ -46,8 +48,24 @@ class LatticeInterpolation(GridInterpolation):
         self._lattice = grid.lattice
         self._row_at = grid.lattice.row_at
 
+    def nodes(self, points_mm: Float64Array) -> Nodes:
+        nearest, distance_mm = near(self.grid, points_mm)
+        cell, part, outside = self._cells(points_mm)
+        (x, y), (column, line) = part, cell
+        weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T
+        rows = np.stack([self._row_at[column + right, line + up] for up in (0, 1) for right in (0, 1)]).T
+        wrong = outside | ((rows < 0) & (weights > 0)).any(axis=1)
+        if wrong.any():
+            point = int(np.argmax(wrong))
+            raise OffGridError(
+                point,
+                f"lies at {show_mm(points_mm[point])} mm, in a grid cell that lacks a corner; bilinear interpolation"
+                " needs all four",
+            )
+        return Nodes(np.maximum(rows, 0), weights, nearest, distance_mm)
+
     def _cells(self, points_mm: Float64Array) -> tuple[Int64Array, Float64Array, BoolArray]:
-        """Cell of each point, its place in the cell from 0 to 1, and whether it lies outside all cells."""
+        """Cells of points, (2, n), their places in the cells from 0 to 1, and whether they lie outside all cells."""
         # Axis by axis: there may be very many points, and numpy is slow along an axis of two.
         cell, part = np.empty((2, len(points_mm)), dtype=np.int64), np.empty((2, len(points_mm)))
         outside = np.zeros(len(points_mm), dtype=bool)
@@ -59,32 +77,4 @@ class LatticeInterpolation(GridInterpolation):
             within = np.clip(beyond, 0.0, 1.0, out=part[axis])
             within[within < SLACK] = 0.0
             within[within > 1.0 - SLACK] = 1.0
-        return cell.T, part.T, outside
-
-    def _corners(
-        self, cell: Int64Array, part: Float64Array, outside: BoolArray, points_mm: Float64Array
-    ) -> tuple[Int64Array, Float64Array]:
-        """Rows and weights of bilinear interpolation, (n, 4) each. Raises OffGridError where a corner is missing."""
-        x, y = part[:, 0], part[:, 1]
-        weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T
-        rows = np.stack([self._row_at[cell[:, 0] + right, cell[:, 1] + up] for up in (0, 1) for right in (0, 1)]).T
-        wrong = outside | ((rows < 0) & (weights > 0)).any(axis=1)
-        if wrong.any():
-            point = int(np.argmax(wrong))
-            raise OffGridError(
-                point,
-                f"lies at {show_mm(points_mm[point])} mm, in a grid cell that lacks a corner; {self.name}"
-                " interpolation needs all four",
-            )
-        return np.maximum(rows, 0), weights
-
-
-class Bilinear(LatticeInterpolation):
-    """The four corners of the grid cell around a point, weighted by area."""
-
-    name = "bilinear"
-
-    def nodes(self, points_mm: Float64Array) -> Nodes:
-        nearest, distance_mm = near(self.grid, points_mm)
-        rows, weights = self._corners(*self._cells(points_mm), points_mm)
-        return Nodes(rows, weights, nearest, distance_mm)
+        return cell, part, outside

@@ -18,20 +18,14 @@ from wavefocus.storage.point_status import Status
 
 STENCIL = 4
 """Nodes that make one point: a cubic polynomial in arc length."""
-CUBIC_ERROR = 0.0177
-"""Rms error of that polynomial for exp(j k s) between its middle nodes, over (k spacing)**4: the root of the mean of
-((t + 1) t (t - 1) (t - 2) / 24)**2 over 0 < t < 1."""
-TURN_RAD = 0.1
-LOOKS_PER_SPACING = 4
-"""A path is looked at so often; where it turns by more from look to look it has a corner or a gap."""
-NARROWINGS = 40
 INSET = 1e-6
-MAX_LOOKS = 4_000_000
 
 
 def node_spacing_mm(wavenumber_rad_mm: float, error: float) -> float:
     """Spacing at which a wave along the path is interpolated with an error."""
-    return float((error / CUBIC_ERROR) ** (1.0 / STENCIL) / wavenumber_rad_mm)
+    # Rms error of that polynomial for exp(j k s) between its middle nodes, over (k spacing)**4: the root of the mean
+    # of ((t + 1) t (t - 1) (t - 2) / 24)**2 over 0 < t < 1.
+    return float((error / 0.0177) ** (1.0 / STENCIL) / wavenumber_rad_mm)
 
 
 class PathNodes:
@@ -105,13 +99,14 @@ def _corners(path: Path, spacing_mm: float) -> Float64Array:
     """Arc lengths at which the path has a corner or a gap, ascending."""
     if isinstance(path, Circle):
         return np.zeros(0)
-    looks = min(int(np.ceil(path.length_mm / spacing_mm * LOOKS_PER_SPACING)) + 2, MAX_LOOKS)
+    # A path is looked at so often; where it turns by more from look to look it has a corner or a gap.
+    looks = min(int(np.ceil(path.length_mm / spacing_mm * 4)) + 2, 4_000_000)
     along = np.linspace(0.0, path.length_mm, looks)
     points = path.point_at(along)
     step_mm = along[1]
     bend_mm = np.hypot(*(points[2:] - 2.0 * points[1:-1] + points[:-2]).T)
     found: list[float] = []
-    for index in np.flatnonzero(bend_mm > TURN_RAD * step_mm).tolist():
+    for index in np.flatnonzero(bend_mm > 0.1 * step_mm).tolist():
         corner = _narrowed(path, float(along[index]), float(along[index + 2]))
         inside = 1e-6 * step_mm < corner < path.length_mm - 1e-6 * step_mm
         # One corner bends two neighbouring looks.
@@ -122,7 +117,7 @@ def _corners(path: Path, spacing_mm: float) -> Float64Array:
 
 def _narrowed(path: Path, begin: float, end: float) -> float:
     """Arc length of the strongest bend between two others."""
-    for _ in range(NARROWINGS):
+    for _ in range(40):
         if end - begin < 1e-9 * path.length_mm:
             break
         along = np.linspace(begin, end, 9)

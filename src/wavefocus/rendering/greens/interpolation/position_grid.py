@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-TIES = 8
-TIE_SLACK = 1e-5
-"""Share of the pitch within which another position may be as near."""
 LATTICE_SLACK = 1e-6
 """Distance from their sites, in grid spacings, up to which positions are on a lattice."""
 FURTHEST_MM = 1e100
@@ -44,7 +41,8 @@ class Lattice:
         for axis in (0, 1):
             lattice = (points_mm[:, axis] - self.origin_mm[axis]) / self.pitch_mm[axis]
             site = np.minimum(np.maximum(np.rint(lattice), 0), self.row_at.shape[axis] - 1)
-            clear &= np.abs(lattice - site) < 0.5 - TIE_SLACK
+            # Share of the pitch within which another position may be as near.
+            clear &= np.abs(lattice - site) < 0.5 - 1e-5
             index *= self.row_at.shape[axis]
             index += np.where(clear, site, 0.0).astype(np.int64)
         return np.where(clear, self.row_at.ravel()[index], -1)
@@ -105,7 +103,7 @@ class PositionGrid:
 
     def _search(self, points_mm: Float64Array) -> Int64Array:
         points_mm = np.clip(points_mm, -FURTHEST_MM, FURTHEST_MM)
-        neighbours = min(TIES, len(self._row))
+        neighbours = min(8, len(self._row))
         found = np.reshape(_tree(self._key).query(points_mm, k=neighbours)[1], (len(points_mm), neighbours))
         rows, tied = self._closest(points_mm, self._row[found])
         for point in np.flatnonzero(tied) if neighbours < len(self._row) else ():

@@ -44,19 +44,12 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
 
 LOG = logging.getLogger("wavefocus")
-FIT_S, FIT_S_A_POSITION = 10.0, 0.2
-"""Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220."""
 RECIPE = 6
 """Raised when the same bank gives another model, so that no older file is used."""
-ROOM = 0.08
-"""Share of the taps that the transform is longer, so that what would come before the first tap does not wrap round."""
 EDGE = 1.2
 """The band is modelled to this factor beyond its ends, where a bank still holds a little: a quarter octave."""
-FAINT = 1e-5
-"""Frequencies with less of the loudest one's power are left out."""
 ROWS_AT_ONCE = 512
 """Rows that are made together, and that are kept; most of the time goes into functions of distance."""
-MODELS_KEPT = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,15 +183,17 @@ def bank_waves(bank: GreenSource) -> BankWaves:
         found = None if kept is None else _of_arrays(kept, bank)
         if found is None:
             positions = int(np.count_nonzero(well_measured(bank)))
+            # Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220 (bench
+            # coarse_grids).
             LOG.warning(
                 "fitting waves to %d positions: about %d s of processor time, once; kept next to the bank",
-                positions, FIT_S + FIT_S_A_POSITION * positions,
+                positions, 10.0 + 0.2 * positions,
             )  # fmt: skip
             found = _fit(bank)
             if isinstance(path, FilePath):
                 write_wave_file(wave_file(path), key, _arrays(found))
         _models[key] = found
-        while len(_models) > MODELS_KEPT:
+        while len(_models) > 4:
             _models.popitem(last=False)
     _models.move_to_end(key)
     return _models[key]
@@ -222,7 +217,8 @@ def _fit(bank: GreenSource) -> BankWaves:
     # A position that was measured twice counts once.
     _, first = np.unique(position_mm[allowed], axis=0, return_index=True)
     rows = np.flatnonzero(allowed)[np.sort(first)]
-    samples = int(scipy_fft.next_fast_len(round((1.0 + ROOM) * bank.taps), real=True))
+    # Share of the taps that the transform is longer, so that what would come before the first tap does not wrap round.
+    samples = int(scipy_fft.next_fast_len(round(1.08 * bank.taps), real=True))
     bins_hz = scipy_fft.rfftfreq(samples, 1.0 / float(bank.sample_rate_hz))
     low_hz, high_hz = bank.band_hz if bank.band_hz is not None else (0.0, np.inf)
     chosen = np.flatnonzero((bins_hz >= max(low_hz / EDGE, bins_hz[1])) & (bins_hz <= min(high_hz * EDGE, bins_hz[-2])))
@@ -230,7 +226,8 @@ def _fit(bank: GreenSource) -> BankWaves:
     power = np.square(np.abs(spectra)).mean(axis=(1, 2))
     if not power.max() > 0:
         raise InputError("interpolation is 'waves', but all Green's functions of the bank are zero; use 'nearest'")
-    loud = np.flatnonzero(power > FAINT * power.max())
+    # Frequencies with less of the loudest one's power are left out.
+    loud = np.flatnonzero(power > 1e-5 * power.max())
     inside = slice(int(loud[0]), int(loud[-1]) + 1)
     model = RimWaves.fit(
         bins_hz[chosen[inside]], position_mm[rows], np.asarray(bank.actuator_mm, dtype=np.float64), spectra[inside],
