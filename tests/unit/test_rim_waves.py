@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
@@ -161,7 +163,8 @@ def test_bounds_hold_the_stated_share_of_errors_without_the_noise_of_the_checks(
             return
         seen = truth[:, some] + nu * plate_noise(rng, 1, checks, len(ACTUATOR_MM))
         level = np.full((checks, len(ACTUATOR_MM)), nu)
-        found = judged(model, random_mm[some], seen, level, 0.0, lambda at, task: [task(one) for one in at])
+        facts = judged(model, random_mm[some], seen, level, 0.0, lambda at, task: [task(one) for one in at])
+        found = replace(model, **facts)
         assert (found.stated, found.judged_by) == (stated, "check positions")
         covered.append((np.abs(truth - model.values(random_mm)) <= found.bound_scale[:, None, None] * deviation).mean())
         if draw == 0:

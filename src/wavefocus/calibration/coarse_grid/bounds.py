@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
 from wavefocus.calibration import Complex128Array, Float64Array
 from wavefocus.calibration.numerics import evenly_spread
-
-if TYPE_CHECKING:
-    from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
 
 MIN_CHECKS, SURE_CHECKS = 12, 24
 """Positions that state a bound of 90 %, and of 95 %: a quantile L needs at least 1 / (1 - L) of them, 10 and 20 (Lee,
@@ -23,20 +19,34 @@ JUDGED = 64
 """Frequencies at which errors are judged; they may come and go within 25 Hz."""
 
 
+class Model(Protocol):
+    """What a model between positions gives at points and frequencies."""
+
+    @property
+    def frequency_hz(self) -> Float64Array:
+        """Its frequencies in Hz."""
+
+    def values(self, points_mm: Float64Array, index: Sequence[int] | None = None) -> Complex128Array:
+        """Transfer functions, (frequencies, points, actuators)."""
+
+    def deviations(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
+        """Their standard deviations, (frequencies, points, actuators)."""
+
+
 def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
     """Indices of the frequencies at which errors are judged."""
     return [int(index) for index in evenly_spread(len(frequency_hz), JUDGED)]
 
 
 def judged(
-    model: RimWaves,
+    model: Model,
     check_mm: Float64Array,
     check_transfer: Complex128Array,
     noise: Float64Array,
     resolution_hz: float,
     each: Callable[[Sequence[int], Callable[[int], tuple[float, float, float]]], list[tuple[float, float, float]]],
-) -> RimWaves:
-    """The model with errors and bounds by positions that were not fitted to (normalised split conformal prediction).
+) -> dict[str, Any]:
+    """Errors and bounds, by fields of `RimWaves`, by positions that were not fitted to (split conformal prediction).
 
     With d what was measured at check places, p the model's values, s its deviations there and nu the noise's,
 
@@ -68,10 +78,10 @@ def judged(
     error_scale, bound_scale, by_noise = (
         between(model.frequency_hz, at, part) for part in np.array(each(at, factors)).T
     )
-    return replace(
-        model, error_scale=error_scale, bound_scale=bound_scale, by_noise=by_noise, stated=stated,
-        judged_by="check positions",
-    )  # fmt: skip
+    return {
+        "error_scale": error_scale, "bound_scale": bound_scale, "by_noise": by_noise, "stated": stated,
+        "judged_by": "check positions",
+    }  # fmt: skip
 
 
 def typical(square: Float64Array, variance: Float64Array) -> float:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -176,7 +176,7 @@ class RimWaves:
             if check_mm is None or check_transfer is None or len(check_mm) < MIN_CHECKS:
                 return model
             noise = np.zeros(check_transfer.shape[1:]) if check_noise is None else np.nan_to_num(check_noise)
-            return judged(model, check_mm, check_transfer, noise, resolution_hz, fit.each)
+            return replace(model, **judged(model, check_mm, check_transfer, noise, resolution_hz, fit.each))
 
     def require_sound(self, actuators: int) -> None:
         """Raise ValueError where arrays, as those read from a file, do not fit each other or are not finite."""
