@@ -212,6 +212,7 @@ class DriverProcess:
             for message in messages:
                 self._pipe.send(message)
         except (OSError, ValueError):
+            self._reader.join(ANSWER_S)  # its last message says why
             raise ProcessGoneError(self._why()) from None
         finally:
             guard.cancel()
@@ -246,8 +247,7 @@ class DriverProcess:
                 try:
                     self.send(Ask())
                 except ProcessGoneError:
-                    self._reader.join(ANSWER_S)  # what it said before it went may be what is waited for
-                    with self._news:
+                    with self._news:  # what it said before it went may be what is waited for
                         value = look()
                     if value is None:
                         raise

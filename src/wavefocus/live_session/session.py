@@ -121,9 +121,10 @@ class LiveSession:
                     self._notice("interpolation", self._warning, always=True)
                 while not self._stop.is_set():
                     try:
-                        self._next_block()
-                    except TransientInstrumentError as dry:
-                        self._begin_anew(dry)
+                        try:
+                            self._next_block()
+                        except TransientInstrumentError as dry:
+                            self._begin_anew(dry)
                     except InstrumentLostError as lost:
                         self._bring_back(lost)
                     if self._ending.is_set() and not self.engine.state():
