@@ -183,8 +183,7 @@ def bank_waves(bank: GreenSource) -> BankWaves:
         found = None if kept is None else _of_arrays(kept, bank)
         if found is None:
             positions = int(np.count_nonzero(well_measured(bank)))
-            # Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220 (bench
-            # coarse_grids).
+            # Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220.
             LOG.warning(
                 "fitting waves to %d positions: about %d s of processor time, once; kept next to the bank",
                 positions, 10.0 + 0.2 * positions,
