@@ -68,11 +68,14 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     return report
 
 
+LONGEST_NAME = 80
 WHOLE = tuple(Path(__file__).parent / folder for folder in ("system", "gui"))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
+        if len(item.name.split("[")[0]) > LONGEST_NAME:
+            raise pytest.UsageError(f"{item.nodeid}: a name of a test has at most {LONGEST_NAME} characters")
         if any(folder in item.path.parents for folder in WHOLE) and item.get_closest_marker("smoke") is None:
             item.add_marker(pytest.mark.whole)
         marker = item.get_closest_marker("may_skip")

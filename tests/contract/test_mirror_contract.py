@@ -14,7 +14,7 @@ def test_given_a_mirror_then_it_has_the_role_and_a_name(bench):
     assert bench.instruments.mirror.identity.product.strip()
 
 
-def test_given_a_direction_within_reach_then_the_beam_settles_in_time_and_waiting_again_returns_at_once(bench):
+def test_a_direction_within_reach_settles_in_time_and_waiting_again_returns(bench):
     mirror, clock = bench.instruments.mirror, bench.instruments.clock
     mirror.move_to(*bench.reachable_mrad)
     for _ in range(2):
@@ -23,7 +23,7 @@ def test_given_a_direction_within_reach_then_the_beam_settles_in_time_and_waitin
         assert clock.now_s() - before_s <= bench.settle_timeout_s
 
 
-def test_given_a_direction_out_of_reach_then_it_says_who_what_why_and_what_to_do_and_the_next_move_works(bench):
+def test_a_direction_out_of_reach_is_refused_whole_and_the_next_move_works(bench):
     mirror = bench.instruments.mirror
     with pytest.raises(InstrumentError) as caught:
         mirror.move_to(*bench.unreachable_mrad)

@@ -107,7 +107,7 @@ def with_sample(bench, wrong):
     ],
     ids=["not a number", "infinite", "unknown channel", "unlike lengths", "no length"],
 )
-def test_given_signals_that_cannot_be_played_then_it_says_who_what_why_and_what_to_do(bench, signals_v):
+def test_signals_that_cannot_be_played_then_it_says_who_what_why_and_what_to_do(bench, signals_v):
     with pytest.raises(InstrumentError) as caught:
         bench.instruments.player.play(signals_v(bench), bench.sample_rate_hz)
     error = caught.value

@@ -159,7 +159,7 @@ print(json.dumps([MIRRORS.failures, told]))
 """
 
 
-def test_given_drivers_that_cannot_be_used_then_their_rigs_are_refused_with_the_reason_and_others_are_not(tmp_path):
+def test_rigs_of_drivers_that_cannot_be_used_are_refused_with_the_reason(tmp_path):
     facts = tmp_path / "site" / "acme-1.0.dist-info"
     facts.mkdir(parents=True)
     (facts / "METADATA").write_text("Name: acme\nVersion: 1.0\n", "utf-8")

@@ -53,7 +53,7 @@ def test_given_the_driver_then_it_is_registered_and_can_be_emulated() -> None:
     assert set(VIBROMETER_DRIVERS) <= set(VIBROMETERS.all())
 
 
-def test_given_a_controller_then_range_and_level_are_read_echo_or_not_and_the_port_is_free_again(
+def test_controller_then_range_and_level_are_read_echo_or_not_and_port_is_free_again(
     driver: str, tmp_path: Path
 ) -> None:
     with controller(ECHOING[driver](), tmp_path) as emulated:
@@ -92,9 +92,7 @@ def test_given_one_lost_garbled_or_broken_off_answer_then_the_range_is_still_rig
             assert read(driver, emulated).sensitivity_m_s_per_v == pytest.approx(0.125)
 
 
-def test_given_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range(
-    driver: str, tmp_path: Path
-) -> None:
+def test_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range(driver: str, tmp_path: Path) -> None:
     with (
         controller(ECHOING[driver](), tmp_path, fault("garbled", count=100_000)) as emulated,
         pytest.raises((TransientInstrumentError, InstrumentLostError)),

@@ -39,7 +39,7 @@ def paced(per_hour: float, left_s: float) -> CampaignStatus:
 
 
 @pytest.mark.parametrize("state", [*State, *Extra])
-def test_given_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measured(state: State | Extra) -> None:
+def test_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measured(state: State | Extra) -> None:
     text = pace_text(paced(120.0, 4.0), going_on=ShownState(state).going_on)
     assert ("left" in text) is (state is State.RUNNING)
     assert text.startswith("120 positions an hour")

@@ -35,7 +35,7 @@ def tab(qtbot: QtBot, shared_window: Window, measured: Path) -> CampaignTab:
     return tab
 
 
-def test_given_a_click_on_the_map_then_green_s_functions_and_quality_of_that_position_are_shown(
+def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_shown(
     qtbot: QtBot, tab: CampaignTab
 ) -> None:
     panel, shown = tab.position_panel, tab.map_panel.map
@@ -56,7 +56,7 @@ def test_given_a_click_on_the_map_then_green_s_functions_and_quality_of_that_pos
     assert "position 6: actuator 1" in panel.spectrum_plot.getPlotItem().titleLabel.text
 
 
-def test_given_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mouse(
+def test_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mouse(
     qtbot: QtBot, tab: CampaignTab
 ) -> None:
     shown = tab.map_panel.map
@@ -90,7 +90,7 @@ def test_given_ctrl_clicks_and_a_rectangle_then_those_positions_are_selected(qtb
     assert tab.controls.actions_by_name["selected"].text() == "Remeasure selected (4)"
 
 
-def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_holds(
+def test_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_holds(
     qtbot: QtBot, tab: CampaignTab
 ) -> None:
     tab.map_panel.colour_by.setCurrentIndex(1)

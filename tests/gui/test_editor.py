@@ -52,7 +52,7 @@ def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot: QtBot,
     assert "must be above 0" in page.editor.problem.text()
 
 
-def test_given_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_that_it_names(
+def test_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_that_it_names(
     qtbot: QtBot, tab: FilesTab, tmp_path: Path
 ) -> None:
     run = write_lab(tmp_path / "lab", 4, 3)
@@ -72,9 +72,7 @@ def test_given_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_tha
     assert rig.table.item(0, 2).text() == "0"
 
 
-def test_given_a_file_that_another_program_writes_then_it_is_read_again_and_unsaved_text_is_kept(
-    tab: FilesTab, tmp_path: Path
-) -> None:
+def test_a_file_that_another_program_writes_is_read_again_unsaved_text_is_kept(tab: FilesTab, tmp_path: Path) -> None:
     page, file = tab.pages[FileKind.RUN], tmp_path / "run.toml"
     file.write_text("[grid]\nspacing_mm = 4.0\n", encoding="utf-8")
     page.files.open(file)
@@ -94,7 +92,7 @@ def test_given_a_file_that_another_program_writes_then_it_is_read_again_and_unsa
     assert "changed on disk" not in page.name.text()
 
 
-def test_given_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_the_next_window(
+def test_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_next_window(
     open_window: Opens, memory: Settings
 ) -> None:
     window = open_window()
@@ -112,7 +110,7 @@ def test_given_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_the_
     assert texts == ["[sweep]\n", '[mirror]\ndriver = "virt\u00a0ual"\n']
 
 
-def test_given_each_kind_of_path_and_signal_then_the_inserted_source_is_a_scene_but_for_a_missing_file() -> None:
+def test_each_kind_of_path_and_signal_is_inserted_as_a_valid_scene() -> None:
     kinds = [source_on_path(kind) for kind in tables_by_kind(PathTable)]
     for text in kinds + [source_with_signal(kind) for kind in tables_by_kind(SignalTable)]:
         document = SceneDocument()

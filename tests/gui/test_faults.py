@@ -71,7 +71,7 @@ def test_given_no_font_then_exit_2_and_the_package(tmp_path: Path) -> None:
     refused(done, "no font", "fonts-dejavu-core")
 
 
-def test_given_a_bank_deleted_under_the_window_then_a_sentence_and_it_is_followed_again_when_it_is_back(
+def test_a_bank_deleted_under_the_window_is_told_and_followed_when_it_is_back(
     qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     window = open_window(finished)

@@ -68,7 +68,7 @@ def test_given_a_folder_that_holds_a_lab_then_a_new_lab_touches_nothing_in_it(
     assert campaign_of(window).run_field.path is None
 
 
-def test_given_a_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_a_bank(
+def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_bank(
     qtbot: QtBot, open_window: Opens, tmp_path: Path
 ) -> None:
     run = write_lab(tmp_path / "lab", 4, 3)

@@ -46,7 +46,7 @@ from wavefocus.storage.ledger.owner import Owner
 AT = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-def test_given_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:
+def test_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:
     log = tmp_path / "plate.events.jsonl"
     tail = LogTail(log)
     assert tail.read() == ([], False)
@@ -159,7 +159,7 @@ def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> No
         {},
     ],
 )
-def test_given_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_nothing(
+def test_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_nothing(
     record: dict[str, object],
 ) -> None:
     campaign = CampaignModel()
@@ -178,7 +178,7 @@ def test_given_an_event_then_its_line_is_a_sentence() -> None:
     assert line_of(logged).text == "finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
 
 
-def test_given_figures_per_actuator_then_each_position_has_its_own_and_unmeasured_ones_none() -> None:
+def test_each_position_has_its_own_figures_per_actuator_and_unmeasured_ones_none() -> None:
     quality = {
         "snr_db": np.array([[1, 2, 3], [4, 5, np.nan], [0, 0, 0]], np.float32),
         "attempts": np.ones(3, np.float32),
@@ -189,7 +189,7 @@ def test_given_figures_per_actuator_then_each_position_has_its_own_and_unmeasure
     assert np.isnan(found["coherence"]).all()
 
 
-def test_given_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_finds_it() -> None:
+def test_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_finds_it() -> None:
     square = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
     shifted = square + np.where(square[:, 1:] % 8 == 0, 0.0, 2.0) * [1, 0]
     for position_mm in (square, shifted, np.array([[3.0, 4.0]])):
@@ -199,7 +199,7 @@ def test_given_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_fi
         assert raster.nearest(1e4, 0.0) == -1
 
 
-def test_given_check_positions_then_they_take_no_pixels_from_their_neighbours_and_a_click_finds_them() -> None:
+def test_check_positions_take_no_pixels_from_neighbours_and_a_click_finds_them() -> None:
     grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
     with_checks = np.vstack([grid, [[1.0, 1.0], [9.5, 6.5]]])
     raster, bare = raster_of(with_checks, [35, 36]), raster_of(grid)

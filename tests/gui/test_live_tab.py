@@ -96,7 +96,7 @@ def shown(tab: SceneTab) -> str:
     return str(tab.live_panel.figures.text())
 
 
-def test_given_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes(
+def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes(
     qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
 ) -> None:
     window = open_window()
@@ -147,7 +147,7 @@ def test_given_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop
     assert scene.read_text(encoding="utf-8").count("[[source]]") >= 4  # late positions begin another
 
 
-def test_given_a_source_that_sounds_then_leaving_the_page_or_closing_the_window_ends_the_session(
+def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(
     qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     window = open_window()
@@ -182,7 +182,7 @@ def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_so
     assert not tab.live_run.busy
 
 
-def test_given_figures_then_latency_underruns_limiter_and_what_is_left_out_are_marked() -> None:
+def test_figures_then_latency_underruns_limiter_and_what_is_left_out_are_marked() -> None:
     ready = LiveReady("player", "bank", 3, 5.0, 50.0, 215.0, 12.0, (0.0, 4.5), (0.0, 3.0))
     good = LiveState(2.0, 6.0, 9.0, 0.4, 0, "none", None, (), 0.0, ())
     late = LiveState(2.0, 30.0, 25.0, 1.3, 2, "sources", None, ("finger 2",), -3.0, ())

@@ -120,7 +120,7 @@ def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(
     assert window._pages.currentWidget() is tab_of(window, CampaignTab)  # that of the last one
 
 
-def test_given_a_click_on_open_in_the_scene_tab_then_the_scene_that_is_chosen_is_shown(
+def test_a_click_on_open_in_the_scene_tab_then_the_scene_that_is_chosen_is_shown(
     qtbot: QtBot, open_window: Opens, tmp_path: Path
 ) -> None:
     scene = write_scene(tmp_path)

@@ -101,9 +101,7 @@ def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reporte
     assert values == [0.25]
 
 
-def test_given_typed_numbers_when_a_sweep_and_a_jog_are_asked_for_then_those_are_sent(
-    qtbot: QtBot, window: Window
-) -> None:
+def test_typed_numbers_when_a_sweep_and_a_jog_are_asked_for_then_those_are_sent(qtbot: QtBot, window: Window) -> None:
     page = shown_tab(window, RigTab).manual_page
     sound, jog = page.sound, page.jog
     for box in (sound.level_v, jog.x_mm):

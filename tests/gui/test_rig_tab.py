@@ -158,9 +158,7 @@ def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(
     assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == file.name
 
 
-def test_given_a_wizard_without_moves_that_is_cancelled_then_it_says_what_to_do_and_writes_nothing(
-    qtbot: QtBot, open_window: Opens, rig: Path
-) -> None:
+def test_a_wizard_without_moves_says_what_to_do_and_writes_nothing(qtbot: QtBot, open_window: Opens, rig: Path) -> None:
     window = open_window(rig)
     tab, page = shown_tab(window, RigTab), shown_tab(window, RigTab).calibration_page
     tab.pages.setCurrentWidget(page)
@@ -179,7 +177,7 @@ def test_given_a_wizard_without_moves_that_is_cancelled_then_it_says_what_to_do_
     assert page.options.isVisible()
 
 
-def test_given_the_process_is_killed_then_the_window_says_so_and_takes_them_again_and_a_close_frees_them(
+def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(
     qtbot: QtBot, open_window: Opens, rig: Path
 ) -> None:
     window = open_window(rig)

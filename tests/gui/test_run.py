@@ -23,7 +23,7 @@ with BankWriter.open(sys.argv[1]):
 """
 
 
-def test_given_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_closing(
+def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_closing(
     qtbot: QtBot, open_window: Opens, tmp_path: Path
 ) -> None:
     run_file = write_lab(tmp_path / "lab", 8, 5)

@@ -117,9 +117,7 @@ def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathTable:
     return tab.document.draft.source[-1].path
 
 
-def test_given_each_tool_then_its_table_is_added_to_the_text_and_undone_and_the_cursor_chooses_a_source(
-    qtbot: QtBot, tab: SceneTab
-) -> None:
+def test_each_tool_adds_its_table_to_the_text_and_the_cursor_chooses_a_source(qtbot: QtBot, tab: SceneTab) -> None:
     canvas, document, text = tab.surface.canvas, tab.document, tab.editor.text
     line = draw(qtbot, tab, "line")
     assert near(line.start_mm, 5, 5)
@@ -159,9 +157,7 @@ at_mm = [ -20.0, # x
 """
 
 
-def test_given_points_that_are_dragged_then_only_their_numbers_in_the_text_change_and_are_undone(
-    qtbot: QtBot, tab: SceneTab
-) -> None:
+def test_dragged_points_change_only_their_numbers_in_the_text_and_are_undone(qtbot: QtBot, tab: SceneTab) -> None:
     canvas, document = tab.surface.canvas, tab.document
     document.begin(COMMENTED, None)
     settled(qtbot, tab)
@@ -182,9 +178,7 @@ def test_given_points_that_are_dragged_then_only_their_numbers_in_the_text_chang
     assert document.toml() == COMMENTED
 
 
-def test_given_typing_then_the_scene_follows_and_what_is_wrong_is_told_while_the_last_scene_is_shown(
-    qtbot: QtBot, tab: SceneTab
-) -> None:
+def test_the_scene_follows_typing_and_mistakes_are_told_beside_the_last_scene(qtbot: QtBot, tab: SceneTab) -> None:
     document, text = tab.document, tab.editor.text
     draw(qtbot, tab, "line")
     text.find("speed_mm_s = 80.0", QTextDocument.FindFlag.FindBackward)
@@ -197,7 +191,7 @@ def test_given_typing_then_the_scene_follows_and_what_is_wrong_is_told_while_the
     wait(qtbot, lambda: tab.surface.problem == "")
 
 
-def test_given_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene(
+def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene(
     qtbot: QtBot, tab: SceneTab, tmp_path: Path
 ) -> None:
     file = tmp_path / "two.toml"
@@ -282,7 +276,7 @@ def test_given_a_file_that_another_program_changed_then_saving_asks(
         (SCENE.replace("radius_mm", "radius"), "did you mean radius_mm?"),
     ],
 )
-def test_given_a_wrong_scene_file_then_it_is_shown_with_its_mistakes_at_their_lines_and_cannot_be_saved(
+def test_a_wrong_scene_file_is_shown_with_its_mistakes_and_cannot_be_saved(
     qtbot: QtBot, tab: SceneTab, tmp_path: Path, text: str, sentence: str
 ) -> None:
     file = tmp_path / "wrong.toml"
@@ -306,7 +300,7 @@ def test_given_a_text_without_a_source_then_its_other_tables_are_read_and_checke
     assert [mistake.line for mistake in document.mistakes] == [1]
 
 
-def test_given_a_scene_that_commands_would_refuse_then_the_window_says_so_and_does_not_write_it(
+def test_scene_that_commands_would_refuse_then_window_says_so_and_does_not_write_it(
     qtbot: QtBot, tab: SceneTab, tmp_path: Path
 ) -> None:
     document = tab.document
@@ -350,7 +344,7 @@ signal = { kind = "noise", band_hz = [0, 1], duration_s = 1e7 }
 """
 
 
-def test_given_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happens(
+def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happens(
     qtbot: QtBot, tab: SceneTab, finished: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "wild.toml"
@@ -417,9 +411,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(draft=DRAFTS)
-def test_given_any_draft_then_what_is_written_is_the_same_scene_to_the_command_line_and_the_same_draft_again(
-    draft: SceneConfig, folder: Path
-) -> None:
+def test_any_draft_is_written_as_the_same_scene_and_read_as_the_same_draft(draft: SceneConfig, folder: Path) -> None:
     file = folder / "scene.toml"
     text = scene_toml(draft, folder)
     file.write_bytes(text.encode("utf-8"))

@@ -75,9 +75,7 @@ def bench(qtbot: QtBot, open_window: Opens, finished: Path) -> Generator[Bench]:
 
 
 @pytest.mark.timeout(500)
-def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_older_scene_is_shown(
-    qtbot: QtBot, bench: Bench
-) -> None:
+def test_drives_field_and_figures_follow_edits_and_nothing_older_is_shown(qtbot: QtBot, bench: Bench) -> None:
     panel = bench.panel
     bench.says(EMPTY)
     assert not panel.bar.saves[DRIVE].isEnabled()
@@ -136,9 +134,7 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
 
 
 @pytest.mark.timeout(500)
-def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_sentence_says_so(
-    bench: Bench, finished: Path
-) -> None:
+def test_no_bank_path_off_grid_or_bank_that_goes_and_comes_then_sentence_says_so(bench: Bench, finished: Path) -> None:
     panel = bench.panel
     bench.document.use_bank(None)
     bench.says(NO_BANK)
@@ -198,7 +194,7 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_
     assert not (tmp_path / "out.gif").exists()
 
 
-def test_given_an_unsaved_text_with_a_relative_name_then_the_file_beside_the_scene_is_meant(
+def test_unsaved_text_with_relative_name_then_file_beside_scene_is_meant(
     bench: Bench, finished: Path, tmp_path: Path
 ) -> None:
     scene = finished.with_name("finger.toml")
@@ -306,9 +302,7 @@ sys.exit(code)
 """
 
 
-def test_given_a_start_script_without_a_guard_then_the_process_that_calculates_does_not_run_it_again(
-    finished: Path, tmp_path: Path
-) -> None:
+def test_a_start_script_without_a_guard_is_not_run_again_by_the_calculation(finished: Path, tmp_path: Path) -> None:
     script = tmp_path / "start.py"
     script.write_text(UNGUARDED, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}

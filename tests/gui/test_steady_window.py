@@ -15,7 +15,7 @@ from wavefocus.gui.field_map import MAX_COLUMNS, decimate
 from wavefocus.gui.scene.tab import SceneTab
 
 
-def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goes_on_following(
+def test_defect_while_bank_is_followed_then_window_says_so_and_goes_on_following(
     qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     broken = [True]

@@ -53,7 +53,7 @@ def measured_now(tmp_path: Path) -> Generator[tuple[Path, int]]:
         owner.communicate(timeout=20)
 
 
-def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_busy(
+def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_busy(
     qtbot: QtBot, open_window: Opens, measured_now: tuple[Path, int], real_rig: Path, tmp_path: Path
 ) -> None:
     bank, owner = measured_now
@@ -99,7 +99,7 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
     wait(qtbot, lambda: not verification.run.running)
 
 
-def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_word(
+def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_word(
     qtbot: QtBot, open_window: Opens, real_rig: Path, tmp_path: Path
 ) -> None:
     run = write_lab(tmp_path / "lab", 4, 3)
@@ -119,7 +119,7 @@ def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_withou
     wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
 
 
-def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_other_and_then_acts(
+def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(
     qtbot: QtBot, open_window: Opens, long_run: Path
 ) -> None:
     window = open_window(long_run)
@@ -143,7 +143,7 @@ def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_o
     wait(qtbot, lambda: "session_ended" in log.read_text(encoding="utf-8"))
 
 
-def test_given_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
+def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
     qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
 ) -> None:
     other = write_lab(tmp_path / "other", 2, 2)

@@ -108,7 +108,7 @@ def press(button: QWidget, source: Qt.MouseEventSource) -> None:
         QApplication.sendEvent(button, event)
 
 
-def test_given_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_input(
+def test_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_input(
     start: Opens, qtbot: QtBot, tmp_path: Path
 ) -> None:
     window = start()
@@ -146,7 +146,7 @@ def test_given_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_
     assert [row.replays for row in rows] == [0, 0, 0, 1, 0, 0]
 
 
-def test_given_it_is_closed_in_a_trial_then_a_second_window_resumes_there_and_shows_a_crash(
+def test_it_is_closed_in_trial_then_second_window_resumes_there_and_shows_crash(
     start: Opens, qtbot: QtBot, tmp_path: Path
 ) -> None:
     window = start()
@@ -170,7 +170,7 @@ def test_given_it_is_closed_in_a_trial_then_a_second_window_resumes_there_and_sh
     assert again.process.failure in again.notice.text.text()
 
 
-def test_given_a_trials_file_then_the_window_shows_what_is_left_and_starts_the_participants_window(
+def test_trials_file_then_window_shows_what_is_left_and_starts_participants_window(
     start: Opens, open_window: Callable[..., Window], qtbot: QtBot, tmp_path: Path, measured: Path
 ) -> None:
     window = start()

@@ -119,7 +119,7 @@ def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
     np.testing.assert_allclose(difference.values, 100 * np.array(record["positions"]["error"]))
 
 
-def test_given_the_figures_then_they_are_those_of_the_file_with_verdict_and_definition(
+def test_the_figures_then_they_are_those_of_the_file_with_verdict_and_definition(
     qtbot: QtBot, shown: VerificationTab, verified: Path
 ) -> None:
     tab = shown
@@ -221,7 +221,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
 
 
 @pytest.mark.skipif(os.name != "posix", reason="ends processes by signals")
-def test_given_a_long_scan_then_closing_asks_cancel_parks_and_a_killed_process_is_a_sentence(
+def test_long_scan_then_closing_asks_cancel_parks_and_killed_process_is_sentence(
     qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
     window = open_window()
@@ -248,7 +248,7 @@ def test_given_a_long_scan_then_closing_asks_cancel_parks_and_a_killed_process_i
     assert "run the verification again" in window.messages.sentence
 
 
-def test_given_a_verification_of_another_process_then_it_is_followed_and_can_be_ended(
+def test_a_verification_of_another_process_then_it_is_followed_and_can_be_ended(
     qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
     window = open_window()
@@ -294,7 +294,7 @@ def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(
     assert "report.html is gone" in window.messages.sentence
 
 
-def test_given_files_then_each_opens_or_belongs_to_a_field_and_the_next_window_has_them(
+def test_files_then_each_opens_or_belongs_to_a_field_and_the_next_window_has_them(
     qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
     window = open_window(lab / "verify" / "scan.h5")

@@ -103,7 +103,7 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 
 @pytest.mark.timeout(1200)
 @pytest.mark.long
-def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
+def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone(
     qtbot: QtBot, open_window: Opens, memory: Settings, tmp_path: Path
 ) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0

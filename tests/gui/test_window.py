@@ -49,7 +49,7 @@ assert len(window.tabs) == 5
 """
 
 
-def test_given_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(
+def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(
     qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     window = open_window(finished)
@@ -115,7 +115,7 @@ def test_given_files_then_a_tab_opens_each_and_they_are_remembered(
     assert "no tab opens such a file" in window.messages.sentence
 
 
-def test_given_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(
+def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(
     qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     font = QApplication.font()
@@ -154,7 +154,7 @@ def test_given_size_run_and_bank_then_the_next_window_has_them_again(
     again.close_at_once()
 
 
-def test_given_splitters_that_were_moved_then_the_next_window_has_them_in_their_own_direction(
+def test_splitters_that_were_moved_then_next_window_has_them_in_their_own_direction(
     open_window: Opens, memory: Settings
 ) -> None:
     window = open_window()

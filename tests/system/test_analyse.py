@@ -34,7 +34,7 @@ trials = 12
 """
 
 
-def test_given_a_simulated_participant_then_the_command_s_answers_are_analysed_into_one_guarded_folder(
+def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
@@ -108,7 +108,7 @@ def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(t
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
-def test_given_200_simulated_people_of_each_design_then_the_intervals_hold_the_truth_in_95_of_100(
+def test_200_simulated_people_of_each_design_then_intervals_hold_truth_in_95_of_100(
     tmp_path: Path,
 ) -> None:
     for name, design in designs(tmp_path).items():

@@ -53,9 +53,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no limit on the size of files")
 @pytest.mark.parametrize("limit", [0, 20_000, 130_000])
-def test_a_disk_that_takes_no_more_while_a_bank_is_made_then_it_is_told_and_nothing_is_left(
-    tmp_path: Path, limit: int
-) -> None:
+def test_a_disk_that_fills_while_a_bank_is_made_is_told_and_nothing_is_left(tmp_path: Path, limit: int) -> None:
     command = [sys.executable, "-c", MAKE, str(tmp_path / "bank.h5"), str(limit)]
     told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (told.returncode, told.stderr) == (0, "")
@@ -65,7 +63,7 @@ def test_a_disk_that_takes_no_more_while_a_bank_is_made_then_it_is_told_and_noth
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no limit on the size of files")
-def test_a_disk_without_room_for_the_owners_name_then_the_bank_is_measured_all_the_same(tmp_path: Path) -> None:
+def test_disk_without_room_for_owners_name_then_bank_is_measured_all_same(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     create_bank(path, header(4))
     owner_path(path).mkdir()  # a name that cannot be written, whoever asks

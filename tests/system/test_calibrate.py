@@ -296,7 +296,7 @@ class SomebodyWhoTakesTheName(io.StringIO):
         return super().readline()
 
 
-def test_given_a_name_that_is_taken_meanwhile_then_what_was_measured_has_the_next_one(
+def test_a_name_that_is_taken_meanwhile_then_what_was_measured_has_the_next_one(
     rig: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = rig.with_name("c.toml")
@@ -405,7 +405,7 @@ def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
         ),
     ],
 )
-def test_given_a_calibration_too_old_or_of_another_device_then_capture_warns_and_goes_on(
+def test_a_calibration_too_old_or_of_another_device_then_capture_warns_and_goes_on(
     rig: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], told: str
 ) -> None:
     out = rig.parent / "cal.toml"

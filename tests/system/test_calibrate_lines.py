@@ -48,9 +48,7 @@ def meet(lines: Lines, ask: dict[str, Any], off_mm: float = 0.0) -> None:
     lines.send(answer="here")
 
 
-def test_given_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_named(
-    asked: Lines, rig: Path
-) -> None:
+def test_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_named(asked: Lines, rig: Path) -> None:
     begin = asked.hear("begin")
     assert len(begin["marks_mm"]) == 7
     level = asked.hear("level")  # while a person jogs, both inputs are heard
@@ -82,7 +80,7 @@ def test_given_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_an
     assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == Path(done["file"]).name
 
 
-def test_given_answers_that_are_not_understood_then_each_is_a_sentence_and_the_question_stays(asked: Lines) -> None:
+def test_answers_that_are_not_understood_then_each_is_sentence_and_question_stays(asked: Lines) -> None:
     asked.hear("ask")
     for answer, why in (
         ({"answer": "yes"}, "allowed: here, by, to, cancel"),

@@ -89,9 +89,7 @@ def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab: Path, 
         assert bank.read_bytes() == reference
 
 
-def test_given_a_bank_deleted_while_it_is_measured_then_exit_3_and_the_rescue_file_ends_byte_identical(
-    lab: Path, reference: bytes
-) -> None:
+def test_a_bank_deleted_while_it_is_measured_exits_3_and_its_rescue_is_identical(lab: Path, reference: bytes) -> None:
     _take_longer(lab)
     bank = lab / "plate.h5"
     with capture_process(lab, bank) as child:

@@ -102,7 +102,7 @@ def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(
 
 
 @pytest.mark.parametrize("address", ["local:0", "local:two"])
-def test_given_a_local_cluster_of_no_sensible_size_then_one_sentence_says_what_is_allowed(
+def test_a_local_cluster_of_no_sensible_size_then_one_sentence_says_what_is_allowed(
     lab: Path, capsys: pytest.CaptureFixture[str], address: str
 ) -> None:
     predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]

@@ -80,7 +80,7 @@ def test_given_a_rig_that_measures_other_rows_then_it_is_refused_by_its_keys(
     assert key in line
 
 
-def test_given_other_names_and_limits_then_the_campaign_goes_on_and_its_rig_file_counts(lab: Path) -> None:
+def test_other_names_and_limits_then_the_campaign_goes_on_and_its_rig_file_counts(lab: Path) -> None:
     bank = empty_bank(lab, "plate.h5")
     change_text(lab / "rig.toml", "three coils", "three other coils")
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:

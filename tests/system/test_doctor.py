@@ -78,7 +78,7 @@ def test_given_something_not_good_enough_then_exit_1_and_what_to_do(
     assert "1 not good enough" in people
 
 
-def test_given_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(
+def test_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, told, _ = doctor(written(tmp_path, ABSENT_RIG.format(folder=tmp_path)), "--json", capsys=capsys)
@@ -102,7 +102,7 @@ def test_given_a_usb_device_that_is_not_plugged_in_then_it_is_missed(
     assert bad["remedy"]
 
 
-def test_given_a_reset_of_a_device_that_the_rig_does_not_expect_then_exit_2_and_what_it_expects(
+def test_reset_of_device_that_rig_does_not_expect_then_exit_2_and_what_it_expects(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0

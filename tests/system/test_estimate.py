@@ -28,7 +28,7 @@ STAGGERED = Script(
 
 @pytest.mark.parametrize("counts", [False, True], ids=["float", "int16"])
 @pytest.mark.parametrize("script", [SEQUENTIAL, STAGGERED], ids=["sequential", "staggered"])
-def test_given_raw_recordings_by_another_program_then_the_bank_is_within_1_5_db_of_the_noise(tmp_path, script, counts):
+def test_raw_recordings_by_another_program_then_bank_is_within_1_5_db_of_noise(tmp_path, script, counts):
     raw, bank = script.write(tmp_path / "a.raw.h5", counts=counts), tmp_path / "bank.h5"
     assert run(["estimate", str(raw), "--bank", str(bank)]) == 0
     with h5py.File(bank) as file:
@@ -51,7 +51,7 @@ def test_given_a_file_that_is_no_recording_then_exit_2_and_one_line(tmp_path, ca
 
 
 @pytest.mark.parametrize("gain", [0.5, 2.0])
-def test_given_a_reference_of_another_gain_by_another_program_then_the_rows_are_valid_all_the_same(tmp_path, gain):
+def test_reference_of_another_gain_by_another_program_then_rows_are_valid_all_same(tmp_path, gain):
     script = replace(SEQUENTIAL, reference_gain=gain, snr_db=60.0)
     raw, bank = script.write(tmp_path / "a.raw.h5"), tmp_path / "bank.h5"
     assert run(["estimate", str(raw), "--bank", str(bank)]) == 0
@@ -59,7 +59,7 @@ def test_given_a_reference_of_another_gain_by_another_program_then_the_rows_are_
         assert file["status"][:].tolist() == [1, 1]
 
 
-def test_given_one_recording_whose_reference_is_fainter_than_the_others_then_its_position_is_poor(tmp_path):
+def test_a_recording_with_a_fainter_reference_makes_its_position_poor(tmp_path):
     raw, bank = replace(SEQUENTIAL, snr_db=60.0).write(tmp_path / "a.raw.h5"), tmp_path / "bank.h5"
     with h5py.File(raw, "r+") as file:
         file["reference"][1, 2] = file["reference"][1, 2] * 10 ** (-0.3 / 20)

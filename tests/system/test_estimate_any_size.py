@@ -143,7 +143,7 @@ def test_given_actuators_that_play_together_at_audio_rates_then_they_come_apart(
     [("linear", {"sweep_law": "other"}), ("linear", {"sweep_law": "exponential"}), ("exponential", {})],
     ids=["another law stated", "the wrong law stated", "exponential, not stated"],
 )
-def test_given_a_sweep_that_does_not_follow_the_stated_law_then_exit_2_names_the_remedy(tmp_path, capsys, law, said):
+def test_a_sweep_that_does_not_follow_the_stated_law_then_exit_2_names_the_remedy(tmp_path, capsys, law, said):
     record = swept(Sweep((50.0, 4_000.0), 1.0, law), echoes(1, 500), 10_000.0, 0.0, tail_s=0.1)
     raw = write(tmp_path / "a.raw.h5", [record], 500, 10_000.0, (50.0, 4_000.0), said=said)
     assert run(["estimate", str(raw), "--bank", str(tmp_path / "bank.h5")]) == 2

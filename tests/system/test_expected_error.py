@@ -58,9 +58,7 @@ def _response_v(plan: Plan, setup: Setup, green: np.ndarray) -> np.ndarray:
     ["noise_v = 1e-3", "noise_v = 1e-6\nnoise_per_response = 0.02"],
     ids=["noise always there", "noise that grows"],
 )
-def test_given_a_model_of_noise_then_sequential_and_staggered_capture_err_as_expected(
-    lab: Path, emulation: str
-) -> None:
+def test_a_model_of_noise_then_sequential_and_staggered_capture_err_as_expected(lab: Path, emulation: str) -> None:
     rig = (lab / "rig.toml").read_text(encoding="utf-8").partition("[actuators]")[0]
     (lab / "rig.toml").write_text(
         f"{rig}[actuators]\nposition_mm = {ACTUATORS}\n[emulation]\n{emulation}\n", encoding="utf-8"

@@ -38,7 +38,7 @@ def _extend(lab: Path, *banks: Path, new: str = "new.h5", runs: bool = True) -> 
     return run(["extend", *map(str, banks), *named, "--bank", str(lab / new), "--json"])
 
 
-def test_given_more_positions_then_measured_rows_are_taken_over_and_the_others_measured(
+def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measured(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["note", str(bank), "gel of Monday"]) == 0
@@ -148,7 +148,7 @@ def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(
 
 
 @pytest.mark.parametrize("begun_with", [0, 12])
-def test_given_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extended(
+def test_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extended(
     tmp_path: Path, begun_with: int
 ) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0

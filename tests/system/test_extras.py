@@ -49,7 +49,7 @@ def test_the_window_and_grpc_are_extras_and_tests_and_emulator_have_what_they_ne
         ("grpc", ("emulate", "rig.toml"), "emulate"),
     ],
 )
-def test_given_an_extra_that_is_not_installed_then_exit_2_and_one_line_with_the_command(
+def test_an_extra_that_is_not_installed_then_exit_2_and_one_line_with_the_command(
     packages, words, extra, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")

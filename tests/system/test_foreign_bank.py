@@ -196,7 +196,7 @@ def test_drives_and_fields_opened_by_xarray_then_show_labelled_dimensions_and_un
 
 
 @pytest.mark.parametrize("name", ["sample_rate_hz", "start_s", "scale", "method", "drive"])
-def test_a_drive_that_was_changed_then_is_refused_and_one_without_checksums_is_named_unverified(
+def test_a_changed_drive_is_refused_and_one_without_checksums_is_unverified(
     tmp_path: Path, bank: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     scene, played = tmp_path / "scene.toml", tmp_path / "drive.h5"

@@ -127,7 +127,7 @@ def test_given_an_imported_bank_then_it_renders_with_a_sound_file_and_is_not_res
     assert "other means" in capsys.readouterr().err
 
 
-def test_given_places_in_space_then_two_columns_are_chosen_and_what_does_not_apply_is_named(
+def test_for_places_in_space_two_columns_are_chosen_and_the_rest_is_named(
     tmp_path: Path, imported: Any, refused: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     np.save(tmp_path / "g.npy", GREEN)
@@ -199,9 +199,7 @@ def test_given_frequency_responses_of_a_modal_test_then_they_become_causal_respo
     assert (told["positions"], told["actuators"]) == (ACTUATORS, POSITIONS)
 
 
-def test_given_a_listener_that_moves_or_a_source_that_does_then_measurements_count_positions_or_actuators(
-    tmp_path: Path, imported: Any
-) -> None:
+def test_a_moving_listener_or_source_makes_positions_or_actuators_measurements(tmp_path: Path, imported: Any) -> None:
     responses = np.random.default_rng(2).standard_normal((8, 2, 50))
     head = sofar.Sofa("SimpleFreeFieldHRIR")
     head.Data_IR, head.Data_SamplingRate, head.Data_Delay = responses, 48_000.0, np.array([[3.0, 0.0]])

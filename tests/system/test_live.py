@@ -42,7 +42,7 @@ def move_until_heard(running: Lines, *names: str, x_mm: float = 4.0) -> dict:
 
 
 @pytest.mark.smoke
-def test_given_positions_on_standard_input_then_sources_sound_there_until_the_order_to_end(bank: Path) -> None:
+def test_positions_on_standard_input_then_sources_sound_there_until_the_order_to_end(bank: Path) -> None:
     scene = bank.parent / "scene.toml"
     text = scene.read_text(encoding="utf-8").replace("limit_v = 1.0", "limit_v = 1e-6")
     scene.write_text(text, encoding="utf-8")
@@ -92,7 +92,7 @@ def message(address: str, *values: object) -> OscMessage:
     return builder.build()
 
 
-def test_given_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(bank: Path) -> None:
+def test_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(bank: Path) -> None:
     coarse = with_check_rows(bank, bank.with_name("coarse.h5"), 5)
     arguments = ("--rig", bank.parent / "rig.toml", "--scene", bank.parent / "scene.toml", "--json")
     with Lines("live", coarse, *arguments) as running:

@@ -89,7 +89,7 @@ def test_given_a_finished_campaign_then_one_message_says_so(office, tmp_path):
     assert sentence(ended(State.FINISHED)) in message["message"]
 
 
-def test_given_a_failed_campaign_then_the_message_names_the_fault_the_remedy_and_the_way_on(office, tmp_path):
+def test_failed_campaign_then_message_names_fault_remedy_and_way_on(office, tmp_path):
     with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
         messenger(Fault(1.0, "player", "playing", "no device", "plug it in", 3, 1, retried=False))
         messenger(StateChanged(2.0, State.FAILED, "player: playing: no device"))
@@ -185,9 +185,7 @@ def test_given_a_password_in_a_mistaken_table_of_messages_then_no_command_shows_
     assert PASSWORD not in told
 
 
-def test_given_the_doctor_is_asked_then_each_address_gets_a_message_and_the_one_that_takes_none_is_named(
-    office, tmp_path
-):
+def test_the_doctor_sends_to_each_address_and_names_the_one_that_takes_none(office, tmp_path):
     urls = [office.url, "json://127.0.0.1:9/nobody"]
     (tmp_path / "rig.toml").write_text(f"[messages]\nurls = {urls}\n", encoding="utf-8")
     rig = load_rig(tmp_path / "rig.toml")
@@ -198,9 +196,7 @@ def test_given_the_doctor_is_asked_then_each_address_gets_a_message_and_the_one_
     assert len(office.taken) == 1
 
 
-def test_given_addresses_then_neither_bank_nor_log_nor_words_hold_them_and_a_resume_takes_them_from_the_environment(
-    office, tmp_path, capsys, monkeypatch
-):
+def test_addresses_stand_nowhere_and_resume_takes_them_from_the_environment(office, tmp_path, capsys, monkeypatch):
     coils = f"[actuators]\nposition_mm = {ACTUATORS}\n"
     (tmp_path / "rig.toml").write_text(f'{coils}[messages]\nurls = ["{office.url}"]\n', encoding="utf-8")
     (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")

@@ -54,7 +54,7 @@ def test_given_white_noise_then_the_error_of_the_rows_is_stated_within_1_db(
     assert any(f"{median_db:.1f} dB" in found.message for found in check_bank(bank) if found.severity == "note")
 
 
-def test_given_rows_that_the_noise_hides_then_they_are_counted_and_the_worst_is_one_that_is_heard(bank: Path) -> None:
+def test_rows_that_noise_hides_then_they_are_counted_and_worst_is_one_that_is_heard(bank: Path) -> None:
     with open_bank(bank) as view:
         plan = view.plan_sha256
     with BankWriter.open(bank, plan_sha256=plan) as writer:

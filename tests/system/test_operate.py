@@ -87,7 +87,7 @@ def test_given_orders_then_each_is_carried_out_and_answered_in_turn(operated: Li
     assert operated.end() == 0
 
 
-def test_given_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried_out(operated: Lines) -> None:
+def test_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried_out(operated: Lines) -> None:
     operated.send(order="jog", x_mm=900, y_mm=0, id=7)
     assert "mirror.limit_mrad" in operated.hear("refused")["sentence"]
     assert operated.hear("done") == {"event": "done", "order": "jog", "id": 7, "ok": False}
@@ -110,7 +110,7 @@ def _piped(rig: Path, text: bytes) -> tuple[list[dict[str, Any]], subprocess.Com
     return [json.loads(line) for line in done.stdout.splitlines()], done
 
 
-def test_given_byte_order_marks_and_orders_at_the_edge_of_numbers_then_the_orders_after_them_are_carried_out(
+def test_orders_after_byte_order_marks_and_extreme_numbers_are_carried_out(
     rig: Path,
 ) -> None:
     wrong = (
@@ -213,7 +213,7 @@ def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig
         assert "player.loud" in lines.said[0]
 
 
-def test_given_instruments_that_are_not_there_then_the_fault_is_told_and_the_exit_code_is_3(tmp_path: Path) -> None:
+def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(tmp_path: Path) -> None:
     file = tmp_path / "rig.toml"
     file.write_text(
         '[actuators]\nposition_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]\n[mirror]\ndriver = "asi-tiger"\n'

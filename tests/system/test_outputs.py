@@ -121,7 +121,7 @@ def test_given_force_then_an_older_output_is_replaced(lab: Path, name: str) -> N
     assert not list(lab.glob(".*"))
 
 
-def test_given_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_it(lab: Path) -> None:
+def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_it(lab: Path) -> None:
     verify = ["verify", "scene.toml", "--bank", "bank.h5", "--rig", "virtual", "--out"]
     for folder, name in (("a", "verify.json"), ("b", "scan.h5"), ("c", "drift.png"), ("d", "report.html")):
         Path(folder).mkdir()

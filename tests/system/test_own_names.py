@@ -44,7 +44,7 @@ def take_names(folder: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["files", "folders"])
-def test_given_a_users_modules_of_our_folders_names_then_commands_and_scripts_work_and_each_gets_its_own(bank, kind):
+def test_a_users_modules_of_the_same_names_and_ours_work_side_by_side(bank, kind):
     take_names(bank.parent, kind)
     (bank.parent / "script.py").write_text(SCRIPT, encoding="utf-8")
     checked(sys.executable, "-m", "wavefocus", "status", bank, cwd=bank.parent)
@@ -53,7 +53,7 @@ def test_given_a_users_modules_of_our_folders_names_then_commands_and_scripts_wo
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_given_a_wheel_next_to_the_package_config_then_both_are_whole_and_the_demo_runs_among_a_users_files(tmp_path):
+def test_a_wheel_next_to_the_package_config_runs_the_demo_among_users_files(tmp_path):
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
     checked(
         *pip,

@@ -104,7 +104,7 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
 
 
 @pytest.mark.parametrize(("quality", "enough"), [(8.0, True), (1e4, False)])
-def test_given_glass_that_rings_longer_than_its_taps_then_plan_and_capture_name_the_taps_it_needs(
+def test_for_glass_that_rings_long_plan_and_capture_name_the_taps_it_needs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], quality: float, enough: bool
 ) -> None:
     rig = RIG.replace("{kind}", "rectangle").replace("{length}", "300.0").replace("{width}", "200.0")
@@ -121,7 +121,7 @@ def test_given_glass_that_rings_longer_than_its_taps_then_plan_and_capture_name_
         assert f"set taps = {ringing['taps']} and decay_s" in capsys.readouterr().err
 
 
-def test_given_kept_recordings_of_a_solid_then_the_bank_estimated_from_them_has_its_directions(tmp_path: Path) -> None:
+def test_kept_recordings_of_solid_then_bank_estimated_from_them_has_its_directions(tmp_path: Path) -> None:
     (tmp_path / "grid.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     text = RUN.replace("{plate}", "solid").replace('rig = "rig.toml"\n', "").replace("{spacing}", "4.0")
     text = text.replace("margin_mm", 'positions_file = "grid.csv"\nmargin_mm').replace("taps", "keep_raw = true\ntaps")

@@ -150,7 +150,7 @@ def test_given_what_stayed_poor_then_a_pass_at_the_end_measures_it_again(
         assert list(file["quality/attempts"]) == [1, 4, 1, 1, 4, 1]
 
 
-def test_given_a_pass_that_does_not_help_then_it_comes_once_and_another_capture_changes_nothing(
+def test_a_pass_that_does_not_help_comes_once_and_another_capture_changes_nothing(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 1\ncount = 99')

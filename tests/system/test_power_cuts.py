@@ -85,7 +85,7 @@ def lost_in_bank(path: Path, promised: dict[int, int]) -> int:
     return lost
 
 
-def test_given_a_power_cut_at_any_write_of_a_bank_then_nothing_acknowledged_is_lost_and_it_ends_identical(
+def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(
     tmp_path: Path,
 ) -> None:
     before, log, acknowledged = logged_bank(tmp_path / "bank.h5", LoggedFile)
@@ -102,7 +102,7 @@ def test_given_a_power_cut_at_any_write_of_a_bank_then_nothing_acknowledged_is_l
         assert cut.read_bytes() == finished
 
 
-def test_given_a_writer_without_the_second_barrier_then_the_replay_sees_acknowledged_positions_lost(
+def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_lost(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "bank.h5"
@@ -114,7 +114,7 @@ def test_given_a_writer_without_the_second_barrier_then_the_replay_sees_acknowle
     assert lost > 0
 
 
-def test_given_a_writer_without_the_first_barrier_then_the_checksum_alone_keeps_wrong_positions_from_being_valid(
+def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "bank.h5"
@@ -149,7 +149,7 @@ def record(writer: RawWriter) -> list[tuple[int, int, int]]:
     return done
 
 
-def test_given_a_power_cut_at_any_write_of_kept_recordings_then_none_acknowledged_is_lost_and_they_end_identical(
+def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "night.raw.h5"

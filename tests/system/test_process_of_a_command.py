@@ -66,7 +66,7 @@ AS_ANOTHER = f"""
     [(module, KILL) for module in ("argparse", "wavefocus.cli", "numpy", "wavefocus.commands.bank.check")]
     + [("h5py", act) for act in (KILL, IN_A_FINALISER, AS_ANOTHER)],
 )
-def test_given_ctrl_c_while_modules_are_loaded_then_the_exit_code_is_130_without_a_traceback(
+def test_ctrl_c_while_modules_are_loaded_then_exit_code_is_130_without_traceback(
     tmp_path: Path, module: str, act: str
 ) -> None:
     done = wavefocus(INTERRUPTED_AT.format(module=module, act=act), "check", "plate.h5", folder=tmp_path)
@@ -99,9 +99,7 @@ cli.COMMANDS = (command_line.Command("fail", fail, "", (command_line.file("file"
         "raise RuntimeError('\\x1b[31m' + 9000 * 'x')",
     ],
 )
-def test_given_a_defect_then_it_is_exit_70_one_line_with_the_files_name_and_a_traceback_in_a_log(
-    tmp_path: Path, act: str
-) -> None:
+def test_defect_then_it_is_exit_70_one_line_with_files_name_and_traceback_in_log(tmp_path: Path, act: str) -> None:
     (tmp_path / "scene.toml").touch()
     done = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path, TMPDIR=str(tmp_path))
     assert done.returncode == 70
@@ -158,7 +156,7 @@ cli.COMMANDS = (command_line.Command("work", work, "", ()),)
 @pytest.mark.parametrize(
     ("to", "code", "said"), [("| true", "1", ""), ("> /dev/full", "2", "standard output: No space")]
 )
-def test_given_output_that_goes_nowhere_then_a_reader_decides_nothing_and_a_full_disk_is_named(
+def test_output_that_goes_nowhere_then_reader_decides_nothing_and_full_disk_is_named(
     tmp_path: Path, to: str, code: str, said: str
 ) -> None:
     words = [sys.executable, "-c", f"{LISTENED}\nfrom wavefocus.__main__ import main\nmain()", "work"]
@@ -178,7 +176,7 @@ def test_given_a_warning_of_numpy_then_it_is_one_plain_line(tmp_path: Path) -> N
     assert line.startswith("warning: overflow encountered")
 
 
-def test_given_names_with_control_characters_then_no_message_brings_them_to_the_terminal(
+def test_names_with_control_characters_then_no_message_brings_them_to_the_terminal(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = "x\x1b[31m\x1b]0;owned\x07\u202e\u2066.h5"

@@ -40,7 +40,7 @@ def test_given_real_instruments_then_the_dry_run_asks_none_of_them(
     assert "player sounddevice no such interface, 4 outputs, not asked" in facts["instruments"]
 
 
-def test_given_instruments_that_are_not_there_then_capture_names_the_first_and_ends_with_3(
+def test_instruments_that_are_not_there_then_capture_names_the_first_and_ends_with_3(
     real_lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank = real_lab / "plate.h5"

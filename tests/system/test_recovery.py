@@ -25,7 +25,7 @@ UNPLUGGED = {
 
 
 @pytest.mark.parametrize("fault", UNPLUGGED.values(), ids=UNPLUGGED.keys())
-def test_given_an_instrument_unplugged_and_plugged_in_then_the_bank_is_that_of_a_quiet_night(
+def test_instrument_unplugged_and_plugged_in_then_bank_is_that_of_quiet_night(
     lab: Path, measured: Path, fault: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     disturbed = empty_bank(lab, "disturbed.h5")
@@ -59,7 +59,7 @@ def test_given_a_hub_unplugged_then_both_instruments_on_it_come_back(
     assert held(lab / "plate.h5", "quality/attempts") == [1] * 6
 
 
-def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
+def test_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
     lab: Path, measured: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank = empty_bank(lab, "plate.h5")
@@ -98,7 +98,7 @@ def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
     assert "player" in told.splitlines()[-1]
 
 
-def test_given_a_record_that_fails_once_then_it_alone_is_taken_again_and_the_bank_is_the_same(
+def test_record_that_fails_once_then_it_alone_is_taken_again_and_bank_is_same(
     lab: Path, measured: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     disturbed = empty_bank(lab, "disturbed.h5")
@@ -110,7 +110,7 @@ def test_given_a_record_that_fails_once_then_it_alone_is_taken_again_and_the_ban
     assert disturbed.read_bytes() == measured.read_bytes()
 
 
-def test_given_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_connection(
+def test_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_connection(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "timeout"\nat_call = 8\ncount = 6')
@@ -121,7 +121,7 @@ def test_given_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_c
     assert held(lab / "plate.h5", "quality/attempts") == [1, 1, 2, 2, 1, 1]
 
 
-def test_given_a_record_that_cannot_be_silenced_after_a_passing_fault_then_the_player_is_connected_afresh(
+def test_a_record_that_cannot_be_silenced_connects_the_player_afresh(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with_faults(
@@ -154,7 +154,7 @@ def test_given_passing_faults_at_the_sentinel_then_it_is_measured_again(
     assert faults[:2] == [f"recording sentinel of position 0, attempt 1, record {1}"] * 2
 
 
-def test_given_status_while_an_instrument_is_waited_for_then_it_says_so_since_when_and_which(lab: Path) -> None:
+def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_which(lab: Path) -> None:
     with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "unplugged"\nposition = 2\nrecord = 0\ntries = 2')
     bank = lab / "plate.h5"
     answers: list[subprocess.CompletedProcess[str]] = []
@@ -204,7 +204,7 @@ def test_given_status_of_a_finished_campaign_then_it_is_idle(bank: Path, capsys:
 
 
 @pytest.mark.parametrize("interrupts", [1, 2])
-def test_given_ctrl_c_while_an_instrument_is_waited_for_then_it_stops_at_once_and_can_be_resumed(
+def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(
     lab: Path, measured: Path, interrupts: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank = empty_bank(lab, "plate.h5")
@@ -226,7 +226,7 @@ def test_given_ctrl_c_while_an_instrument_is_waited_for_then_it_stops_at_once_an
     assert bank.read_bytes() == measured.read_bytes()
 
 
-def test_given_an_instrument_unplugged_during_a_scan_then_verification_goes_on_and_passes(
+def test_an_instrument_unplugged_during_a_scan_then_verification_goes_on_and_passes(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with_faults(

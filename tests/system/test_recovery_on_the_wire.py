@@ -94,7 +94,7 @@ def _measure(lab: Path, name: str, bench: MirrorBench, publish: Subscriber, reco
         ("tcp", "asi-tiger"),
     ],
 )
-def test_given_a_mirror_pulled_and_plugged_in_during_a_capture_then_the_bank_is_that_of_a_quiet_night(
+def test_a_mirror_replugged_during_a_capture_leaves_the_bank_of_a_quiet_night(
     lab: Path, kind: str, dialect: str
 ) -> None:
     with mirror_bench(dialect, kind, lab) as bench:

@@ -44,7 +44,7 @@ def _of_kind(events: list[dict[str, object]], kind: str) -> list[dict[str, objec
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("level_db", [-0.3, -1.0, -3.0, -20.0, 6.0])
-def test_given_a_faint_reference_in_one_record_of_every_position_then_it_is_taken_again_and_every_row_is_right(
+def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(
     lab: Path, capsys: pytest.CaptureFixture[str], schedule: str, level_db: float
 ) -> None:
     _as(lab, schedule)
@@ -60,7 +60,7 @@ def test_given_a_faint_reference_in_one_record_of_every_position_then_it_is_take
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_given_a_reference_that_stays_faint_then_the_position_is_poor_and_its_level_is_named(
+def test_reference_that_stays_faint_then_position_is_poor_and_its_level_is_named(
     lab: Path, capsys: pytest.CaptureFixture[str], schedule: str
 ) -> None:
     _as(lab, schedule)
@@ -74,7 +74,7 @@ def test_given_a_reference_that_stays_faint_then_the_position_is_poor_and_its_le
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_given_a_reference_that_changes_for_good_within_its_calibration_then_it_is_refused_and_not_learned(
+def test_a_reference_that_changes_within_its_calibration_is_refused(
     lab: Path, capsys: pytest.CaptureFixture[str], schedule: str
 ) -> None:
     _as(lab, schedule)
@@ -88,7 +88,7 @@ def test_given_a_reference_that_changes_for_good_within_its_calibration_then_it_
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_given_a_reference_that_is_off_in_every_record_then_capture_stops_early_and_says_what_to_do(
+def test_a_reference_off_in_every_record_stops_capture_early_and_says_why(
     lab: Path, capsys: pytest.CaptureFixture[str], schedule: str
 ) -> None:
     _as(lab, schedule)

@@ -79,7 +79,7 @@ def test_given_a_fault_that_passes_then_the_next_try_agrees_and_replaces_the_row
         assert file["status"][2] == 1
 
 
-def test_given_a_wrong_valid_row_then_it_is_replaced_only_where_asked_for_and_two_attempts_agree(
+def test_a_wrong_valid_row_is_replaced_where_asked_for_and_two_attempts_agree(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank = _captured(lab, f'{READ}kind = "drift"\nlevel_db = -0.5\nrecord = 1')

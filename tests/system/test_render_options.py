@@ -80,7 +80,7 @@ def test_given_a_saturated_scene_then_levels_are_told_with_and_without_saturatio
     assert told["dynamic_range_db"] < plain["dynamic_range_db"]
 
 
-def test_given_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(
+def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     free_v = (figures(lab, capsys), read_drive(lab / "drive.h5").drive_v)[1]

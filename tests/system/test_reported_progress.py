@@ -98,7 +98,7 @@ def test_given_a_measured_bank_then_it_is_near_the_plates_truth(lab: Path) -> No
     assert np.max(error_db + np.minimum(snr_db, 70.0)) < 8.0
 
 
-def test_given_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(
+def test_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5"), "--json"]) == 0

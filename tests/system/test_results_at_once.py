@@ -222,9 +222,7 @@ sys.exit(code)
 VERIFIED = ("verify.json", "report.html", "drive.h5", "prediction.h5", "scan.h5")
 
 
-def test_a_verification_over_an_older_one_then_never_leaves_its_fields_beside_the_older_record(
-    lab: Path, bank: Path
-) -> None:
+def test_a_verification_over_an_older_one_never_mixes_with_its_files(lab: Path, bank: Path) -> None:
     out, scene = lab / "verify", lab / "scene.toml"
     command = ["verify", str(scene), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--out", str(out)]
     assert run(command) == 0

@@ -92,7 +92,7 @@ def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(
 @pytest.mark.parametrize(
     ("schedule", "event", "number"), [("sequential", "position_committed", 15), ("staggered", "position_started", 19)]
 )
-def test_given_a_kill_while_positions_are_marked_or_in_the_second_look_then_the_bank_ends_as_an_undisturbed_one(
+def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(
     tmp_path: Path, schedule: str, event: str, number: int
 ) -> None:
     captured(tmp_path / "quiet", schedule, {}, look=True)
@@ -109,7 +109,7 @@ def test_given_a_kill_while_positions_are_marked_or_in_the_second_look_then_the_
         assert bank.read_bytes() == quiet
 
 
-def test_given_fewer_positions_than_neighbours_then_each_is_measured_twice_and_the_plan_says_so(
+def test_fewer_positions_than_neighbours_are_measured_twice_as_planned(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     captured(tmp_path / "lab", "sequential", {}, look=True)
@@ -191,7 +191,7 @@ def spoiled(coarse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return bank
 
 
-def test_given_a_coarse_grid_without_faults_then_no_position_has_a_second_look_and_none_is_planned(
+def test_a_sound_coarse_grid_has_no_second_look_and_none_is_planned(
     coarse: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with h5py.File(coarse, "r") as file:
@@ -210,7 +210,7 @@ def mended(spoiled: Path) -> tuple[Path, list[dict[str, Any]]]:
         return bank, session.rest()
 
 
-def test_given_wrong_rows_on_a_coarse_grid_then_they_are_named_as_on_a_fine_one_and_measured_once_more(
+def test_wrong_rows_on_a_coarse_grid_are_named_and_measured_once_more(
     mended: tuple[Path, list[dict[str, Any]]], coarse: Path
 ) -> None:
     bank, told = mended
@@ -223,7 +223,7 @@ def test_given_wrong_rows_on_a_coarse_grid_then_they_are_named_as_on_a_fine_one_
         assert (apart < 0.01 * np.linalg.norm(right["green"][...], axis=(1, 2))).all()
 
 
-def test_given_kills_while_a_coarse_grid_is_judged_and_measured_again_then_the_bank_ends_as_an_undisturbed_one(
+def test_kills_while_a_coarse_grid_is_judged_end_as_an_undisturbed_bank(
     spoiled: Path, mended: tuple[Path, list[dict[str, Any]]], tmp_path: Path
 ) -> None:
     bank = tmp_path / "killed.h5"

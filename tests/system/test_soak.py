@@ -27,7 +27,7 @@ def campaign(tmp_path: Path) -> Iterator[Campaign]:
     one.close()
 
 
-def test_given_kills_cuts_full_disks_and_flipped_bytes_then_nothing_is_lost_and_all_end_identical(
+def test_kills_cuts_full_disks_and_flipped_bytes_lose_nothing(
     campaign: Campaign,
 ) -> None:
     classes: list[tuple[Trials, int]] = [

@@ -49,7 +49,7 @@ def _events(text: str) -> list[dict[str, object]]:
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_given_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(lab: Path) -> None:
+def test_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(lab: Path) -> None:
     assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "sequential.h5") == 0
     _with_capture(lab, KEEP)
     assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "staggered.h5") == 0
@@ -94,7 +94,7 @@ def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab
     assert bank.with_suffix(".raw.h5").read_bytes() == (lab / "reference.raw.h5").read_bytes()
 
 
-def test_given_a_new_staggered_bank_then_one_position_is_measured_both_ways_and_the_difference_is_stated(
+def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_capture(lab, 'excitation = "staggered"')
@@ -182,7 +182,7 @@ def test_given_a_lost_row_of_recordings_then_resume_measures_that_position_again
         assert np.array_equal(then["green"][:], now["green"][:])
 
 
-def test_given_damaged_recordings_then_estimate_tells_and_remeasuring_the_position_cures_it(
+def test_damaged_recordings_then_estimate_tells_and_remeasuring_position_cures_it(
     kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     raw = kept / "plate.raw.h5"

@@ -58,7 +58,7 @@ def render(lab: Path, name: str, *options: str) -> int:
     return run(["render", *place, "--out", out, "--wav", wav, "--json", *options])
 
 
-def test_given_a_scene_that_is_too_loud_then_a_rig_s_wav_reaches_full_scale_and_is_not_beyond_it(
+def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A waveform is larger between the samples of its drive than at them: both are kept within full scale."""

@@ -71,9 +71,7 @@ class _Orders:
         return [(code, json.loads(out), err) for (out, err), code in ended]
 
 
-def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go_on_goes_on(
-    lab: Path, measured: Path
-) -> None:
+def test_pause_from_another_process_then_position_is_finished_and_go_on_goes_on(lab: Path, measured: Path) -> None:
     bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     listener = Listener(
@@ -96,9 +94,7 @@ def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go
         assert facts["heard"] is True
 
 
-def test_given_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(
-    lab: Path, measured: Path
-) -> None:
+def test_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(lab: Path, measured: Path) -> None:
     bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     listener = Listener(('"event": "position_started"', lambda: orders.give("stop")))
@@ -156,7 +152,7 @@ def _held(bank: Path):
         owner.communicate(timeout=20)
 
 
-def test_given_a_process_that_does_not_answer_then_the_order_is_withdrawn_and_status_says_how_long_it_is_silent(
+def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank = empty_bank(lab, "plate.h5")
@@ -215,7 +211,7 @@ SOON_GIVEN_UP = "\n[recovery]\nhung_after_s = 0.3\n"
 
 
 @pytest.mark.parametrize("fault", HANGS.values(), ids=HANGS.keys())
-def test_given_a_driver_call_that_hangs_then_the_instrument_is_connected_afresh_and_nothing_is_lost(
+def test_a_driver_call_that_hangs_is_connected_afresh_and_nothing_is_lost(
     lab: Path, fault: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_rig(lab, SOON_GIVEN_UP)
@@ -230,7 +226,7 @@ def test_given_a_driver_call_that_hangs_then_the_instrument_is_connected_afresh_
     assert disturbed.read_bytes() == quiet.read_bytes()
 
 
-def test_given_a_driver_that_never_comes_back_then_the_process_ends_with_exit_3_and_the_rest_is_put_to_rest(
+def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(
     lab: Path,
 ) -> None:
     _with_rig(lab, "\n[recovery]\nhung_after_s = 0.2\ngive_up_after_s = 1.0\n")
@@ -305,7 +301,7 @@ def test_given_nobody_who_reads_what_is_told_then_the_campaign_goes_on(lab: Path
 
 @POSIX
 @pytest.mark.may_skip("Windows has no pseudo-terminals")
-def test_given_a_terminal_that_is_closed_then_the_position_is_finished_and_the_log_says_why(lab: Path) -> None:
+def test_terminal_that_is_closed_then_position_is_finished_and_log_says_why(lab: Path) -> None:
     import pty
 
     bank = lab / "plate.h5"
@@ -360,7 +356,7 @@ settle_s = 20.0
         ('kind = "faint_reference"\nlevel_db = -9.0', "reference level -9"),
     ],
 )
-def test_given_a_condition_that_leaves_its_band_then_it_is_waited_for_and_the_bank_is_that_of_a_quiet_night(
+def test_a_condition_out_of_its_band_is_waited_for_and_the_bank_is_the_same(
     lab: Path, fault: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_rig(lab, WATCHED)
@@ -444,7 +440,7 @@ def test_given_ctrl_c_while_suspended_then_it_stops_at_once(lab: Path) -> None:
     assert states_of(listener.told)[-2:] == ["suspended", "stopped"]
 
 
-def test_given_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab: Path) -> None:
+def test_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab: Path) -> None:
     _with_rig(lab, WATCHED)
     with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 4\nkind = "dark"')
     bank = lab / "plate.h5"

@@ -35,7 +35,7 @@ def _green(bank: Path) -> np.ndarray:
         return file["green"][:]
 
 
-def test_given_a_run_then_the_sentinel_is_measured_every_so_often_and_the_bank_does_not_show_it(
+def test_run_then_sentinel_is_measured_every_so_often_and_bank_does_not_show_it(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _capture(lab, lab / "without.h5") == 0
@@ -155,7 +155,7 @@ def test_given_another_calibration_then_capture_refuses_it_and_says_how_to_overr
     assert held(bank) == [1] * 6
 
 
-def test_given_a_calibration_of_another_device_then_resume_refuses_it_and_says_how_to_override(
+def test_resume_refuses_the_calibration_of_another_device_and_says_what_to_do(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank = lab / "plate.h5"
@@ -176,7 +176,7 @@ LASTING = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {le
 
 
 @pytest.mark.parametrize("level_db", [1.0, -2.0])
-def test_given_another_gain_from_some_position_on_then_what_was_measured_with_it_is_suspect_until_measured_again(
+def test_another_gain_from_some_position_on_is_suspect_until_measured_again(
     lab: Path, capsys: pytest.CaptureFixture[str], level_db: float
 ) -> None:
     sound = (lab / "run.toml").read_text(encoding="utf-8")
@@ -204,7 +204,7 @@ LOST = 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurp
 
 
 @pytest.mark.parametrize("level_db", [1.0, 6.0])
-def test_given_a_session_that_ends_before_its_next_sentinel_then_the_next_one_marks_what_lies_between(
+def test_a_session_ended_before_its_sentinel_is_marked_by_the_next_one(
     lab: Path, capsys: pytest.CaptureFixture[str], level_db: float
 ) -> None:
     sound, bank = (lab / "run.toml").read_text(encoding="utf-8"), lab / "plate.h5"

@@ -56,7 +56,7 @@ def answer(session: Lines, choice: str = "right") -> list[dict[str, Any]]:
                 return events
 
 
-def test_given_a_window_that_closes_while_a_stimulus_sounds_then_it_is_muted_and_resumed_and_faults_are_marked(
+def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lab = write_lab(tmp_path)

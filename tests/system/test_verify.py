@@ -119,7 +119,7 @@ def test_given_a_rig_with_other_actuators_then_it_is_refused(
     assert "actuators.position_mm" in capsys.readouterr().err
 
 
-def test_given_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_plays(
+def test_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_plays(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = lab / "scene.toml"
@@ -159,7 +159,7 @@ def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(la
     )
 
 
-def test_given_a_verification_killed_in_its_scan_then_the_same_command_goes_on_to_the_same_scan(
+def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _verify(lab, bank) == 0
@@ -184,7 +184,7 @@ def test_given_a_verification_killed_in_its_scan_then_the_same_command_goes_on_t
     assert not journal.exists()
 
 
-def test_given_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it(
+def test_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (lab / "verify").mkdir()

@@ -110,7 +110,7 @@ def test_given_a_broken_bank_then_one_sentence_exit_2_and_the_file_untouched(
     assert sorted(path.name for path in lab.iterdir()) == files
 
 
-def test_given_a_flipped_byte_then_render_refuses_check_names_it_and_resume_measures_it_again(
+def test_a_flipped_byte_is_refused_named_by_check_and_measured_again_by_resume(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sound = bank.read_bytes()

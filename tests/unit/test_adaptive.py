@@ -39,7 +39,7 @@ def test_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one() 
     assert track.threshold == pytest.approx((math.log10(2) + math.log10(3)) / 2)
 
 
-def test_staircase_at_either_end_of_its_ladder_stays_there_and_ends_by_its_number_of_trials() -> None:
+def test_a_staircase_at_an_end_of_its_ladder_stays_and_ends_by_its_trials() -> None:
     assert levels_of(UpDown(table(trials=6), [2.0, 1.0]), "++++++") == [2, 2, 1, 1, 1, 1, None]
     assert levels_of(UpDown(table(trials=3), [2.0, 1.0]), "---") == [2, 2, 2, None]
 

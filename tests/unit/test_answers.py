@@ -53,7 +53,7 @@ def test_given_answers_then_they_are_read_as_they_were_and_by_any_csv_reader(tmp
     assert not (tmp_path / "trials.csv.owner").exists()
 
 
-def test_given_a_power_cut_at_every_byte_of_an_answer_then_those_before_it_stay_and_the_next_follows(
+def test_a_power_cut_at_every_byte_of_an_answer_keeps_those_before_it(
     tmp_path: Path,
 ) -> None:
     before = stored(tmp_path, ROW)
@@ -71,9 +71,7 @@ def test_given_a_power_cut_at_every_byte_of_an_answer_then_those_before_it_stay_
 
 
 @pytest.mark.parametrize("padding", [0, 200, 700])
-def test_given_a_power_cut_that_kept_any_sectors_of_the_last_row_then_it_is_cut_off_and_the_next_follows(
-    tmp_path: Path, padding: int
-) -> None:
+def test_a_power_cut_within_the_last_row_cuts_it_off_and_the_next_follows(tmp_path: Path, padding: int) -> None:
     before = stored(tmp_path, ROW, replace(ROW, trial=2, path="p" * padding))
     whole = stored(tmp_path, replace(ROW, trial=3, path="q" * padding))
     first, last = len(before) // 512, (len(whole) - 1) // 512
@@ -90,7 +88,7 @@ def test_given_a_power_cut_that_kept_any_sectors_of_the_last_row_then_it_is_cut_
         assert [row.trial for row in read_answers(tmp_path)] == [1, 2, 4]
 
 
-def test_given_a_last_row_with_a_zero_inside_a_sector_then_it_is_damage_and_not_a_power_cut(tmp_path: Path) -> None:
+def test_last_row_with_zero_inside_sector_then_it_is_damage_and_not_power_cut(tmp_path: Path) -> None:
     content = bytearray(stored(tmp_path, ROW, NEXT))
     content[-20] = 0
     (tmp_path / ANSWERS).write_bytes(content)
@@ -99,9 +97,7 @@ def test_given_a_last_row_with_a_zero_inside_a_sector_then_it_is_damage_and_not_
 
 
 @pytest.mark.parametrize("blank", [b"\r\n", b"\n\n", b"  \r\n ", b"\r\n\r\n"])
-def test_given_blank_lines_at_the_end_then_they_are_no_rows_and_the_next_answer_follows(
-    tmp_path: Path, blank: bytes
-) -> None:
+def test_blank_lines_at_the_end_then_they_are_no_rows_and_the_next_answer_follows(tmp_path: Path, blank: bytes) -> None:
     whole = stored(tmp_path, ROW)
     (tmp_path / ANSWERS).write_bytes(whole + blank)
     assert read_answers(tmp_path) == (ROW,)

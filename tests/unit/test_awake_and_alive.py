@@ -85,9 +85,7 @@ def test_given_a_file_and_an_address_then_both_receive_signs_of_life_until_the_e
     assert len(watch.asked) == count
 
 
-def test_given_a_server_that_hangs_then_the_file_is_still_touched_and_the_end_is_not_held_up(
-    watch: Watch, tmp_path: Path
-) -> None:
+def test_server_that_hangs_then_file_is_still_touched_and_end_is_not_held_up(watch: Watch, tmp_path: Path) -> None:
     watch.hangs.set()
     file = tmp_path / "alive"
     with AliveSignal(MessagesSection(alive_url=watch.url, alive_file=str(file)), every_s=0.05):
@@ -151,7 +149,7 @@ def test_given_20_kills_then_silence_is_noticed_within_three_minutes_each_time(w
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="systemd-inhibit")
-def test_given_a_session_manager_then_it_is_told_the_reason_and_released_however_the_run_ends(
+def test_session_manager_then_it_is_told_reason_and_released_however_run_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     noted = tmp_path / "noted"

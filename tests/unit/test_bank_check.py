@@ -192,7 +192,7 @@ def test_a_changed_unit_of_a_dataset_then_is_found(tmp_path: Path) -> None:
         check_bank(path)
 
 
-def test_a_bank_without_a_checksum_of_its_contents_then_is_read_and_checked_as_before(tmp_path: Path) -> None:
+def test_bank_without_checksum_of_its_contents_then_is_read_and_checked_as_before(tmp_path: Path) -> None:
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r+") as file:
         del file.attrs["contents_sha256"]
@@ -220,7 +220,7 @@ def plate_bank_file(path: Path, wrong: int, check_rows: tuple[int, ...] = (), sp
     return path
 
 
-def test_a_row_that_its_neighbours_contradict_then_is_an_error_that_names_the_difference(tmp_path: Path) -> None:
+def test_row_that_its_neighbours_contradict_then_is_error_that_names_difference(tmp_path: Path) -> None:
     path = plate_bank_file(tmp_path / "bank.h5", wrong=24)
     errors = [one for one in check_bank(path) if one.severity == "error"]
     assert [(one.position, one.actuator) for one in errors] == [(24, 2)]

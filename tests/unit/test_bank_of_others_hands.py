@@ -99,9 +99,7 @@ def test_given_a_copy_with_a_changed_value_then_its_row_is_damaged(bank: Path) -
 @pytest.mark.parametrize(
     "value", ["made by me", 3, np.arange(4), h5py.Empty("f4"), b"\xff", np.array(["a", "b"], dtype="S1")], ids=repr
 )
-def test_given_an_attribute_that_a_person_added_then_the_bank_is_sound_and_it_is_named(
-    bank: Path, value: object
-) -> None:
+def test_an_attribute_that_a_person_added_then_the_bank_is_sound_and_it_is_named(bank: Path, value: object) -> None:
     with h5py.File(bank, "r+") as file:
         file.attrs["my remark"] = value
     with open_bank(bank, contents=True) as view:

@@ -607,7 +607,7 @@ def test_a_neighbour_round_beyond_its_bits_then_is_refused() -> None:
         replace(record_of(1), neighbour_round=2**22)
 
 
-def test_the_rms_of_each_committed_position_is_stored_and_a_silent_or_new_one_has_none(tmp_path: Path) -> None:
+def test_rms_of_each_committed_position_is_stored_and_silent_or_new_one_has_none(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     create_bank(path, header())
     with BankWriter.open(path) as writer:

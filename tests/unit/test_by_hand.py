@@ -66,7 +66,7 @@ def test_given_an_input_too_small_for_what_plays_then_the_level_says_over_range(
     assert meter.level().reference.over_range
 
 
-def test_given_a_sound_rig_then_a_sweep_stands_above_the_silence_in_its_band_and_nothing_is_wrong() -> None:
+def test_sound_rig_then_sweep_stands_above_silence_in_its_band_and_nothing_is_wrong() -> None:
     result = ManualMeasurements(bench(), RATE_HZ).sweep(SWEEP)
     assert result.trouble == ""
     assert result.figures is not None
@@ -95,7 +95,7 @@ def test_given_a_response_that_is_cut_off_then_the_sweep_says_so() -> None:
     assert "over-range" in [one.name for one in figures.defects]
 
 
-def test_given_a_loopback_that_is_not_plugged_in_then_the_sweep_tells_that_in_place_of_figures() -> None:
+def test_loopback_that_is_not_plugged_in_then_sweep_tells_that_in_place_of_figures() -> None:
     setup = bench()
     result = ManualMeasurements(replace(setup, loopback_channel=setup.actuator_channels[1]), RATE_HZ).sweep(SWEEP)
     assert result.figures is None
@@ -173,7 +173,7 @@ def test_given_a_gate_shut_twice_then_it_takes_two_to_open_it() -> None:
     assert player.sounding
 
 
-def test_given_a_gate_that_is_shut_then_a_record_fails_silently_muted_and_leaves_the_rig_usable() -> None:
+def test_gate_that_is_shut_then_record_fails_silently_muted_and_leaves_rig_usable() -> None:
     setup = bench()
     gate = BoundedPlayer(setup.instruments.player, 30.0)
     roles = setup.instruments

@@ -29,7 +29,7 @@ def test_given_no_calibration_then_there_is_nothing_to_warn_of() -> None:
     assert calibration_warnings(default_rig(), THERE) == []
 
 
-def test_given_a_fresh_calibration_of_the_same_devices_then_there_is_nothing_to_warn_of() -> None:
+def test_a_fresh_calibration_of_the_same_devices_then_there_is_nothing_to_warn_of() -> None:
     assert calibration_warnings(calibrated(), THERE, AT + timedelta(days=89)) == []
 
 
@@ -56,7 +56,7 @@ def test_given_any_field_of_an_identity_that_differs_then_it_is_another_device(f
     assert list(calibrated_elsewhere(calibrated(), {**THERE, "recorder": other})) == ["inputs"]
 
 
-def test_given_a_file_that_names_a_device_only_in_words_then_it_is_not_compared_and_that_is_said() -> None:
+def test_a_device_named_only_in_words_is_not_compared_and_that_is_said() -> None:
     older = measured().model_dump()
     del older["inputs"]["identity"]
     rig = calibrated(measured=older)
@@ -75,7 +75,7 @@ def test_given_other_settings_then_the_virtual_devices_stay_the_same() -> None:
     assert len(set(first.values())) == 3
 
 
-def test_given_an_interface_that_windows_counts_anew_then_the_calibration_still_holds() -> None:
+def test_an_interface_that_windows_counts_anew_then_the_calibration_still_holds() -> None:
     player = DeviceIdentity("", "Speakers (2- Scarlett 18i20 USB)")
     rig = calibrated()
     record = rig.calibration.measured

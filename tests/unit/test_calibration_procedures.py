@@ -104,7 +104,7 @@ def test_given_another_cable_than_asked_for_then_the_person_is_asked_again(left:
 
 
 @pytest.mark.parametrize("patience", [1, 5])
-def test_given_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it(patience: int) -> None:
+def test_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it(patience: int) -> None:
     rig, _, probe = bench()
     rig.patch_bay.connect("both")
     hands = Hands(rig, forgets=("sum",), patience=patience)
@@ -123,7 +123,7 @@ def test_given_a_person_who_gives_up_then_the_inputs_are_not_measured() -> None:
         measure_inputs(probe, Hands(rig, forgets=("both",), patience=1))
 
 
-def test_given_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused() -> None:
+def test_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused() -> None:
     rig, _, probe = bench(fault_plan=(RigFault("recorder", "read", "drift", at_call=1, count=3, level_db=-3.0),))
     with pytest.raises(NotMeasuredError, match=r"the same cable -29\.\d % apart: check cables and terminal"):
         measure_inputs(probe, Hands(rig))

@@ -54,9 +54,7 @@ def test_given_a_beat_then_it_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("ahead_s", "silent"), [(-1.0, False), (-40.0, True), (0.5, False), (40.0, True), (3600.0, True), (-3e8, True)]
 )
-def test_given_a_clock_that_was_set_back_then_an_old_heartbeat_is_silent_all_the_same(
-    ahead_s: float, silent: bool
-) -> None:
+def test_a_clock_that_was_set_back_then_an_old_heartbeat_is_silent_all_the_same(ahead_s: float, silent: bool) -> None:
     now = datetime.now(UTC)
     assert Heartbeat(now + timedelta(seconds=ahead_s), 12, "here").is_silent(now) is silent
 
@@ -100,7 +98,7 @@ def test_given_an_order_then_it_is_taken_once(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_given_two_orders_then_the_later_one_counts_and_the_earlier_cannot_withdraw_it(tmp_path: Path) -> None:
+def test_two_orders_then_the_later_one_counts_and_the_earlier_cannot_withdraw_it(tmp_path: Path) -> None:
     bank = tmp_path / "plate.h5"
     first, second = give_order(bank, "pause"), give_order(bank, "stop")
     withdraw(bank, first)
@@ -132,7 +130,7 @@ def test_given_orders_while_it_attends_then_they_are_obeyed_and_acknowledged(tmp
     assert not orders_path(bank).exists()
 
 
-def test_given_a_change_of_state_then_it_is_told_before_the_next_beat_and_the_last_one_stays(tmp_path: Path) -> None:
+def test_change_of_state_then_it_is_told_before_next_beat_and_last_one_stays(tmp_path: Path) -> None:
     bank = tmp_path / "plate.h5"
     with CampaignControl(bank, StopRequest()) as control:
         control(StateChanged(0.0, State.RUNNING, "begins"))
@@ -143,7 +141,7 @@ def test_given_a_change_of_state_then_it_is_told_before_the_next_beat_and_the_la
     assert (beat.state, beat.reason) == ("finished", "ends")
 
 
-def test_given_a_heartbeat_that_cannot_be_written_then_it_is_told_once_and_orders_are_still_obeyed(
+def test_a_heartbeat_that_cannot_be_written_is_told_once_and_orders_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bank, stop = tmp_path / "plate.h5", StopRequest()

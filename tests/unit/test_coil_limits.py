@@ -55,7 +55,7 @@ def test_given_limits_then_the_strictest_scales_all_actuators_alike(
         assert levels_of(drive_v, RATE_HZ).rms_v.max() <= limits.rms_v
 
 
-def test_given_one_loud_actuator_for_a_short_time_then_power_and_not_its_peak_decides_elsewhere() -> None:
+def test_of_one_short_loud_actuator_its_power_and_not_its_peak_decides() -> None:
     drive_v = sines(3.0, 0.0, 1.0)
     drive_v[0, 10] = 1.5
     told = limit_drive(drive_v, RATE_HZ, DriveLimits(peak_v=2.0, rms_v=0.5))

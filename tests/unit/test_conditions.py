@@ -57,9 +57,7 @@ def _recording(reference_gain: float, noise_v: float) -> Recording:
 
 
 @pytest.mark.parametrize(("gain", "level_db"), [(0.5, 0.0), (0.25, -6.02), (1.0, 6.02)])
-def test_given_a_record_then_the_reference_level_is_told_against_what_the_drive_makes(
-    gain: float, level_db: float
-) -> None:
+def test_a_record_then_the_reference_level_is_told_against_what_the_drive_makes(gain: float, level_db: float) -> None:
     conditions = _conditions(reference=AllowedRange("reference level", "dB"))
     values = conditions.values([PLAY], [_recording(gain, 0.0)])
     assert values == {"reference": pytest.approx(level_db, abs=0.01)}

@@ -114,7 +114,7 @@ def test_given_a_file_without_identities_then_it_is_read_and_has_none(tmp_path: 
     assert load_calibration(tmp_path / "cal.toml").inputs.identity is None
 
 
-def test_given_an_identity_with_a_key_that_is_not_known_then_the_file_is_refused_by_that_key(tmp_path: Path) -> None:
+def test_identity_with_key_that_is_not_known_then_file_is_refused_by_that_key(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cal.toml", measured())
     text = (tmp_path / "cal.toml").read_text()
     (tmp_path / "cal.toml").write_text(text.replace('product = "r"', 'product = "r"\ncolour = "r"'))
@@ -216,7 +216,7 @@ def sha256(rig: RigConfig) -> str:
     return plan_sha256(rig, default_run(), POSITIONS)
 
 
-def test_given_the_default_rig_then_its_plan_has_the_hash_that_banks_of_earlier_versions_hold() -> None:
+def test_default_rig_then_its_plan_has_hash_that_banks_of_earlier_versions_hold() -> None:
     assert sha256(default_rig()) == HASH_BEFORE_THERE_WERE_REAL_RIGS
 
 
@@ -270,7 +270,7 @@ def test_given_a_real_rig_then_its_hash_changes_with_what_makes_rows_differ_in_k
     assert (sha256(before) == sha256(after)) is same
 
 
-def test_given_a_virtual_rig_then_what_it_is_like_is_in_the_hash_and_its_faults_are_not() -> None:
+def test_a_virtual_rig_then_what_it_is_like_is_in_the_hash_and_its_faults_are_not() -> None:
     def hashed(**emulation: object) -> str:
         return sha256(RigConfig.model_validate({"emulation": emulation}))
 

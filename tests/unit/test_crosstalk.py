@@ -110,7 +110,7 @@ def one_percent(bank: Bank) -> float:
 
 
 @pytest.mark.parametrize(("times", "delay_s"), [(1.0, 0.0), (-1.0, 0.0), (3.0, 0.004), (-30.0, 0.01), (100.0, 0.0002)])
-def test_leak_of_one_percent_of_the_median_row_and_more_is_named_with_level_and_delay_and_marks_all(
+def test_a_leak_from_one_percent_of_the_median_row_is_named_and_marks_all(
     clean: Bank, tmp_path: Path, times: float, delay_s: float
 ) -> None:
     share = times * one_percent(clean)

@@ -46,7 +46,7 @@ def test_a_bank_that_declares_terabytes_then_is_refused_with_the_size(
         check_file(path)
 
 
-def test_a_compressed_chunk_that_unfolds_to_gigabytes_then_is_refused_before_it_is_read(
+def test_a_chunk_that_unfolds_to_gigabytes_is_refused_before_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = a_bank(tmp_path / "bank.h5", (1, 4, 1 << 22), (1, 4, 1 << 22), compression="gzip")
@@ -98,7 +98,7 @@ def test_another_file_that_declares_terabytes_then_is_refused_with_the_size(
         read(path)
 
 
-def test_a_chunk_that_unfolds_to_more_than_it_declares_then_is_refused_before_it_is_read(tmp_path: Path) -> None:
+def test_a_chunk_larger_than_it_declares_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = a_bank(tmp_path / "bank.h5", (1, 1, 1 << 14), (1, 1, 1 << 14), compression="gzip")
     with h5py.File(path, "r+") as file:
         file["green"].id.write_direct_chunk((0, 0, 0), zlib.compress(bytes(1 << 27)))

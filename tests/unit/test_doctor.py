@@ -135,7 +135,7 @@ def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing:
         (RigFault("player", "identify", "lost", at_call=1), {("player", "identity"), ("player", "loopback")}),
     ],
 )
-def test_given_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(
+def test_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(
     fault: RigFault, failing: set[tuple[str, str]]
 ) -> None:
     findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
@@ -196,7 +196,7 @@ def test_given_a_leak_of_the_loopback_then_the_response_is_measured_all_the_same
     assert found["vibrometer", "response"] == "ok"
 
 
-def test_given_outputs_that_are_picked_up_then_the_worst_is_named_apart_from_the_leak_of_the_loopback() -> None:
+def test_outputs_that_are_picked_up_then_worst_is_named_apart_from_leak_of_loopback() -> None:
     picked_up = replace(SOUND, lost_signal_v=1e-3, crosstalk=5e-4, pickup=((3, 1e-3), (7, -4e-3)))
     findings = {(one.instrument, one.check): one for one in examined(VirtualRig(picked_up))}
     assert findings["recorder", "pickup"].verdict == "fail"
@@ -245,7 +245,7 @@ def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(
     assert told in finding.what
 
 
-def test_given_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_asked_again() -> None:
+def test_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_asked_again() -> None:
     let_go = threading.Event()
     findings: list[Finding] = []
     collected = RigFindings(findings.append)

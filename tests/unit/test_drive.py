@@ -157,7 +157,7 @@ def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus(position, a
     assert drive.focus_position.tolist() == [position]
 
 
-def test_the_drive_starts_a_lead_in_before_time_zero_even_if_every_source_starts_later():
+def test_drive_starts_lead_in_before_time_zero_even_if_every_source_starts_later():
     bank = make_bank()
     drive, _ = render_with_report(Scene("s", (Source(Point((0, 0)), Impulse(), 0.5),), output=NEAREST), bank)
     assert drive.start_s == -(bank.taps - 1) / RATE_HZ

@@ -12,7 +12,7 @@ from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.ending import TERMINAL_GONE, EndingSignals, stop_on_signals
 
 
-def test_given_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing() -> None:
+def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing() -> None:
     windows = SimpleNamespace(SIGINT=2, SIGTERM=15, SIGBREAK=21)
     signals = EndingSignals.here(windows)
     assert (signals.finish, signals.terminal_gone, signals.at_once) == ((2,), (), (15, 21))
@@ -35,7 +35,7 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
 
 @POSIX
 @pytest.mark.may_skip("Windows has no SIGHUP")
-def test_given_a_terminal_that_is_gone_then_the_position_is_finished_and_twice_changes_nothing() -> None:
+def test_terminal_that_is_gone_then_position_is_finished_and_twice_changes_nothing() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup the tests inherit that it is ignored
     try:
         stop = StopRequest()

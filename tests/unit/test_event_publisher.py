@@ -35,7 +35,7 @@ class Fails:
 
 
 @pytest.mark.parametrize("failure", [BrokenPipeError(32, "Broken pipe"), ValueError("I/O operation on closed file")])
-def test_given_a_subscriber_that_fails_then_it_is_reported_once_and_the_others_get_every_event(failure):
+def test_subscriber_that_fails_then_it_is_reported_once_and_others_get_every_event(failure):
     failing, received, reports = Fails(failure), [], []
     publish = EventPublisher({"the first": failing, "the second": received.append}, reports.append)
     events = [Event(float(number)) for number in range(3)]
@@ -61,7 +61,7 @@ def test_given_a_closed_file_then_event_lines_end_and_say_so(tmp_path, capsys):
     assert capsys.readouterr().err.count("standard output cannot be written any more") == 1
 
 
-def test_given_a_subscriber_of_the_campaign_that_fails_then_every_position_is_measured(tmp_path, caplog):
+def test_a_subscriber_of_the_campaign_that_fails_then_every_position_is_measured(tmp_path, caplog):
     (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
     blueprint = blueprint_from_files(tmp_path / "run.toml")
     bank = tmp_path / "plate.h5"

@@ -81,7 +81,7 @@ def test_every_waveform_can_be_chosen_in_a_run_file() -> None:
 
 
 @pytest.mark.parametrize("waveform", WAVEFORMS)
-def test_given_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found(waveform: str) -> None:
+def test_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found(waveform: str) -> None:
     excitation = dataclasses.replace(DEFAULT, waveform=waveform, averages=2)
     base = excitation.base_v()
     assert np.abs(base).max() == pytest.approx(0.5, abs=1e-12)

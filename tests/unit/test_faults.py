@@ -31,7 +31,7 @@ def test_given_an_unplugged_mirror_then_it_is_back_after_so_many_tries(tries):
     assert mirror.identify()
 
 
-def test_given_a_recorder_unplugged_in_a_take_then_the_same_take_succeeds_when_it_is_back():
+def test_a_recorder_unplugged_in_a_take_then_the_same_take_succeeds_when_it_is_back():
     recorder = rig_with(RigFault("recorder", "read", "unplugged", position=4, tries=0)).instruments.recorder
     request = RecordRequest(1000, RATE_HZ, (2.0, 1.0), RecordLabel(4, 1, 0))
     recorder.start(request)

@@ -95,7 +95,7 @@ def test_given_a_word_that_is_near_to_none_then_none_is_named() -> None:
 
 
 @pytest.mark.parametrize("words", GONE)
-def test_given_a_command_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
+def test_a_command_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
     words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run([*words.split(), "plate.h5", "--out", "x"]) == 2
@@ -109,7 +109,7 @@ LINES = {
 
 
 @pytest.mark.parametrize("words", OPTIONS)
-def test_given_an_option_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
+def test_an_option_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
     words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command, _, option = words.rpartition(" ")
@@ -119,9 +119,7 @@ def test_given_an_option_of_an_earlier_version_then_one_sentence_names_what_serv
 
 
 @pytest.mark.parametrize("key", ["refine_to", "refine_positions"])
-def test_given_a_key_of_an_earlier_version_then_a_file_is_refused_in_one_sentence_and_a_bank_is_read(
-    lab: Path, tmp_path: Path, key: str
-) -> None:
+def test_a_key_of_an_earlier_version_is_refused_in_files_and_read_in_banks(lab: Path, tmp_path: Path, key: str) -> None:
     (tmp_path / "run.toml").write_text(f"[grid]\n{key} = 1\n")
     with pytest.raises(InputError, match=rf"grid: {key} is gone: {KEYS[key]}$"):
         load_run(tmp_path / "run.toml")

@@ -193,7 +193,7 @@ def test_positions_file_that_is_no_text_is_told_with_the_line(tmp_path: Path) ->
 
 @pytest.mark.parametrize("outline", [Outline.stadium(250.0, 150.0), Outline.rectangle(120.0, 80.0)])
 @pytest.mark.parametrize("count", [0, 1, 12, 200])
-def test_check_positions_lie_between_the_grid_inside_the_margin_and_are_always_the_same(outline, count):
+def test_check_positions_lie_between_grid_inside_margin_and_are_always_same(outline, count):
     position_mm = surface_grid(outline, 14.3, 10.0)
     found = check_grid(outline, 14.3, 10.0, position_mm, count)
     assert found.shape == (count, 2)

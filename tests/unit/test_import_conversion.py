@@ -127,7 +127,7 @@ def test_given_other_motions_then_they_become_velocities_when_asked(
     assert (bank.response_unit, bank.drive_unit) == (unit, unit[-1])
 
 
-def test_given_samples_of_acceleration_then_they_are_integrated_in_the_band_that_is_named(
+def test_samples_of_acceleration_then_they_are_integrated_in_the_band_that_is_named(
     green: np.ndarray, imported: Any
 ) -> None:
     with pytest.raises(InputError, match="--band"):
@@ -208,7 +208,7 @@ def test_given_fewer_taps_or_a_window_then_the_energy_that_is_lost_is_stated(gre
     assert np.allclose(damped[..., 150], green[..., 150] * 10**-1.5, rtol=1e-5)
 
 
-def test_given_a_tilted_plane_then_distances_stay_and_two_columns_do_for_places_in_space() -> None:
+def test_a_tilted_plane_then_distances_stay_and_two_columns_do_for_places_in_space() -> None:
     random = np.random.default_rng(5)
     flat = np.column_stack([random.uniform(-0.1, 0.1, (20, 2)), np.zeros(20)])
     tilt = np.linalg.qr(random.standard_normal((3, 3)))[0]

@@ -85,7 +85,7 @@ def test_an_array_with_a_band_beyond_half_the_rate_is_refused() -> None:
         GreenArray(GREEN, PLACES, 1000.0, band_hz=(20.0, 600.0))
 
 
-def test_an_accelerance_keeps_its_whole_response_by_default_and_taps_that_cut_it_are_a_warning(tmp_path: Path) -> None:
+def test_an_accelerance_is_whole_by_default_and_taps_that_cut_it_are_a_warning(tmp_path: Path) -> None:
     rate_hz, period = 2000.0, 800
     time_s = np.arange(period) / rate_hz
     velocity = np.sin(2 * np.pi * 90 * time_s) * np.exp(-time_s / 0.1)

@@ -84,7 +84,7 @@ def test_facts_that_an_archive_states_twice_and_otherwise_then_are_refused(
         wf.import_bank(archive(tmp_path / "a.npz", **changes), tmp_path / "a.h5")
 
 
-def test_facts_that_an_archive_states_twice_alike_then_are_taken_and_a_rate_is_never_overridden(tmp_path: Path) -> None:
+def test_facts_that_an_archive_states_twice_are_taken_and_its_rate_stands(tmp_path: Path) -> None:
     source = archive(tmp_path / "a.npz", position_m=np.array([[0, 0], [0.04, 0], [0, 0.04], [0.04, 0.04]]),
                      time_s=np.arange(16) / 1000)  # fmt: skip
     with wf.import_bank(source, tmp_path / "a.h5") as bank:

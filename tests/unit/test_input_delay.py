@@ -68,7 +68,7 @@ def test_given_no_bank_then_the_calibrated_delay_counts_else_the_devices_own(
         (None, 14e-6, 13e-6, 13e-6, True),
     ],
 )
-def test_given_a_bank_that_is_begun_then_its_rest_is_measured_with_its_own_delay_or_refused(
+def test_bank_that_is_begun_then_its_rest_is_measured_with_its_own_delay_or_refused(
     begun_s: float | None,
     device_s: float | None,
     calibrated_s: float | None,

@@ -54,7 +54,7 @@ def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missi
             assert role.identify()
 
 
-def test_given_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_released() -> None:
+def test_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_released() -> None:
     rig = RigConfig.model_validate({"emulation": {"seed": 2}})
     openers = openers_of(rig)
     mirror = openers.mirror()
@@ -67,7 +67,7 @@ def test_given_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_r
 
 
 @pytest.mark.parametrize("role", ["mirror", "recorder", "player"])
-def test_given_a_real_rig_with_nothing_plugged_in_then_each_opener_says_who_what_why_and_what_to_do(role: str) -> None:
+def test_with_nothing_plugged_in_each_opener_says_what_and_what_to_do(role: str) -> None:
     openers = openers_of(RigConfig.model_validate(REAL))
     with pytest.raises(InstrumentError) as told:
         getattr(openers, role)()
@@ -76,7 +76,7 @@ def test_given_a_real_rig_with_nothing_plugged_in_then_each_opener_says_who_what
     assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
 
 
-def test_given_a_driver_that_hangs_while_it_is_opened_then_it_is_named_and_nothing_after_it_is_opened() -> None:
+def test_a_driver_that_hangs_while_it_opens_is_named_and_nothing_more_is_opened() -> None:
     opened = []
 
     def note() -> Recorder:

@@ -33,7 +33,7 @@ def test_the_nearest_row_is_found_along_any_path(seed, positions, step):
 
 
 @pytest.mark.parametrize("points", [1, 200])
-def test_a_point_whose_distance_squared_is_beyond_all_numbers_has_a_nearest_row_far_away(points):
+def test_point_whose_distance_squared_is_beyond_all_numbers_has_nearest_row_far_away(points):
     far_mm = np.full((points, 2), 1e300)
     for position_mm in (LATTICE, np.random.default_rng(0).uniform(-20, 20, (30, 2))):
         rows, distance_mm = PositionGrid(position_mm).nearest(far_mm)

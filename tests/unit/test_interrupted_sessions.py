@@ -147,7 +147,7 @@ def moments(events: list[Event]) -> list[int]:
 
 
 @pytest.mark.parametrize(("act", "every"), ACTS.values(), ids=ACTS)
-def test_given_a_request_at_any_event_then_every_change_of_state_is_in_the_table_and_the_session_ends(
+def test_a_request_at_any_event_changes_states_by_the_table_and_ends(
     blueprint: Blueprint, tmp_path: Path, act: Callable[[TrialSession], object], every: int
 ) -> None:
     whole = TrialSession(blueprint, tmp_path / "whole.h5", -1, act)

@@ -112,7 +112,7 @@ def test_left_out_in_closed_form_is_what_leaving_out_gives():
 
 
 @pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("square", -40.0), ("irregular", -60.0)])
-def test_the_error_found_by_leaving_positions_out_is_the_error_within_a_factor_of_two(grid, noise_db):
+def test_error_found_by_leaving_positions_out_is_error_within_factor_of_two(grid, noise_db):
     bank, kernel = kernel_on(grid, noise_db)
     frequency_hz, greens = kernel.waves.frequency_hz, greens_on(grid, noise_db)
     relative = kernel.estimate(bank, POINTS_MM, frequency_hz).relative

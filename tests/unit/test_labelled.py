@@ -22,7 +22,7 @@ def bank(tmp_path: Path) -> Bank:
     return open_bank(measured(tmp_path / "bank.h5"))
 
 
-def test_given_a_bank_then_its_dataset_has_the_names_dimensions_and_units_of_its_file(bank: Bank) -> None:
+def test_a_bank_then_its_dataset_has_the_names_dimensions_and_units_of_its_file(bank: Bank) -> None:
     found = bank.to_xarray()
     with xarray.open_dataset(bank.path, engine="h5netcdf") as file:
         for name in ("green", "position_mm", "actuator_mm", "status", "time_s", "axis"):

@@ -8,7 +8,7 @@ import pytest
 from wavefocus.live_session.latency import LatencyHistogram
 
 
-def test_given_latencies_of_any_length_then_percentiles_are_those_of_all_to_one_per_cent():
+def test_latencies_of_any_length_then_percentiles_are_those_of_all_to_one_per_cent():
     latencies_ms = np.random.default_rng(1).lognormal(3.0, 2.0, 10_000)
     histogram = LatencyHistogram()
     for latency_ms in latencies_ms:

@@ -124,7 +124,7 @@ def test_given_constant_velocity_then_less_look_ahead_gives_the_same_drives_late
 
 
 @pytest.mark.parametrize("velocity_mm", [0.0, 0.03])
-def test_given_no_further_position_then_the_velocity_is_held_within_the_surface_and_fades(velocity_mm):
+def test_no_further_position_then_the_velocity_is_held_within_the_surface_and_fades(velocity_mm):
     engine = engine_of(hold_s=0.4)
     moved = 20
 
@@ -146,7 +146,7 @@ def test_given_no_further_position_then_the_velocity_is_held_within_the_surface_
     assert engine.state() == ()
 
 
-def test_given_a_jump_an_end_or_a_hole_on_the_way_then_one_life_fades_and_another_appears():
+def test_a_jump_an_end_or_a_hole_on_the_way_then_one_life_fades_and_another_appears():
     status = np.ones(len(GRID_MM), dtype=np.uint8)
     status[60] = 0  # at (0, 0) mm
     engine = engine_of(GreenArray(GREEN, GRID_MM, RATE_HZ, status=status))
@@ -187,7 +187,7 @@ def test_given_a_source_at_rest_then_computing_anew_changes_nothing_but_rounding
     ids=["a position", "a signal", "an end", "an effort"],
 )
 @pytest.mark.parametrize("blocks", [11, 12, 13])
-def test_an_order_takes_effect_with_the_next_block_even_where_that_was_computed_before(blocks, order):
+def test_order_takes_effect_with_next_block_even_where_that_was_computed_before(blocks, order):
     ordered, other = engine_of(), engine_of()
     for engine in (ordered, other):
         engine.move("finger", (-5.0, 6.0))
@@ -296,9 +296,7 @@ def test_given_rows_of_zeros_or_nan_then_they_are_no_part_of_the_surface():
 
 @pytest.mark.parametrize("frame_rate_hz", [48_000.0, 44_100.0, 2500.0, 1600.0])
 @pytest.mark.parametrize("independent", [False, True])
-def test_given_the_interface_rate_then_the_drives_are_those_of_the_banks_rate_between_its_samples(
-    frame_rate_hz, independent
-):
+def test_interface_rate_then_drives_are_those_of_banks_rate_between_its_samples(frame_rate_hz, independent):
     bank, drives = plate_bank(), []
     for rate_hz in (bank.sample_rate_hz, frame_rate_hz):
         engine = LiveEngine(
@@ -318,7 +316,7 @@ def test_given_the_interface_rate_then_the_drives_are_those_of_the_banks_rate_be
     assert error < 1e-4
 
 
-def test_given_the_band_of_a_bank_then_bins_beyond_are_left_out_and_the_record_renders_to_the_same_drives():
+def test_bins_beyond_the_band_are_left_out_and_the_record_renders_the_same():
     bank = plate_bank()
     made, lives = {}, {}
     for name, band_hz in (("band", bank.band_hz), ("whole", None)):
@@ -336,7 +334,7 @@ def test_given_the_band_of_a_bank_then_bins_beyond_are_left_out_and_the_record_r
 
 
 @pytest.mark.parametrize("hold_s", [0.25, 0.03])
-def test_given_a_finger_that_rests_then_its_positions_change_nothing_and_blocks_are_not_computed_anew(hold_s):
+def test_a_finger_that_rests_changes_nothing_and_computes_no_block_anew(hold_s):
     drives = []
     for twice in (False, True):
         engine = engine_of(hold_s=hold_s, look_ahead=SUFFICIENT)

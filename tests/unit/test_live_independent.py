@@ -50,7 +50,7 @@ def test_filters_are_the_least_change_of_time_reversal_and_level_under_its_respo
 
 
 @pytest.mark.parametrize("actuators", [1, 3])
-def test_given_places_that_cannot_be_told_apart_then_the_response_stays_and_the_energy_is_bounded(actuators):
+def test_places_that_cannot_be_told_apart_then_response_stays_and_energy_is_bounded(actuators):
     green = rows_of(24, actuators, 40)
     green[1] = green[0] * (1.0 + 1e-4)
     green[2] = green[0]
@@ -101,7 +101,7 @@ def level_db(drive_v: np.ndarray, places_mm) -> float:
     return 10 * np.log10(max(energy[1:]) / energy[0])
 
 
-def test_given_fingers_at_rest_then_a_source_is_quiet_where_others_are_and_as_loud_where_it_is():
+def test_of_fingers_at_rest_each_source_is_quiet_at_the_others():
     loud = [1.0, 0.0, 0.0, 0.0]
     plain, quiet = (played(FINGERS_MM, loud, independent=one) for one in (False, True))
     assert level_db(plain, FINGERS_MM) > -12.0
@@ -132,7 +132,7 @@ def test_given_fingers_too_near_to_one_another_then_they_sound_within_the_energy
     assert np.abs(quiet[:, -5 * BLOCK :]).max() > 0.0
 
 
-def test_given_fingers_that_come_near_and_part_then_the_engine_says_while_their_energy_is_bounded():
+def test_the_engine_says_while_the_energy_of_near_fingers_is_bounded():
     engine = LiveEngine(
         BANK, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, regularisation=Regularisation(independent=True)
     )
@@ -148,7 +148,7 @@ def test_given_fingers_that_come_near_and_part_then_the_engine_says_while_their_
     assert not bounded[-1]
 
 
-def test_given_fingers_that_move_then_what_is_forgotten_of_their_way_changes_no_drive():
+def test_fingers_that_move_then_what_is_forgotten_of_their_way_changes_no_drive():
     drives = []
     for keeps_all in (True, False):
         engine = LiveEngine(
@@ -203,7 +203,7 @@ def test_given_a_grid_without_finer_rows_then_kernel_is_refused_by_name(position
         LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, interpolation="kernel")
 
 
-def test_given_a_finger_alone_or_two_that_jump_onto_one_place_then_the_drives_are_those_of_time_reversal():
+def test_one_finger_or_two_at_one_place_give_the_drives_of_time_reversal():
     for places_mm, loud in (([(3.0, 3.0)], [1.0]), ([(3.0, 3.0), (3.0, 3.0)], [0.5, 0.5])):
         plain, quiet = (played(places_mm, loud, independent=one) for one in (False, True))
         np.testing.assert_allclose(quiet, plain, rtol=0, atol=2e-3 * np.abs(plain).max())

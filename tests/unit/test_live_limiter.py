@@ -38,7 +38,7 @@ def limited(drive_v: np.ndarray, limits: DriveLimits, look_ahead: int, sizes: li
     look_ahead=st.integers(1, 40),
     sizes=st.lists(st.integers(1, 300), min_size=1, max_size=4),
 )  # fmt: skip
-def test_given_any_drive_in_blocks_of_any_size_then_every_limit_holds_at_every_sample(parts, limits, look_ahead, sizes):
+def test_any_drive_in_blocks_of_any_size_then_every_limit_holds_at_every_sample(parts, limits, look_ahead, sizes):
     random = np.random.default_rng(len(parts))
     made = {
         "sine": lambda length: np.sin(np.arange(length) * 0.3),
@@ -70,7 +70,7 @@ def test_given_a_drive_up_to_a_decibel_below_its_limits_then_it_passes_unchanged
     assert least_db == 0.0
 
 
-def test_given_a_lasting_drive_beyond_its_rms_then_its_gain_settles_a_decibel_below_the_limit_without_pumping():
+def test_a_lasting_drive_beyond_its_rms_settles_a_decibel_below_the_limit():
     drive_v = np.tile(0.9 * np.sin(2 * np.pi * 50 * np.arange(8000) / RATE_HZ), (3, 1))
     out_v, _ = limited(drive_v, DriveLimits(None, 0.2), 20, [7])
     settled = out_v[0, 2000:7900].reshape(-1, 20).std(axis=1)
@@ -78,7 +78,7 @@ def test_given_a_lasting_drive_beyond_its_rms_then_its_gain_settles_a_decibel_be
     assert settled.max() < 1.01 * settled.min()
 
 
-def test_given_a_peak_then_the_gain_falls_within_the_look_ahead_and_is_back_200_ms_later():
+def test_a_peak_then_the_gain_falls_within_the_look_ahead_and_is_back_200_ms_later():
     drive_v = np.full((3, 1000), 0.1)
     drive_v[:, 500] = 10.0
     gain = limited(drive_v, DriveLimits(0.5), 20, [50])[0][0] / drive_v[0]

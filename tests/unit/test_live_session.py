@@ -120,7 +120,7 @@ def end(session: LiveSession) -> None:
     session.order(EndLive(), time.monotonic())
 
 
-def test_given_sufficient_look_ahead_then_what_was_played_is_what_the_recorded_scene_renders_to(tmp_path: Path) -> None:
+def test_with_sufficient_look_ahead_the_recorded_scene_renders_to_what_was_played(tmp_path: Path) -> None:
     script: dict[int, Callable] = {piece: move("a", 0.5 * piece, 3.0) for piece in range(30)}
     script[7] = lambda session: (script_move(session), session.order(UseSignal("a", SINE, VALUES, True), 0.0))
     script_move, second = move("a", 3.0, 3.0), move("b", -9.0, 8.0, 0.5 * AMPLITUDE)
@@ -155,7 +155,7 @@ def test_given_limits_then_no_frame_is_beyond_them_and_it_is_said() -> None:
     assert bench.session.ended().limited_s > 0
 
 
-def test_given_a_player_that_runs_dry_or_is_lost_then_it_begins_again_and_sources_are_counted() -> None:
+def test_a_player_that_runs_dry_or_is_lost_begins_again_and_counts_sources() -> None:
     def dry(session: LiveSession) -> None:
         raise TransientInstrumentError("player", "playing", "underflow", "")
 
@@ -191,7 +191,7 @@ def test_given_positions_that_stop_then_the_source_fades_and_it_is_said() -> Non
     assert not bench.frames[:, 60 * BLOCK :].any()
 
 
-def test_given_a_flood_of_positions_then_the_newest_of_each_source_waits_and_the_first_arrival_counts() -> None:
+def test_in_a_flood_of_positions_the_newest_waits_and_the_first_arrival_counts() -> None:
     inbox = Inbox()
     for index in range(10 * MAX_WAITING):
         inbox.put(MoveSource(f"{index % 3}", (float(index), 0.0), 2.0 if index < 3 else None), float(index))
@@ -299,21 +299,21 @@ def test_given_blocks_that_take_unequally_long_then_nearly_all_that_is_to_wait_w
     assert min(session.waiting_s[100:]) > 0.02
 
 
-def test_given_orders_for_every_block_that_take_longer_than_it_plays_then_they_wait_for_one_block_or_two() -> None:
+def test_orders_that_take_longer_than_a_block_wait_for_one_block_or_two() -> None:
     session = SimulatedSession(lambda block, _: 0.004 if block < 1000 else 0.011, 10)
     assert session.underruns == []
     assert set(session.sounding) == {10}
     assert min(session.waiting_s[100:]) > 0.02
 
 
-def test_given_a_stall_then_what_is_to_wait_is_there_again_within_a_tenth_of_a_second() -> None:
+def test_a_stall_then_what_is_to_wait_is_there_again_within_a_tenth_of_a_second() -> None:
     session = SimulatedSession(lambda *_: 0.0025, 4, {1000: 0.03})
     assert session.underruns == []
     assert session.waiting_s[1000] < 0.01
     assert session.waiting_s[1000 + 20] > 0.03
 
 
-def test_given_stalls_of_the_machine_that_let_the_player_run_dry_then_no_source_is_left_out() -> None:
+def test_stalls_of_machine_that_let_player_run_dry_then_no_source_is_left_out() -> None:
     stalls = {2000: 0.06, 2001: 0.06, 2400: 0.06}
     session = SimulatedSession(lambda block, sources: 1e-4 if block % 2 else 1.5e-3 * sources, 4, stalls)
     assert session.underruns == [2000, 2400]
@@ -321,7 +321,7 @@ def test_given_stalls_of_the_machine_that_let_the_player_run_dry_then_no_source_
 
 
 @pytest.mark.parametrize("slow_blocks", [30, 200])
-def test_given_slow_computing_for_a_while_then_all_sources_sound_again_within_seconds(slow_blocks: int) -> None:
+def test_slow_computing_for_a_while_then_all_sources_sound_again_within_seconds(slow_blocks: int) -> None:
     slow = range(2000, 2000 + slow_blocks)
     session = SimulatedSession(lambda block, sources: (0.02 if block in slow else 1.5e-3) * sources / 2, 4)
     assert session.underruns
@@ -330,7 +330,7 @@ def test_given_slow_computing_for_a_while_then_all_sources_sound_again_within_se
     assert session.sounding[-1] == 4
 
 
-def test_given_more_sources_than_the_machine_computes_then_the_latest_are_left_out_and_taken_back() -> None:
+def test_more_sources_than_machine_computes_then_latest_are_left_out_and_taken_back() -> None:
     session = SimulatedSession(lambda block, sources: (2.4e-3 if block < 6000 else 1e-4) * sources, 10, blocks=30_000)
     assert len(session.underruns) <= 3
     assert all(sounding <= 7 for sounding in session.sounding[300:6000:2000])
@@ -338,7 +338,7 @@ def test_given_more_sources_than_the_machine_computes_then_the_latest_are_left_o
     assert session.sounding.index(10, 6000) < 6000 + round(120 / 0.005)
 
 
-def test_given_an_interface_with_long_periods_then_blocks_are_not_computed_in_a_burst() -> None:
+def test_an_interface_with_long_periods_then_blocks_are_not_computed_in_a_burst() -> None:
     session = SimulatedSession(lambda *_: 0.002, 4, ahead_s=0.08, period_s=1024 / 48_000)
     settled = session.gaps_s[100:]
     assert session.underruns == []
@@ -366,7 +366,7 @@ def test_given_one_stall_of_the_machine_then_the_effort_stays() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="Linux has real-time priorities")
-def test_given_threads_that_hold_pythons_lock_then_their_priority_is_raised_with_that_of_the_session() -> None:
+def test_threads_that_hold_pythons_lock_have_the_priority_of_the_session() -> None:
     over, policies = threading.Event(), list[int]()
     other = threading.Thread(target=over.wait)
 

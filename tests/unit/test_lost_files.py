@@ -97,7 +97,7 @@ LOSSES: list[tuple[Callable[[Path], None], set[int]]] = [
 
 @pytest.mark.parametrize("name", ["night", "night.raw"])
 @pytest.mark.parametrize(("lose", "kept"), LOSSES, ids=lambda value: getattr(value, "__name__", ""))
-def test_a_file_lost_while_it_is_measured_then_ends_the_session_and_is_kept_under_another_name(
+def test_a_file_lost_while_it_is_measured_ends_the_session_and_is_rescued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, lose: Callable[[Path], None], kept: set[int]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -83,7 +83,7 @@ def test_given_positions_on_one_line_then_there_is_a_peak_on_the_grid_and_no_wid
     assert metrics.focal_width_mm(line, field, peak.row, SPACING_MM) is None
 
 
-def test_given_fields_that_differ_by_a_tenth_then_the_error_is_a_tenth_and_the_correlation_one():
+def test_fields_that_differ_by_tenth_then_error_is_tenth_and_correlation_one():
     field = np.random.default_rng(1).standard_normal((5, 200)).astype(np.float32)
     assert metrics.normalised_error(field, np.float32(0.9) * field) == pytest.approx(0.1, rel=1e-5)
     assert metrics.correlation(field, -0.9 * field) == pytest.approx(-1.0)
@@ -114,7 +114,7 @@ def test_given_a_shuffled_grid_with_gaps_then_the_spacing_is_still_four_millimet
         metrics.grid_spacing_mm(GRID_MM[:1])
 
 
-def test_given_a_side_spot_of_a_tenth_then_the_artefact_level_is_minus_20_db_unless_it_is_a_focus():
+def test_side_spot_of_tenth_then_artefact_level_is_minus_20_db_unless_it_is_focus():
     field = gaussian((0.0, 0.0), 9.0) - 0.1 * gaussian((32.0, 0.0), 9.0)
     spot = metrics.focus_spot(GRID_MM, field, (0.0, 0.0), 15.0, SPACING_MM)
     assert spot is not None

@@ -124,7 +124,7 @@ def test_given_a_peak_then_its_cell_is_red_and_a_trough_blue(field_file: Path, t
     assert seen[1][1] > 500 > seen[1][0]
 
 
-def test_given_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_refused(
+def test_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_refused(
     field_file: Path, tmp_path: Path
 ) -> None:
     with FieldRowReader(field_file) as field:

@@ -60,9 +60,7 @@ def test_whole_positions_of_another_level_then_are_one_difference_each(clean: np
 
 
 @pytest.mark.parametrize("level_db", [-3.0, -20.0])
-def test_whole_positions_of_another_level_side_by_side_then_are_all_found_and_no_other(
-    clean: np.ndarray, level_db: float
-) -> None:
+def test_neighbouring_positions_of_another_level_are_all_found_and_no_other(clean: np.ndarray, level_db: float) -> None:
     greens = clean.copy()
     wrong = [30, 31, 57, 70, 84, 98, 110, 111, 123, 137]
     greens[wrong] *= 10 ** (level_db / 20)

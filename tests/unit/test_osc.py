@@ -74,7 +74,7 @@ def test_given_unknown_type_tags_then_they_are_refused_and_nothing_is_logged(cap
     assert not caplog.records
 
 
-def test_given_a_bundle_of_positions_then_the_newest_of_each_source_is_read_and_the_rest_bounded() -> None:
+def test_bundle_of_positions_then_newest_of_each_source_is_read_and_rest_bounded() -> None:
     messages = OscMessages()
     many = [osc(f"/source/f{index % 20}/position", float(index), 0.0) for index in range(1400)]
     orders = list(messages.read(bundle(*many)))

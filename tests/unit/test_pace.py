@@ -45,7 +45,7 @@ def test_given_repeats_then_their_time_is_expected_of_the_others_too() -> None:
     assert pace.remaining_s(4, 0) == pytest.approx(60.0)
 
 
-def test_given_measurements_of_the_sentinel_then_they_are_no_positions_and_those_to_come_are_counted() -> None:
+def test_sentinel_measurements_are_no_positions_and_those_to_come_are_counted() -> None:
     pace = CampaignPace(0.0)
     now_s = _measured(pace, 0.0, [10.0] * 4)
     assert pace.remaining_s(10, 2) == 120.0  # as long as a position, as far as is known

@@ -71,7 +71,7 @@ def test_given_another_cable_and_back_then_the_vibrometer_hears_what_it_heard() 
     assert record(rig, 3, 20).volts.tobytes() == record(other, 3, 20).volts.tobytes()
 
 
-def test_given_outputs_of_their_own_latency_and_gain_then_that_is_what_is_heard_of_them() -> None:
+def test_outputs_of_their_own_latency_and_gain_then_that_is_what_is_heard_of_them() -> None:
     late_s, gain = [0.0] * 21, [1.0] * 21
     late_s[3], gain[3], gain[20] = 3e-4, -0.5, 2.0
     rig = VirtualRig(dataclasses.replace(QUIET, output_latency_s=tuple(late_s), output_gain=tuple(gain)))
@@ -81,7 +81,7 @@ def test_given_outputs_of_their_own_latency_and_gain_then_that_is_what_is_heard_
     assert np.abs(reference_v).max() == pytest.approx(2.0, abs=0.01)
 
 
-def test_given_an_output_of_its_own_latency_and_gain_then_the_surface_answers_accordingly() -> None:
+def test_an_output_of_its_own_latency_and_gain_then_the_surface_answers_accordingly() -> None:
     late_s, gain = [0.0] * 21, [1.0] * 21
     late_s[3], gain[3] = 3e-4, -0.5
     heard = []

@@ -22,13 +22,13 @@ POSITION_MM = np.array(GOLDEN["position_mm"])
 
 
 @pytest.mark.parametrize("case", GOLDEN["cases"], ids=lambda case: case["name"])
-def test_given_a_plan_of_an_earlier_version_then_its_hash_is_the_one_that_its_bank_holds(case: dict) -> None:
+def test_a_plan_of_an_earlier_version_then_its_hash_is_the_one_that_its_bank_holds(case: dict) -> None:
     rig = RigConfig.model_validate(case["rig"], context=KEPT)
     run = RunConfig.model_validate(case["run"], context=KEPT)
     assert plan_sha256(rig, run, POSITION_MM) == case["plan_sha256"]
 
 
-def test_given_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_hash() -> None:
+def test_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_hash() -> None:
     class LaterSweep(Sweep):
         fade_s: Positive = 0.01
         comment: Annotated[str, FREE] = ""
@@ -94,7 +94,7 @@ def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values() 
     assert plan_differences(own, own) == ()
 
 
-def test_given_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_values(tmp_path: Path) -> None:
+def test_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_values(tmp_path: Path) -> None:
     places = [[0, 0], [5, 0]]
     wf.virtual_rig(actuators=2, position_mm=places).measure(tmp_path / "bank.h5", [0]).close()
     other = wf.virtual_rig(actuators=2, position_mm=places, run={"sweep": {"stop_hz": 400.0}})

@@ -36,7 +36,7 @@ def test_given_the_soft_plate_then_an_impulse_travels_as_the_paper_measured():
     assert travel.attenuation_db_per_cm == pytest.approx(3.8, rel=1e-9)
 
 
-def test_given_the_springpot_then_an_impulse_travels_as_the_paper_measured_and_losses_grow_with_frequency():
+def test_with_the_springpot_an_impulse_travels_as_the_paper_measured():
     travel = impulse_travel(SPRINGPOT_PLATE, (50.0, 450.0))
     assert travel.group_velocity_m_s == pytest.approx(4.8, rel=1e-6)
     assert travel.attenuation_db_per_cm == pytest.approx(3.8, rel=1e-6)
@@ -52,7 +52,7 @@ def test_given_a_springpot_without_loss_then_it_is_the_wave_without_damping():
         assert elastic.kernels(frequency_hz, radius_mm, 2.5)[0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_given_the_springpot_then_its_response_is_causal_and_the_table_is_within_1e_minus_7():
+def test_springpot_then_its_response_is_causal_and_table_is_within_1e_minus_7():
     # Its tail falls as a power of time, so it needs 20 s not to wrap.
     frequency_hz = np.fft.rfftfreq(200_000, 1e-4)
     kernel = SPRINGPOT_PLATE.kernels(frequency_hz, 40.0, 2.5)[0] * np.exp(-((frequency_hz / 800.0) ** 2))
@@ -190,7 +190,7 @@ def test_given_the_chain_then_its_filters_are_the_textbook_s():
     assert np.allclose(chain_response(frequency_hz), expected, rtol=1e-10, atol=0)
 
 
-def test_given_the_plates_that_are_registered_then_the_files_name_the_same_and_each_key_is_one_of_its_plate():
+def test_files_name_the_registered_plates_and_only_their_keys():
     names = {name for name in PLATES.all() if "," not in name}
     assert set(get_args(PlateKeys.model_fields["plate"].annotation)) == names
     for key, field in PlateKeys.model_fields.items():

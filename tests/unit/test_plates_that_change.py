@@ -37,7 +37,7 @@ def _response(name: str, keys: dict[str, Any], warmer_k: float = 0.0, place: tup
 
 
 @pytest.mark.parametrize("frequency_hz", [50.0, 250.0, 450.0])
-def test_given_a_finger_on_a_stadium_then_its_field_is_that_of_elements_with_the_finger_on_them(
+def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frequency_hz: float
 ) -> None:
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path))
@@ -59,7 +59,7 @@ def test_given_a_finger_on_a_stadium_then_its_field_is_that_of_elements_with_the
 
 
 @pytest.mark.parametrize(("name", "keys"), PLATES)
-def test_given_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothing(
+def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothing(
     name: str, keys: dict[str, Any]
 ) -> None:
     def covered(damping: float | None) -> Any:
@@ -72,7 +72,7 @@ def test_given_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_
     assert np.linalg.norm(covered(1e6)) < 1e-3 * np.linalg.norm(covered(None))
 
 
-def test_given_taps_then_the_spectra_of_a_touched_plate_are_those_of_its_cut_responses() -> None:
+def test_taps_then_the_spectra_of_a_touched_plate_are_those_of_its_cut_responses() -> None:
     plate = make_plate("soft", ACTUATOR_MM, RECTANGLE, chain_response, {"finger": FINGER})
     place, taps, length, full = (12.0, -7.0), 700, 512, 24_000
     (found,) = plate.fir_spectra(np.array([place]), taps, 10_000.0, length, slice(3, 30))
@@ -82,7 +82,7 @@ def test_given_taps_then_the_spectra_of_a_touched_plate_are_those_of_its_cut_res
     assert np.linalg.norm(found - wanted) < 1e-5 * np.linalg.norm(wanted)
 
 
-def test_given_a_warmer_soft_plate_then_its_waves_are_those_of_a_slower_medium_that_moves_more() -> None:
+def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_more() -> None:
     found = _response("soft", {"speed_per_k": -0.01, "loss_per_k": 0.03}, 4.0)
     slower = DampedWave(0.96 * SOFT_PLATE.speed_m_s, 1.12 * SOFT_PLATE.damping_per_s)
     hertz = 50.0 * np.arange(1, 11)
@@ -106,7 +106,7 @@ def test_given_any_plate_then_scaled_in_speed_it_is_itself_at_a_scaled_frequency
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=0.03 if keys.get("quality") else 1e-7)
 
 
-def test_given_a_course_of_the_room_then_the_plate_follows_it_and_without_the_key_it_does_not() -> None:
+def test_course_of_room_then_plate_follows_it_and_without_key_it_does_not() -> None:
     def recorded(keys: tuple[tuple[str, Any], ...], seconds: float) -> np.ndarray:
         synthesis = Synthesis(VirtualSettings(plate_keys=keys, room_c=((0.0, 21.0), (100.0, 25.0))))
         start_ns, click = round(1e9 * seconds), SignalStore(5.0).find(np.ones(20))
@@ -119,7 +119,7 @@ def test_given_a_course_of_the_room_then_the_plate_follows_it_and_without_the_ke
     assert np.array_equal(recorded((), 0.0), recorded((), 100.0))
 
 
-def test_given_a_plate_in_the_rig_file_then_its_emulation_has_it_and_that_of_the_run_file_is_stronger() -> None:
+def test_the_plate_of_the_rig_file_is_emulated_unless_the_run_file_names_one() -> None:
     finger = {"place_mm": (0.0, 0.0), "mass_kg": 1e-4}
     rig = RigConfig.model_validate({"emulation": {"plate": "solid", "force_deg": 30.0, "finger": finger}})
     settings = virtual_settings(rig)
@@ -132,7 +132,7 @@ def test_given_a_plate_in_the_rig_file_then_its_emulation_has_it_and_that_of_the
     assert not rig.emulation.is_flawless
 
 
-def test_given_a_plate_that_cannot_be_then_the_emulated_wires_are_refused_before_anything_is_played() -> None:
+def test_emulated_wires_of_an_impossible_plate_are_refused_before_playing() -> None:
     settings = VirtualSettings(plate="thin")  # on the default stadium
     with pytest.raises(ValueError, match="rectangle"):
         WireBench(settings, None, None, full_scale_v=(1.0,))  # type: ignore[arg-type]

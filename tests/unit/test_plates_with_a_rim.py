@@ -126,7 +126,7 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Pat
 
 @pytest.mark.parametrize("admittance", [0.0, 0.7])
 @pytest.mark.parametrize(("step_hz", "bins"), [(0.25, 4000), (1.5, 601), (0.1, 2000)])
-def test_given_close_frequencies_then_what_is_interpolated_is_exact_to_single_precision(
+def test_close_frequencies_then_what_is_interpolated_is_exact_to_single_precision(
     cache: Path, admittance: float, step_hz: float, bins: int
 ) -> None:
     plate = StadiumPlate(ACTUATOR_MM, STADIUM, chain_response, rim_admittance=admittance)
@@ -167,7 +167,7 @@ def test_the_run_file_takes_every_plate() -> None:
         assert Virtual.model_validate({"plate": plate, "edge": edge or None}).plate == plate
 
 
-def test_given_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_time() -> None:
+def test_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_time() -> None:
     outline, rate_hz, samples = Outline.rectangle(250.0, 150.0), 40_000.0, 40_000
     plate = ThinRectangle(np.array([[60.0, 30.0]]), outline, np.ones_like, quality=80.0)
     response = plate.response((-40.0, 10.0), rate_hz / samples, 501, single=False)[0]
@@ -185,7 +185,7 @@ def test_given_glass_of_another_outline_then_it_is_refused() -> None:
         ThinRectangle(ACTUATOR_MM, STADIUM, np.ones_like)
 
 
-def test_given_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_form() -> None:
+def test_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_form() -> None:
     plate = InfiniteGlass(np.array([[60.0, 30.0]]), STADIUM, np.ones_like, quality=1e7)
     hertz = 50.0 * np.arange(1, 11)
     angular = 2 * np.pi * hertz
@@ -197,7 +197,7 @@ def test_given_glass_without_an_edge_and_little_loss_then_its_response_is_the_cl
     np.testing.assert_allclose(found, INFINITE_STRENGTH * 1j * angular * green, rtol=float(argument.max() ** 2 / 4))
 
 
-def test_given_glass_so_large_and_lossy_that_no_edge_is_felt_then_its_modes_add_up_to_the_closed_form() -> None:
+def test_modes_of_large_lossy_glass_add_up_to_the_closed_form() -> None:
     outline, actuator_mm = Outline.rectangle(800.0, 700.0), np.array([[20.0, -10.0], [-30.0, 40.0]])
     modes = ThinRectangle(actuator_mm, outline, np.ones_like, quality=1.0)
     waves = InfiniteGlass(actuator_mm, outline, np.ones_like, quality=1.0)
@@ -207,7 +207,7 @@ def test_given_glass_so_large_and_lossy_that_no_edge_is_felt_then_its_modes_add_
         assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted)
 
 
-def test_given_taps_then_the_spectra_of_infinite_glass_are_those_of_the_cut_responses() -> None:
+def test_taps_then_the_spectra_of_infinite_glass_are_those_of_the_cut_responses() -> None:
     plate = InfiniteGlass(ACTUATOR_MM, STADIUM, chain_response, quality=50.0)
     rate_hz, taps, length, full = 10_000.0, 1000, 1024, 24_000
     (found,) = plate.fir_spectra(PLACE_MM[:1] / 2, taps, rate_hz, length, slice(3, 52))

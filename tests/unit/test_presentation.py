@@ -47,7 +47,7 @@ def true_error_ms(label: RecordLabel) -> float:
 
 
 @pytest.mark.parametrize("masking", [None, MASKING], ids=["alone", "masked"])
-def test_given_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisecond(
+def test_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisecond(
     masking: Masking | None,
 ) -> None:
     rig = presenter(masking=masking)
@@ -72,7 +72,7 @@ def test_given_a_rig_in_the_walls_time_then_the_onset_is_that_of_the_machines_cl
     assert onset.at_s == pytest.approx(true_s, abs=1e-3 * onset.within_ms + 1e-4)
 
 
-def test_given_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_one_before() -> None:
+def test_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_one_before() -> None:
     for pause_s in (1.0, 0.15, 0.05):
         whole = presented_v(STIMULUS, pause_s, RATE_HZ)
         second = whole.shape[1] - 4000
@@ -81,7 +81,7 @@ def test_given_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_o
         assert not whole[:, 4000:second].any()
 
 
-def test_given_masking_then_it_sounds_on_its_output_alone_around_the_stimulus_and_the_marker_at_the_onset() -> None:
+def test_masking_sounds_around_the_stimulus_and_the_marker_at_its_onset() -> None:
     rig = presenter(masking=MASKING)
     signals_v, onset = rig.signals_v(STIMULUS, RecordLabel(1, 1, 0, "presentation"))
     assert sorted(signals_v) == [0, 2, 3, 5]  # the second actuator has nothing to do
@@ -105,7 +105,7 @@ def test_given_masking_then_it_sounds_on_its_output_alone_around_the_stimulus_an
     assert not np.array_equal(noise_v, other)
 
 
-def test_given_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_alone() -> None:
+def test_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_alone() -> None:
     noise_v = pink_noise(400_000, 48_000.0, 0.5, b"seed")
     hertz, density = welch(noise_v, 48_000.0, nperseg=8192)
     octaves = [density[(hertz >= low) & (hertz < 2 * low)].mean() for low in (125, 250, 500, 1000, 2000, 4000)]

@@ -35,7 +35,7 @@ def test_given_a_near_actuator_loud_in_volts_but_well_explained_then_valid() -> 
     assert judge(_estimate(noise_v=np.array([3e-3, 1e-4, 1e-4, 1e-4], np.float32)), False, LIMITS).good
 
 
-def test_given_one_record_far_noisier_and_unexplained_then_poor_and_the_actuator_is_named() -> None:
+def test_one_record_far_noisier_and_unexplained_then_poor_and_the_actuator_is_named() -> None:
     judgement = judge(_estimate(noise_v=np.array([1e-4, 1e-4, 5e-3, 1e-4], np.float32)), False, LIMITS)
     assert judgement.status == Status.POOR_SIGNAL
     assert "actuator 2" in judgement.reason
@@ -100,7 +100,7 @@ def test_given_a_single_sweep_whose_repeats_are_unknown_then_valid() -> None:
     assert judge(_estimate(coherence=unknown, repeat_db=unknown), False, LIMITS).good
 
 
-def test_given_an_actuator_that_is_silent_though_farther_ones_are_heard_then_it_is_named() -> None:
+def test_an_actuator_that_is_silent_though_farther_ones_are_heard_then_it_is_named() -> None:
     silent = np.array([1.0, 60.0, 50.0, 40.0], np.float32)
     near = np.array([20.0, 100.0, 120.0, 140.0])
     judgement = judge(_estimate(snr_db=silent), False, LIMITS, near)

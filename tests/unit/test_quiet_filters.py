@@ -169,7 +169,7 @@ def test_given_sources_that_sound_alike_then_their_sum_is_kept_within_the_level(
     assert np.square(np.abs((q[:, 0] * w).sum(axis=1))).sum() / max(at_foci) == pytest.approx(1e-3, rel=0.01)
 
 
-def test_given_opposite_sources_at_one_place_then_nothing_is_driven_and_nothing_fails():
+def test_opposite_sources_at_one_place_then_nothing_is_driven_and_nothing_fails():
     h, q, place = rows(1), rows(1, 1), np.zeros(1, np.int64)
     opposite = np.array([[1.0, -1.0], [-1.0, 1.0]])[..., None] * np.ones(BINS)
     foci = [Focus(h[:, 0], q, place, source=j) for j in range(2)]

@@ -69,7 +69,7 @@ def test_without_quiet_places_the_drive_is_the_same_bytes(bank):
     assert drives[0] == drives[1]
 
 
-def test_given_a_quiet_place_then_its_level_is_met_and_the_response_at_the_focus_stays(bank):
+def test_a_quiet_place_then_its_level_is_met_and_the_response_at_the_focus_stays(bank):
     scene = scene_of((16.0, 8.0), (8.0, -16.0))
     plain, _ = render_with_report(plain_of(scene), bank)
     drive, report = render_with_report(scene, bank)
@@ -196,7 +196,7 @@ def test_a_disc_between_positions_is_quiet_in_truth(bank):
     assert level.worst_db > level.reached_db
 
 
-def test_a_resting_place_stays_quiet_while_the_source_moves_and_its_level_is_the_true_one(bank):
+def test_resting_place_stays_quiet_while_source_moves_and_its_level_is_true_one(bank):
     place_mm, path, speed = (16.0, 8.0), Circle((-6.0, 0.0), 8.0), 100.0
     scene = scene_of(place_mm, path=path, speed=speed, output=Output(interpolation="kernel"))
     drive, _ = render_with_report(scene, bank)
@@ -278,7 +278,7 @@ def test_a_scene_needs_the_positions_around_its_independent_sources(bank):
     assert len(set(independent) - set(alone)) >= 2 * 36 - 10
 
 
-def test_on_a_coarse_grid_a_quiet_place_between_positions_needs_all_of_them_and_one_at_a_position_does_not():
+def test_a_quiet_place_off_a_coarse_grid_needs_all_positions_and_one_on_it_not():
     coarse_mm = 4.0 * SQUARE_MM
     between, at_position = (
         scene_rows(scene_of(one, output=NEAREST), coarse_mm, coarse=True).path for one in ((24.0, 24.0), (32.0, 32.0))

@@ -62,7 +62,7 @@ def made(tmp_path: Path, positions: int = 3) -> Path:
     return path
 
 
-def test_given_commits_then_reading_gives_the_same_volts_and_other_positions_are_empty(tmp_path: Path) -> None:
+def test_commits_then_reading_gives_the_same_volts_and_other_positions_are_empty(tmp_path: Path) -> None:
     path = made(tmp_path)
     with RawWriter.open(path, plan_sha256="ab" * 32) as writer:
         writer.commit(1, *volts(1))

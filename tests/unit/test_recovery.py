@@ -97,7 +97,7 @@ def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_a
 @pytest.mark.parametrize(
     ("recovery_s", "waits"), [(10.0, [1.0, 2.0, 4.0, 3.0, None]), (0.5, [0.5, None]), (0.0, [None])]
 )
-def test_given_an_instrument_that_stays_away_then_the_last_try_is_when_the_time_is_over(recovery_s, waits):
+def test_an_instrument_that_stays_away_then_the_last_try_is_when_the_time_is_over(recovery_s, waits):
     setup = setup_of(LOST, recovery_s=recovery_s)
     watched = Watched(setup)
     with pytest.raises(InstrumentLostError, match=f"not back within .*, {len(waits)} tries") as caught:
@@ -109,7 +109,7 @@ def test_given_an_instrument_that_stays_away_then_the_last_try_is_when_the_time_
     assert setup.instruments.clock.now_s() == pytest.approx(recovery_s)
 
 
-def test_given_an_instrument_that_is_lost_again_and_again_then_it_is_not_connected_for_ever():
+def test_instrument_that_is_lost_again_and_again_then_it_is_not_connected_for_ever():
     setup = setup_of()
     watched = Watched(setup)
 
@@ -123,7 +123,7 @@ def test_given_an_instrument_that_is_lost_again_and_again_then_it_is_not_connect
     assert setup.instruments.clock.now_s() == pytest.approx(sum(map(back_off_s, range(LOSSES_IN_A_ROW))))
 
 
-def test_given_a_failure_that_no_driver_knows_then_it_is_tried_once_more_and_final_when_it_recurs():
+def test_an_unknown_failure_is_tried_once_more_and_final_when_it_recurs():
     setup = setup_of()
     watched = Watched(setup)
     calls = []
@@ -148,7 +148,7 @@ def test_given_a_failure_that_no_driver_knows_then_it_is_tried_once_more_and_fin
     assert "code -1" in caught.value.cause
 
 
-def test_given_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end():
+def test_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end():
     mute = RigFault("player", "mute", "timeout", at_call=1, count=10**6)
     setup = setup_of(RigFault("mirror", "move_to", "unplugged", at_call=1, tries=0), mute, recovery_s=60.0)
     watched = Watched(setup)
@@ -219,7 +219,7 @@ def test_given_a_stop_while_an_instrument_is_waited_for_then_the_waiting_ends():
     assert len(watched.tries) == 2
 
 
-def test_given_a_signal_to_end_while_an_instrument_is_waited_for_then_it_is_heard_at_once():
+def test_a_signal_to_end_while_an_instrument_is_waited_for_then_it_is_heard_at_once():
     setup = setup_of(LOST, clock=WallClock(), recovery_s=1e9)
 
     def end_soon(event: Event) -> None:
@@ -241,7 +241,7 @@ def test_given_a_stop_asked_for_before_then_a_lost_instrument_is_not_waited_for(
     assert watched.tries == []
 
 
-def test_given_ctrl_c_on_the_way_out_then_one_step_is_cut_short_and_the_others_are_tried():
+def test_ctrl_c_on_the_way_out_then_one_step_is_cut_short_and_the_others_are_tried():
     rig = VirtualRig(VirtualSettings())
 
     class Hanging:

@@ -32,7 +32,7 @@ def registry_of(folder: Path, monkeypatch: pytest.MonkeyPatch, package: str, imp
     return __import__(package).REGISTRY
 
 
-def test_given_a_driver_whose_makers_package_is_missing_then_it_is_left_out_and_the_others_work(tmp_path, monkeypatch):
+def test_driver_whose_makers_package_is_missing_then_it_is_left_out_and_others_work(tmp_path, monkeypatch):
     registry = registry_of(tmp_path, monkeypatch, "drivers_without_a_package", "import package_of_acme")
     assert set(registry.all()) == {"sound"}
     assert set(registry.failures) == {"acme-gs"}

@@ -10,7 +10,7 @@ from wavefocus.rendering.device import WORKERS, threaded_map
 
 
 @pytest.mark.parametrize("workers", [1, WORKERS])
-def test_given_items_then_results_come_in_their_order_and_a_few_items_are_taken_ahead(workers):
+def test_items_then_results_come_in_their_order_and_a_few_items_are_taken_ahead(workers):
     taken = []
 
     def items():
@@ -29,7 +29,7 @@ def test_given_several_workers_then_they_work_side_by_side():
     assert len(list(threaded_map(lambda _: together.wait(timeout=60), range(WORKERS)))) == WORKERS
 
 
-def test_given_an_error_then_it_is_raised_when_its_turn_comes_and_the_rest_is_not_begun():
+def test_an_error_then_it_is_raised_when_its_turn_comes_and_the_rest_is_not_begun():
     begun = []
 
     def task(item):

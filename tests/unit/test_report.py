@@ -97,7 +97,7 @@ def test_given_a_good_scan_then_the_report_passes_and_holds_all_its_pictures(goo
     assert "<h2>Drift</h2>" not in html
 
 
-def test_given_names_that_are_markup_then_they_are_text_and_nothing_outside_is_loaded(good_report):
+def test_names_that_are_markup_then_they_are_text_and_nothing_outside_is_loaded(good_report):
     html = good_report.read_text(encoding="utf-8")
     assert "default-src 'none'" in html
     assert not re.search(r"<script|<link|<iframe|@import|url\(", html)

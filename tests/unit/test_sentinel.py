@@ -141,7 +141,7 @@ def _step(then: np.ndarray, now: np.ndarray, place_mm: tuple[float, float], chan
 
 
 @pytest.mark.parametrize("place_mm", [CORNER, MIDDLE])
-def test_given_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(
+def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(
     place_mm: tuple[float, float],
 ) -> None:
     chance, then = np.random.default_rng(7), _truth(place_mm)

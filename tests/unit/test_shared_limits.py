@@ -15,7 +15,7 @@ def _threads() -> set[int]:
     return {int(one["num_threads"]) for one in threadpool_info() if one["user_api"] == "blas"}
 
 
-def test_given_generators_that_end_out_of_order_then_the_limit_is_put_back_by_the_last() -> None:
+def test_generators_that_end_out_of_order_then_the_limit_is_put_back_by_the_last() -> None:
     def blocks() -> Iterator[int]:
         with one_blas_thread():
             yield 1

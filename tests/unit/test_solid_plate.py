@@ -69,7 +69,7 @@ def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(
             assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted), (force, oscillation)
 
 
-def test_given_oblique_directions_then_the_response_is_a_sum_of_the_tensor_s_elements() -> None:
+def test_oblique_directions_then_the_response_is_a_sum_of_the_tensor_s_elements() -> None:
     tensor = np.array(
         [[_plate(a, b).response((-12.0, 9.0), 50.0, 10, single=False)[0] for a in (0, 90)] for b in (0, 90)]
     )

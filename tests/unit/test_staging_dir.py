@@ -41,7 +41,7 @@ def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> 
     assert names(tmp_path) == []
 
 
-def test_given_another_process_that_removes_the_empty_folder_first_then_what_was_made_stands(tmp_path: Path) -> None:
+def test_another_process_that_removes_empty_folder_first_then_what_was_made_stands(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     with staging_dir(path) as place:
         place.temporary.write_bytes(b"whole")
@@ -85,7 +85,7 @@ def test_given_a_link_to_elsewhere_then_it_is_not_followed(tmp_path: Path) -> No
     assert names(tmp_path / "elsewhere") == ["bank.h5"]
 
 
-def test_given_a_name_that_was_claimed_and_not_filled_then_the_complete_file_takes_it(tmp_path: Path) -> None:
+def test_a_name_that_was_claimed_and_not_filled_then_the_complete_file_takes_it(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     path.write_bytes(b"")
     leftover(path, owner=b"complete", made=b"whole")
@@ -95,9 +95,7 @@ def test_given_a_name_that_was_claimed_and_not_filled_then_the_complete_file_tak
 
 
 @pytest.mark.parametrize("note", [b"", b"complet"])
-def test_given_a_claimed_name_and_no_word_that_the_file_is_complete_then_it_does_not_take_it(
-    tmp_path: Path, note: bytes
-) -> None:
+def test_claimed_name_and_no_word_that_file_is_complete_then_it_does_not_take_it(tmp_path: Path, note: bytes) -> None:
     path = tmp_path / "bank.h5"
     path.write_bytes(b"")
     leftover(path, owner=note, made=b"ha")
@@ -114,7 +112,7 @@ def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(
     assert path.read_bytes() == b"precious"
 
 
-def test_given_a_folder_whose_maker_was_killed_between_two_renames_then_the_new_one_takes_its_name(
+def test_a_folder_killed_between_two_renames_gets_the_new_one_under_its_name(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "crate"

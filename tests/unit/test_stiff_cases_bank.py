@@ -37,7 +37,7 @@ def rendered(source, measured, **options):
 
 
 @pytest.mark.parametrize("kind", ["nearest", "bilinear"])
-def test_rows_10_to_12_a_path_off_the_grid_is_warned_about_with_the_error_per_frequency(kind):
+def test_rows_10_to_12_path_off_grid_is_warned_about_with_error_per_frequency(kind):
     _, report = rendered(OFF_GRID, bank(), interpolation=kind)
     warnings = [text for text in report.warnings if "between the grid positions is wrong by about" in text]
     assert len(warnings) == 1
@@ -55,7 +55,7 @@ def test_rows_10_to_12_a_path_off_the_grid_is_warned_about_with_the_error_per_fr
         assert told == pytest.approx(true, rel=0.6)
 
 
-def test_rows_10_to_12_a_grid_coarser_than_a_quarter_wave_length_is_warned_about_with_its_error():
+def test_rows_10_to_12_a_grid_above_a_quarter_wavelength_is_a_warning_with_error():
     """6 mm: fewer than two positions per wave length at 450 Hz."""
     _, report = rendered(OFF_GRID, bank(6.0))
     assert any("wrong by about" in text and "a finer grid" in text for text in report.warnings)
@@ -86,7 +86,7 @@ def glass_bank(quality, taps=400, rate_hz=2000.0):
     return GreenArray(values, 1e3 * points_m, rate_hz, band_hz=(50.0, 450.0))
 
 
-def test_row_22_a_response_longer_than_its_window_is_warned_about_with_the_share_of_its_tail():
+def test_row_22_a_response_longer_than_its_window_is_a_warning_with_its_tail():
     """A stiff plate, Q = 1e4: at 200 Hz energy falls by e in 8 s, and the window has 0.2 s: 3 % of it."""
     measured = glass_bank(1e4)
     drive, report = rendered(Source(Point((200.0, 150.0)), Impulse()), measured)

@@ -194,7 +194,7 @@ def test_row_13_path_outside_the_surface_is_refused_with_its_place(interpolation
         rendered(source, make_bank(), output=Output(interpolation=interpolation), method=method)
 
 
-def test_row_13_path_that_leaves_the_grid_between_two_path_points_is_refused_when_exact():
+def test_row_13_path_that_leaves_grid_between_two_path_points_is_refused_when_exact():
     bulge = Polyline([(20.0, 8.0), (32.0, 8.0), (20.0, 8.1)])
     source = Source(bulge, Noise((50, 400), 1.0), 0.0, 100.0, bulge.length_mm)
     with pytest.raises(InputError, match=r"source 0, sample \d+ after its start, lies at \(28\.\d+, 8\) mm"):

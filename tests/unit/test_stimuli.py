@@ -99,9 +99,7 @@ def test_given_again_then_only_what_is_missing_is_rendered(tmp_path: Path, bank:
     assert {file: file.stat().st_mtime_ns for file in times} == times
 
 
-def test_given_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fits(
-    tmp_path: Path, bank: Bank
-) -> None:
+def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fits(tmp_path: Path, bank: Bank) -> None:
     peak_v = float(peaks(render(design_of(tmp_path).stimuli[LOUDEST].scene, bank).drive_v).max())
     for limits in (DriveLimits(peak_v=0.9 * peak_v, peak_key="player.limit_v"), DriveLimits(rms_v=0.1 * peak_v)):
         with pytest.raises(InputError) as refused:

@@ -80,9 +80,7 @@ def test_given_a_sound_rig_then_nothing_is_named(plate: str) -> None:
 
 
 @pytest.mark.parametrize(("exponent", "share"), [(3, 1.0), (1, 0.0)])
-def test_given_the_scene_played_quieter_then_it_shows_how_much_of_the_difference_is_distortion(
-    exponent: int, share: float
-) -> None:
+def test_scene_played_quieter_then_it_shows_how_much_of_difference_is_distortion(exponent: int, share: float) -> None:
     _, prediction = rendered()
     loudest = float(np.abs(prediction.field).max())
 

@@ -22,7 +22,7 @@ def test_given_any_code_then_it_has_a_sentence_and_a_remedy(code: SymptomCode, a
         assert "40 %" in sentence  # as records of earlier versions have guesses
 
 
-def test_given_an_error_of_the_mirror_then_shift_turn_and_the_scale_of_each_axis_are_stated() -> None:
+def test_error_of_mirror_then_shift_turn_and_scale_of_each_axis_are_stated() -> None:
     affine = ((0.05, 0.0, -1.5), (0.0, 0.0, 0.0))
     assert symptom_words.sentence(Symptom("mirror", (), (1.5, 0.0, 0.0247), 0.99, affine=affine)) == (
         "The mirror is off: each position shows the field shifted by (-1.5, +0) mm, rotated by +0° about the centre"

@@ -63,7 +63,7 @@ def test_given_a_problem_then_enter_tries_again_and_s_leaves_it_out(line: str, a
 
 
 @pytest.mark.parametrize("source", ["vibrometer", "sum", "both", "output 13"])
-def test_given_a_cable_to_plug_then_the_person_is_told_which_and_the_virtual_one_follows(
+def test_a_cable_to_plug_then_the_person_is_told_which_and_the_virtual_one_follows(
     source: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bay = PatchBay(range(20), 20)

@@ -34,7 +34,7 @@ def test_given_calls_then_their_answers_and_their_failures_come_back_in_order() 
     thread.abandon()
 
 
-def test_given_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fresh_thread() -> None:
+def test_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fresh_thread() -> None:
     thread, release = CallThread("test"), threading.Event()
     first = thread.call(threading.get_ident, 5.0)
     with pytest.raises(HungError):
@@ -84,7 +84,7 @@ HANGS = {
 
 
 @pytest.mark.parametrize("role", HANGS)
-def test_given_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_time(role: str) -> None:
+def test_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_time(role: str) -> None:
     operation, ask, doing = HANGS[role]
     rig = VirtualRig(VirtualSettings(fault_plan=(RigFault(role, operation, "hang", at_call=2),)))
     roles = bounded(rig.instruments, SOON_S)
@@ -120,7 +120,7 @@ def test_given_a_failure_of_the_instrument_then_it_comes_through_with_its_role()
     assert lost.value.role == "mirror"
 
 
-def test_given_instruments_that_were_closed_then_they_say_so_and_closing_twice_does_no_harm() -> None:
+def test_closed_instruments_say_so_and_closing_twice_does_no_harm() -> None:
     roles = bounded(VirtualRig(VirtualSettings()).instruments, 5.0)
     for instrument in (roles.mirror, roles.recorder, roles.player):
         instrument.close()

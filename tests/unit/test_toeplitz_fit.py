@@ -71,7 +71,7 @@ def test_given_a_small_size_then_it_is_as_near_to_the_truth_as_the_dense_fit(ppm
 
 
 @pytest.mark.parametrize(("sweep", "limit_db"), [("linear", 0.3), ("exponential", 1.0)])
-def test_given_48_khz_and_12000_taps_then_the_noise_s_limit_is_reached_without_a_matrix(sweep, limit_db):
+def test_48_khz_and_12000_taps_then_the_noise_s_limit_is_reached_without_a_matrix(sweep, limit_db):
     period, taps, ratio = 156_960, 12_000, 1 + 37e-6
     bins = np.arange(66, 65_400)
     power = np.ones(bins.size) if sweep == "linear" else bins.mean() / bins

@@ -32,7 +32,7 @@ def test_given_knots_then_places_are_linear_between_them_and_exact_at_them(knots
 
 
 @given(KNOTS)
-def test_given_knots_that_are_dropped_or_added_then_the_places_between_the_others_are_the_same_bits(knots):
+def test_knots_that_are_dropped_or_added_then_places_between_others_are_same_bits(knots):
     whole = through(knots)
     rest = Trajectory(whole.sample[1:], whole.at_mm[1:], whole.amplitude[1:])
     sample = np.arange(int(rest.sample[0]), int(rest.sample[-1]) + 1)

@@ -82,7 +82,7 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     assert scene_picture(scene, bank(), sampled=report.sources).png == picture
 
 
-def test_given_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_circle():
+def test_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_circle():
     circle = Source(Circle((1.3, -0.7), 13.0, 0.4), Noise((80.0, 420.0), 0.1, 3), 0.0, 180.0, 3.0)
     along_mm = np.arange(0.0, circle.path.length_mm, 0.9)
     course = TrajectoryPath(along_mm / 180.0, circle.path.point_at(along_mm))
@@ -101,7 +101,7 @@ def test_given_a_line_and_repeat_then_the_signal_begins_anew_until_its_end():
     assert held == pytest.approx(240)
 
 
-def test_given_rows_close_in_time_or_silent_then_they_are_no_foci_and_silence_is_no_way():
+def test_rows_close_in_time_or_silent_then_they_are_no_foci_and_silence_is_no_way():
     time_s = np.arange(9) * 0.004
     places_mm = [(4.0 * (row // 4), 0.0) for row in range(9)]
     path = TrajectoryPath(time_s, places_mm, (1, 1, 1, 0, 0, 1, 1, 1, 1))

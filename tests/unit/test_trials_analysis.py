@@ -83,7 +83,7 @@ def test_given_the_paper_s_answers_then_its_accuracies_come_out():
     assert sum(one.count for one in shares if one.participant and not one.factors) == 713
 
 
-def test_given_levels_then_numbers_rise_before_texts_and_of_factors_that_part_alike_the_first_counts():
+def test_levels_sort_numbers_before_texts_and_of_equal_factors_the_first_counts():
     levels = [(250.0, "b"), (None, "x"), (40.0, "10"), (100.0, "9")]
     rows = [row(n, speed=speed, path=path, amplitude=0.5) for n, (speed, path) in enumerate(levels)]
     assert factors_of(table_of(rows)) == ("speed_mm_s",)
@@ -104,7 +104,7 @@ def test_given_hits_and_false_alarms_then_d_prime_and_criterion_follow_the_text_
     assert d_prime(10, 10, 0, 10)[0] == pytest.approx(2 * 1.6906, abs=1e-4)
 
 
-def test_given_many_sets_of_answers_then_the_interval_of_d_prime_holds_the_truth_in_most():
+def test_many_sets_of_answers_then_the_interval_of_d_prime_holds_the_truth_in_most():
     rng = np.random.default_rng(1)
     hits, alarms = rng.binomial(60, 0.8413447, 400), rng.binomial(60, 0.5, 400)
     intervals = [d_prime(int(h), 60, int(f), 60)[1] for h, f in zip(hits, alarms, strict=True)]
@@ -128,7 +128,7 @@ def test_given_catch_trials_then_every_amplitude_is_held_against_them():
     assert (found["0.5"].false_alarms, found["0.5"].of_noise) == (3, 20)
 
 
-def test_given_answers_at_levels_then_the_fit_is_the_maximum_of_the_penalised_likelihood():
+def test_answers_at_levels_then_the_fit_is_the_maximum_of_the_penalised_likelihood():
     levels, of = np.geomspace(0.1, 1.0, 8), np.full(8, 40)
     right = np.array([21, 19, 24, 28, 33, 38, 39, 39])
 
@@ -157,7 +157,7 @@ def test_given_answers_at_levels_then_the_fit_is_the_maximum_of_the_penalised_li
     assert 0.0 < fit.deviance_p <= 1.0
 
 
-def test_given_a_share_that_falls_with_the_level_then_the_fit_mirrors_that_of_one_that_rises():
+def test_share_that_falls_with_level_then_fit_mirrors_that_of_one_that_rises():
     levels, right, of = [0.1, 0.2, 0.4, 0.8], [11, 13, 18, 20], [20] * 4
     rising = fit_psychometric(levels, right, of, guess=0.5)
     falling = fit_psychometric([1 / one for one in levels], right, of, guess=0.5, falling=True)
@@ -167,7 +167,7 @@ def test_given_a_share_that_falls_with_the_level_then_the_fit_mirrors_that_of_on
 
 
 @pytest.mark.parametrize("right", [(0, 0, 20, 20), (20, 20, 20, 20), (10, 10, 10, 10), (20, 15, 10, 5)])
-def test_given_answers_without_a_maximum_of_the_likelihood_then_estimates_are_finite_and_ends_open_or_finite(right):
+def test_answers_without_a_maximum_likelihood_have_finite_estimates(right):
     fit = fit_psychometric([0.1, 0.2, 0.4, 0.8], list(right), [20] * 4, guess=0.0 if right[0] == 0 else 0.5)
     assert np.isfinite([fit.threshold, fit.slope, fit.deviance]).all()
     for low, high in (fit.threshold_interval, fit.slope_interval):
@@ -205,7 +205,7 @@ def test_given_one_level_then_no_function_is_fitted():
     assert psychometric_of(table_of([row()]), ANSWERS) == ()
 
 
-def test_given_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals():
+def test_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals():
     up_down = AdaptiveTable(method="up_down", factor="amplitude")
     levels = [1.0, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25, 0.5]
     rows = [
@@ -220,7 +220,7 @@ def test_given_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_rev
     assert 0.25 <= found.reversals_threshold <= 0.5
 
 
-def test_given_answers_then_the_report_shows_them_with_names_escaped_and_holds_all_it_shows():
+def test_answers_then_report_shows_them_with_names_escaped_and_holds_all_it_shows():
     analysis = analysis_of(paper_rows(), DESIGN)
     html, pictures = build_report(analysis, [("answers", "trials.csv")])
     assert NASTY not in html

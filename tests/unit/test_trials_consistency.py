@@ -57,7 +57,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("column", CHANGES)
-def test_given_one_cell_that_is_not_the_experiment_s_then_its_line_is_left_out_and_no_other(experiment, column):
+def test_one_cell_that_is_not_experiment_s_then_its_line_is_left_out_and_no_other(experiment, column):
     rows = list(experiment[2])
     rows[5] = replace(rows[5], **{column: CHANGES[column]})
     (found,) = named(experiment, rows)
@@ -65,7 +65,7 @@ def test_given_one_cell_that_is_not_the_experiment_s_then_its_line_is_left_out_a
     assert column.split("_")[0] in found[1]
 
 
-def test_given_an_answer_that_is_judged_otherwise_or_not_at_all_then_its_line_is_left_out(experiment):
+def test_an_answer_that_is_judged_otherwise_or_not_at_all_then_its_line_is_left_out(experiment):
     rows = experiment[2]
     for correct in (not rows[5].correct, None):
         changed = [*rows[:5], replace(rows[5], correct=correct), *rows[6:]]
@@ -82,7 +82,7 @@ def test_given_a_row_that_is_missing_then_those_after_it_stay(experiment):
     assert named(experiment, [*rows[:5], *rows[6:]]) == []
 
 
-def test_given_two_answers_of_different_stimuli_exchanged_then_both_are_left_out_of_a_fixed_order(experiment):
+def test_two_answers_exchanged_in_a_fixed_order_are_both_left_out(experiment):
     design, _, rows = experiment
     if design.config.adaptive is None:
         other = next(number for number in range(6, 40) if rows[number].stimulus != rows[5].stimulus)
@@ -97,7 +97,7 @@ def test_given_columns_that_the_file_lacks_then_their_defaults_are_no_fault(expe
     assert named(experiment, rows) == []
 
 
-def test_given_facts_of_an_early_version_without_stimuli_then_the_rest_is_held_against_the_design(experiment):
+def test_facts_of_early_version_without_stimuli_then_rest_is_held_against_design(experiment):
     _, facts, rows = experiment
     design = stored_design({key: value for key, value in facts.items() if key != "stimuli"}, Path("trials.json"))
     changed = [*rows[:5], replace(rows[5], answer="up"), *rows[6:]]

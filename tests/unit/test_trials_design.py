@@ -73,7 +73,7 @@ def test_stimuli_are_all_combinations_of_the_levels_of_each_table(tmp_path: Path
     assert dict(design.keys) == {"left": "1", "right": "2"}
 
 
-def test_given_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_own(tmp_path: Path) -> None:
+def test_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_own(tmp_path: Path) -> None:
     text = TRIALS.replace('"left", "right"', '"no", "yes"').replace('"path"', '"amplitude"')
     text = text.replace("repetitions", 'correct_levels = { 0 = "no", "0.5" = "yes" }\nrepetitions')
     design = design_of(tmp_path, text + POINT)
@@ -180,7 +180,7 @@ def test_order_is_balanced_in_each_block_and_never_too_many_are_alike(
         assert longest_run([level_of[name] for name in names]) <= most_alike
 
 
-def test_each_participant_has_an_order_of_their_own_that_no_version_of_python_changes(tmp_path: Path) -> None:
+def test_each_participant_has_order_of_their_own_that_no_version_of_python_changes(tmp_path: Path) -> None:
     design = design_of(tmp_path, TRIALS + STIMULI)
     first, again, other = (order_of(design, code) for code in ("P01", "P01", "P02"))
     assert isinstance(first, FixedOrder)

@@ -108,7 +108,7 @@ def run(
         return session.run(), session
 
 
-def test_given_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is_answered(
+def test_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is_answered(
     experiment: Experiment, tmp_path: Path
 ) -> None:
     program, presenter = Program(), InMemory(attempts=(1, 1, 1, 3))
@@ -136,7 +136,7 @@ def test_given_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is
     assert str(tmp_path / "out" / "trials.csv") in welcome.stored[2]
 
 
-def test_given_an_end_at_any_order_then_the_session_goes_on_in_the_same_order_and_loses_nothing(
+def test_end_at_any_order_then_session_goes_on_in_same_order_and_loses_nothing(
     experiment: Experiment, tmp_path: Path
 ) -> None:
     whole = InMemory()
@@ -163,7 +163,7 @@ def test_given_an_end_at_any_order_then_the_session_goes_on_in_the_same_order_an
             run(experiment, folder, Program(), InMemory())
 
 
-def test_given_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_counts(
+def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_counts(
     experiment: Experiment, tmp_path: Path
 ) -> None:
     later, before = time.monotonic() + 3600, time.monotonic() - 3600
@@ -177,7 +177,7 @@ def test_given_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one
     assert [number for _, number in presenter.presented] == [0, 0, 1, 1, 2]
 
 
-def test_given_an_instrument_that_is_lost_for_good_then_what_was_answered_stays_and_the_outputs_are_muted(
+def test_an_instrument_lost_for_good_keeps_the_answers_and_mutes_the_outputs(
     experiment: Experiment, tmp_path: Path
 ) -> None:
     presenter = InMemory(lost=5)
@@ -208,7 +208,7 @@ def test_given_something_else_than_the_participant_began_with_then_it_is_refused
     assert {row.participant for row in read_answers(tmp_path)} == {"P1", "P2"}
 
 
-def test_given_a_design_that_is_adaptive_then_its_levels_follow_the_answers_and_a_resumed_one_goes_on_alike(
+def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(
     tmp_path: Path,
 ) -> None:
     table = '[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\nreversals = 4\ntrials = 12\n'

@@ -86,7 +86,7 @@ def compared(found: Scan | np.ndarray, *, of: Field | None = None, **options: ob
     return compare(of or prediction(), measured, impulse_drive(), options.pop("source", bank()), **options)
 
 
-def test_given_an_honest_rig_then_the_scan_agrees_with_the_prediction_but_for_its_noise():
+def test_an_honest_rig_then_the_scan_agrees_with_the_prediction_but_for_its_noise():
     found = scanned(ScanPlan(AROUND), clock_ppm=45.0, inter_channel_delay_s=3e-5)
     outcome = compared(found)
     assert np.array_equal(found.position_index, AROUND)
@@ -119,14 +119,14 @@ def test_given_a_wrong_channel_delay_then_the_comparison_names_it():
     ],
     ids=["underflow", "missing reference", "dropout"],
 )
-def test_given_a_fault_that_passes_then_the_position_is_repeated_and_the_scan_complete(fault, attempts):
+def test_a_fault_that_passes_then_the_position_is_repeated_and_the_scan_complete(fault, attempts):
     found = scanned(ScanPlan((48, 49, 50)), fault)
     assert found.attempts.tolist() == [1, attempts, 1]
     assert found.status.tolist() == [1, 1, 1]
     assert compared(found).fields.error < 0.005
 
 
-def test_given_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_the_same():
+def test_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_the_same():
     # As banks measured with noise give: their Green's functions, reversed, are the drives.
     drive = impulse_drive()
     noise_v = 0.02 * np.random.default_rng(2).standard_normal(drive.drive_v.shape)
@@ -161,7 +161,7 @@ def test_given_a_fault_that_stays_then_the_position_is_marked_and_left_out(kind,
     assert not outcome.passed  # too few positions are usable
 
 
-def test_given_a_lost_recorder_or_a_reference_that_never_comes_then_the_scan_gives_up():
+def test_a_lost_recorder_or_a_reference_that_never_comes_then_the_scan_gives_up():
     with pytest.raises(InstrumentLostError, match="recorder"):
         scanned(ScanPlan((48, 49)), RigFault("recorder", "read", "lost", position=49))
     faults = [RigFault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
@@ -193,7 +193,7 @@ def test_given_a_drive_beyond_full_scale_then_nothing_is_played():
         scan(ScanPlan((3,)), setup_of(rig), few, bank())
 
 
-def test_given_white_noise_of_known_level_then_error_and_noise_are_that_level_and_no_misfit_is_left():
+def test_white_noise_of_known_level_is_error_and_noise_and_leaves_no_misfit():
     field = prediction().field
     rms = 0.02 * float(np.sqrt(np.mean(field**2)))
     noisy = field + rms * np.random.default_rng(5).standard_normal(field.shape)
@@ -205,7 +205,7 @@ def test_given_white_noise_of_known_level_then_error_and_noise_are_that_level_an
     assert outcome.passed
 
 
-def test_given_a_louder_or_later_scan_then_level_and_delay_are_found_and_the_verdict_is_no():
+def test_a_louder_or_later_scan_then_level_and_delay_are_found_and_the_verdict_is_no():
     late = compared(np.roll(prediction().field, 3, axis=1))
     assert late.fields.delay_samples == pytest.approx(3.0, abs=0.01)
     assert late.noise_error is None
@@ -255,7 +255,7 @@ def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
     assert outcome.numbers()["focal_width_mm"] is None
 
 
-def test_given_rows_that_are_not_valid_in_the_bank_then_they_are_left_out_and_counted():
+def test_rows_that_are_not_valid_in_the_bank_then_they_are_left_out_and_counted():
     status = np.ones(len(GRID_MM), np.uint8)
     status[[7, 9]] = 4, 2
     doubtful = dataclasses.replace(bank(), status=status)
@@ -268,7 +268,7 @@ def test_given_rows_that_are_not_valid_in_the_bank_then_they_are_left_out_and_co
     assert not strict.passed
 
 
-def test_given_fields_of_different_drives_or_nothing_in_common_then_the_message_says_so():
+def test_fields_of_different_drives_or_nothing_in_common_then_the_message_says_so():
     later = as_scan(prediction().field, start_s=0.0)
     with pytest.raises(InputError, match="start_s of the prediction"):
         compared(later)

@@ -80,9 +80,7 @@ LOW = on_steps(np.sin(2 * np.pi * (20 + 0.3 * np.arange(800)) * np.arange(800) /
 
 
 @pytest.mark.parametrize(("drive_v", "range_v"), [(drive(), 1.0), (LOW, 2.0)], ids=["white", "low"])
-def test_given_one_clock_and_no_noise_then_the_reference_is_the_drive_and_the_response_its_convolution_with_the_truth(
-    drive_v, range_v
-):
+def test_with_one_clock_and_no_noise_the_response_is_drive_convolved_with_truth(drive_v, range_v):
     rig = VirtualRig(QUIET)
     heard = record(rig, drive_v, range_v=(2.0, range_v))
     expected = np.zeros((2, 4000))
@@ -107,7 +105,7 @@ def test_given_two_clocks_then_sample_k_arrives_at_offset_plus_k_times_ratio():
     assert np.abs(heard.volts[1, instants] - response).max() < 0.6 * heard.volts_per_count[1]
 
 
-def test_given_many_channels_in_another_wiring_then_each_drives_its_actuator_and_their_responses_add():
+def test_channels_in_another_wiring_drive_their_actuators_and_responses_add():
     channels = tuple(range(20, 0, -1))
     rig, drive_v = VirtualRig(changed(actuator_channels=channels, loopback_channel=0)), drive()
     together = record(rig, drive_v, channels=[channels[actuator] for actuator in (0, 5, 11)]).volts[1]
@@ -221,7 +219,7 @@ def test_given_a_mute_half_way_then_the_rest_is_silent():
     assert np.abs(reference[1101:]).max() < 1e-4
 
 
-def test_given_a_mirror_that_moves_during_the_record_then_the_signal_is_lost_meanwhile():
+def test_a_mirror_that_moves_during_the_record_then_the_signal_is_lost_meanwhile():
     rig = VirtualRig(QUIET)
     point(rig)
     rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (1.0, 10.0), RecordLabel(0, 1, 0)))
@@ -357,7 +355,7 @@ def test_given_many_positions_then_their_true_spectra_are_those_of_the_truth(tap
         assert error.max() < 2e-5 if taps == 600 else error.max() < 1e-6
 
 
-def test_given_a_clock_that_is_the_walls_then_a_piece_that_comes_too_late_finds_the_player_dry() -> None:
+def test_clock_that_is_walls_then_piece_that_comes_too_late_finds_player_dry() -> None:
     player = VirtualRig(changed(realtime=True)).instruments.player
     player.begin_pieces([0], 48_000.0, 0.01)
     before_s = time.monotonic()

@@ -135,7 +135,7 @@ def test_live_sources_take_rows_between_the_positions_of_a_coarse_grid(coarse, i
     assert np.abs(engine.next_block()).max() > 0
 
 
-def test_auto_says_that_left_out_positions_judge_a_coarse_grid_without_check_positions_and_states_no_bound(small):
+def test_auto_without_check_positions_judges_left_out_ones_and_states_no_bound(small):
     method = choose_interpolation(small, POINTS_MM, [SIGNAL])
     assert (method.name, method.choice.judged_by) == ("waves", "left-out positions")
     found = wf.interpolate(small, POINTS_MM[:3], frequency_hz=[250.0])
@@ -145,7 +145,7 @@ def test_auto_says_that_left_out_positions_judge_a_coarse_grid_without_check_pos
     assert found.bound_words
 
 
-def test_interpolated_functions_are_those_of_scenes_with_errors_and_bounds_in_the_bank_s_unit(coarse):
+def test_interpolate_gives_functions_errors_and_bounds_in_the_bank_s_unit(coarse):
     found = wf.interpolate(coarse, POINTS_MM, frequency_hz=[250.0, 350.0])
     assert (found.method, found.bound.shape) == ("waves", (len(POINTS_MM), 3, 2))
     turn = np.exp(-2j * np.pi * np.outer(np.arange(TAPS), found.frequency_hz / RATE_HZ))
@@ -185,7 +185,7 @@ def test_a_quiet_place_between_positions_of_a_coarse_grid_is_quiet_in_truth(coar
     assert report.quiet_tracks[0].interpolation == "waves"
 
 
-def test_response_and_levels_are_stated_at_the_focus_itself_and_not_at_the_position_nearest_to_it(coarse, tmp_path):
+def test_response_and_levels_are_stated_at_the_focus_not_the_nearest_position(coarse, tmp_path):
     focus_mm, place_mm = (4.8, 5.6), (-13.0, 6.0)
     source = Source(Point(focus_mm), Noise((170.0, 380.0), 0.5, 1))
     quiet = (QuietPlace(Point(place_mm), level_db=-20.0),)

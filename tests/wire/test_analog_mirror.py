@@ -114,7 +114,7 @@ def test_given_a_rig_beyond_the_outputs_then_it_is_refused(scanner: Scanner, set
     assert scanner.written == []
 
 
-def test_given_an_output_that_another_task_has_then_it_is_refused_and_the_other_goes_on(scanner: Scanner) -> None:
+def test_an_output_that_another_task_has_then_it_is_refused_and_the_other_goes_on(scanner: Scanner) -> None:
     first = scanner.mirror()
     first.move_to(1.0, 1.0)
     with pytest.raises(InstrumentError, match="-50103") as refused:
@@ -149,7 +149,7 @@ def test_given_the_recorder_is_connected_again_then_the_mirror_stays_where_it_is
         assert scanner.resets() == 0
 
 
-def test_given_the_box_is_unplugged_then_the_mirror_is_lost_and_points_again_once_it_is_back(scanner: Scanner) -> None:
+def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(scanner: Scanner) -> None:
     mirror = scanner.mirror()
     mirror.move_to(30.0, -20.0)
     scanner.server.unplug()

@@ -26,7 +26,7 @@ def only_asks(bench):
 
 
 @pytest.mark.parametrize("axes", [None, ("X", "Y")])
-def test_given_a_stage_and_no_scanner_card_then_it_is_refused_and_nothing_moves_or_is_set(axes, tmp_path):
+def test_a_stage_and_no_scanner_card_then_it_is_refused_and_nothing_moves_or_is_set(axes, tmp_path):
     with bench_with(tmp_path, board="stage") as bench:
         with pytest.raises(InstrumentError, match=r"no scanner.*X \(x\), Y \(x\)") as caught:
             bench.mirror(axes=axes, **MEMS)
@@ -65,7 +65,7 @@ def test_given_two_scanners_and_no_named_axes_then_they_are_listed_to_choose_fro
 @pytest.mark.parametrize(
     ("board", "address"), [("mems", "2"), ("mems", "\xf5"), ("dac_4ch", "\x81"), ("signal_dac", "\x85")]
 )
-def test_given_a_scanner_card_at_any_address_then_the_mirror_moves_and_the_stage_stands(board, address, tmp_path):
+def test_a_scanner_card_at_any_address_then_the_mirror_moves_and_the_stage_stands(board, address, tmp_path):
     with bench_with(tmp_path, board=board, address=address) as bench:
         mirror = bench.mirror(**MEMS)
         modes = bench.device.modes
@@ -84,7 +84,7 @@ def test_given_a_card_with_outputs_then_its_range_is_not_taken_for_an_input_mode
         assert not any(command.startswith("PM") for command in bench.far.commands)
 
 
-def test_given_a_micro_mirror_on_its_analog_inputs_then_the_command_that_ends_that_is_named(tmp_path):
+def test_micro_mirror_on_its_analog_inputs_then_command_that_ends_that_is_named(tmp_path):
     with bench_with(tmp_path, external_input=True) as bench, pytest.raises(InstrumentError, match="PM A=0"):
         bench.mirror(**MEMS)
 
@@ -92,7 +92,7 @@ def test_given_a_micro_mirror_on_its_analog_inputs_then_the_command_that_ends_th
 @pytest.mark.parametrize(
     "beyond", [{"limit_mrad": 250.0, "park_mrad": (-240.0, -240.0)}, {"limit_mrad": 161.0, "park_mrad": (0.0, 0.0)}]
 )
-def test_given_limits_beyond_those_of_the_controller_then_opening_refuses_them_and_nothing_moves(beyond, tmp_path):
+def test_limits_beyond_those_of_the_controller_are_refused_and_nothing_moves(beyond, tmp_path):
     with bench_with(tmp_path) as bench:
         with pytest.raises(InstrumentError, match=r"the device ends at 160\.6 mrad; lower limit_mrad and park_mrad"):
             bench.mirror(**beyond)
@@ -118,7 +118,7 @@ def test_given_a_controller_in_the_other_syntax_then_opening_changes_that(tmp_pa
 
 
 @pytest.mark.parametrize("verbosity", [1, 8, 16, 8 + 16, 31])
-def test_given_a_saved_verbosity_then_the_controller_is_opened_moved_and_opened_again(verbosity, tmp_path):
+def test_a_saved_verbosity_then_the_controller_is_opened_moved_and_opened_again(verbosity, tmp_path):
     with bench_with(tmp_path, verbosity=verbosity) as bench:
         mirror = bench.mirror(**MEMS)
         identity = mirror.identity
@@ -173,7 +173,7 @@ def test_given_a_controller_that_restarted_then_it_is_lost_and_set_up_again(oper
         bench.check_move(mirror, -40.0, 25.0)
 
 
-def test_given_a_restart_between_two_moves_then_the_banner_is_not_taken_for_an_answer(tmp_path):
+def test_a_restart_between_two_moves_then_the_banner_is_not_taken_for_an_answer(tmp_path):
     class RestartsAfterTheFirstMove(AsiTigerDevice):
         def answer(self, command):
             answer = super().answer(command)
@@ -193,7 +193,7 @@ def test_given_a_restart_between_two_moves_then_the_banner_is_not_taken_for_an_a
             move_twice()
 
 
-def test_given_a_micro_mirror_that_is_back_on_its_inputs_after_a_restart_then_reconnecting_says_so(tmp_path):
+def test_a_micro_mirror_back_on_its_inputs_after_a_restart_is_told(tmp_path):
     fault = WireFault("mirror", "restarted", "move", at_call=1)
     with bench_with(tmp_path, fault, external_input=True) as bench:
         bench.device.answer("PM A=0 B=0")
@@ -204,7 +204,7 @@ def test_given_a_micro_mirror_that_is_back_on_its_inputs_after_a_restart_then_re
             mirror.reconnect()
 
 
-def test_given_a_controller_that_still_starts_when_it_is_opened_then_its_banner_is_passed_over(tmp_path):
+def test_the_banner_of_a_controller_that_still_starts_is_passed_over(tmp_path):
     class Starting(AsiTigerDevice):
         started = False
 

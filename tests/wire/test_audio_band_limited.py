@@ -24,7 +24,7 @@ def faded_tone(frequency_hz, rate_hz, seconds=0.2, delay_s=0.0):
 
 @pytest.mark.parametrize(("from_hz", "to_hz"), RATES_HZ)
 @pytest.mark.parametrize("share", [0.003, 0.1, 0.5, 0.8, 0.89])
-def test_given_a_tone_in_the_band_then_it_is_the_same_tone_at_the_other_rate_to_100_db(from_hz, to_hz, share):
+def test_a_tone_in_the_band_then_it_is_the_same_tone_at_the_other_rate_to_100_db(from_hz, to_hz, share):
     frequency_hz = share * min(from_hz, to_hz) / 2
     ratio = rate_ratio(from_hz, to_hz)
     made, lead = converted(faded_tone(frequency_hz, from_hz), ratio), lead_samples(ratio)
@@ -50,7 +50,7 @@ def test_given_a_pulse_then_it_peaks_where_its_sample_was(place, rates_hz):
 
 
 @given(st.integers(1, 300), st.sampled_from(RATES_HZ))
-def test_given_any_length_then_the_conversion_has_a_place_for_every_sample_and_its_ringing(samples, rates_hz):
+def test_any_length_then_the_conversion_has_a_place_for_every_sample_and_its_ringing(samples, rates_hz):
     ratio = rate_ratio(*rates_hz)
     made = converted(np.ones((2, samples)), ratio)
     assert made.shape == (2, 2 * lead_samples(ratio) + -(-samples * ratio.numerator // ratio.denominator))
@@ -85,7 +85,7 @@ def test_given_a_jump_at_full_scale_then_its_ringing_is_cut_off_there():
     assert np.abs(frames).max() == 1.0
 
 
-def test_given_a_faded_signal_that_overshoots_between_its_samples_then_it_is_refused_with_how_far():
+def test_a_faded_signal_that_overshoots_between_samples_is_refused():
     # a quarter of the rate, sampled at 45 degrees: 3 dB between the samples
     signal = np.sign(np.sin(np.pi / 2 * np.arange(1000) + np.pi / 4)) * np.hanning(1000)
     with pytest.raises(BeyondFullScaleError) as caught:

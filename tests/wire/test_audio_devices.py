@@ -124,7 +124,7 @@ class AllOrNothing:
             raise self.PortAudioError("Invalid number of channels", -9998)
 
 
-def test_given_an_interface_that_opens_only_with_all_channels_then_it_is_opened_with_all_and_the_rest_is_silent():
+def test_an_interface_that_needs_all_channels_gets_all_and_the_rest_is_silent():
     stream = WatchedStream(AllOrNothing(), StreamRequest("ASIO", "AVB 24", 7, 48_000, 0))
     assert stream._stream.opened == 24
     assert (stream._stream.buffer == 0).all()
@@ -152,9 +152,7 @@ def test_given_more_channels_than_there_are_then_it_is_refused():
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
-def test_given_what_the_library_refuses_then_it_says_what_there_is_and_which_key_to_correct(
-    tmp_path, settings, cause, remedy
-):
+def test_what_library_refuses_then_it_says_what_there_is_and_which_key_to_correct(tmp_path, settings, cause, remedy):
     with ExitStack() as stack, pytest.raises(InstrumentError) as caught:
         AudioBench(stack).player(AlsaFile(tmp_path), **settings)
     assert not isinstance(caught.value, InstrumentLostError)

@@ -67,7 +67,7 @@ def heard_of(server, player, signals_v, sample_rate_hz=RATE_HZ):
     return undisturbed(player, take)
 
 
-def test_given_a_signal_for_every_channel_then_it_has_left_to_the_sample_when_waiting_ends(server, player):
+def test_a_signal_for_every_channel_then_it_has_left_to_the_sample_when_waiting_ends(server, player):
     signals = noise(9600)
     for _ in range(2):
         np.testing.assert_array_equal(sounding(heard_of(server, player, signals)), as_played(signals))
@@ -91,7 +91,7 @@ def test_given_an_overshooting_signal_then_it_is_refused_and_the_next_play_is_wh
     assert np.abs(frames[4]).max() == pytest.approx(1.0, abs=1e-3)
 
 
-def test_given_a_sweep_played_again_then_it_is_sent_once_and_heard_wherever_it_is_played(server, player):
+def test_a_sweep_played_again_then_it_is_sent_once_and_heard_wherever_it_is_played(server, player):
     sweep = np.hanning(1000) * np.sin(np.arange(1000) / 9)
     first = sounding(heard_of(server, player, {0: sweep, 12: sweep}, 10_000))
     for actuator in (4, 8):  # outputs of one full scale
@@ -160,7 +160,7 @@ def test_given_a_mute_from_another_thread_then_waiting_ends(player):
     muting.join()
 
 
-def test_given_a_server_that_stood_still_then_waiting_says_underflow_and_the_next_play_is_good(server, player):
+def test_server_that_stood_still_then_waiting_says_underflow_and_next_play_is_good(server, player):
     player.play({0: np.full(20 * RATE_HZ, 0.25)}, RATE_HZ)
     time.sleep(0.2)
     server.underflow()

@@ -89,7 +89,7 @@ def loss_of(player):
                 player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
 
 
-def test_given_a_server_that_is_killed_in_a_play_then_waiting_says_lost_and_the_player_closes(bench):
+def test_server_that_is_killed_in_play_then_waiting_says_lost_and_player_closes(bench):
     server = bench.serve()
     player = bench.player(server)
     start_playing(player)
@@ -106,7 +106,7 @@ def test_given_a_server_that_is_killed_in_a_play_then_waiting_says_lost_and_the_
     assert not alive(player.process_id)
 
 
-def test_given_a_server_that_is_killed_while_nothing_plays_then_the_next_play_says_lost(bench):
+def test_a_server_that_is_killed_while_nothing_plays_then_the_next_play_says_lost(bench):
     server = bench.serve()
     player = bench.player(server)
     server.kill()
@@ -129,7 +129,7 @@ def test_given_a_server_that_freezes_then_a_mute_comes_back_and_waiting_says_fro
     assert re.search(r"its driver is frozen: it asked for nothing more for \d\.\d s", loss_of(player).cause)
 
 
-def test_given_the_device_is_away_then_reconnecting_says_so_until_it_is_back_and_then_it_plays(bench):
+def test_device_is_away_then_reconnecting_says_so_until_it_is_back_and_then_it_plays(bench):
     server = bench.serve()
     player = bench.player(server)
     start_playing(player)
@@ -166,7 +166,7 @@ def test_given_a_player_that_is_well_then_reconnecting_mutes_it_and_opens_it_ane
     assert "wavefocus interface" in player.identify()
 
 
-def test_given_a_server_that_came_back_with_fewer_channels_then_reconnecting_refuses_it(bench):
+def test_a_server_that_came_back_with_fewer_channels_then_reconnecting_refuses_it(bench):
     server = bench.serve()
     player = bench.player(server)
     server.kill()
@@ -217,7 +217,7 @@ def test_given_a_loss_then_a_program_gets_its_errors_closes_and_exits(bench, fau
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
-def test_given_a_parent_that_dies_in_a_play_then_the_stream_ends_and_the_outputs_are_silent(bench, end):
+def test_parent_that_dies_in_play_then_stream_ends_and_outputs_are_silent(bench, end):
     server = bench.serve()
     with subprocess.Popen(
         [sys.executable, "-c", PLAYING + "time.sleep(60)"],

@@ -87,7 +87,7 @@ def test_given_a_latency_then_a_play_has_not_ended_before_its_last_sample_has_le
     assert passed - 1 <= max(1, latency_s * RATE_HZ / PERIOD) + 1
 
 
-def test_given_a_mute_then_the_next_period_fades_over_two_milliseconds_and_the_rest_is_silent():
+def test_mute_then_next_period_fades_over_two_milliseconds_and_rest_is_silent():
     host = Host()
     host.playback.start(signal_play(1, np.full(9000, 0.5, np.float32), channel=1))
     host.periods(2)
@@ -122,7 +122,7 @@ def test_given_a_mute_of_nothing_then_the_next_play_is_whole():
 
 
 @pytest.mark.parametrize("clean_periods", [0, 1, 3, 4])
-def test_given_an_underflow_flag_from_the_first_period_to_after_the_last_then_the_play_is_void(clean_periods):
+def test_underflow_flag_from_first_period_to_after_last_then_play_is_void(clean_periods):
     host = Host()
     host.periods(1)
     host.playback.start(signal_play(1, ramp(3 * PERIOD)))
@@ -204,7 +204,7 @@ def test_given_a_play_in_pieces_then_it_is_whole_and_each_piece_is_told(sizes):
     assert told[-1].outcome == PLAYED
 
 
-def test_given_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an_underflow():
+def test_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an_underflow():
     host = Host()
     play, pieces = in_pieces(host, [3 * PERIOD, PERIOD])
     play.add(pieces[0])

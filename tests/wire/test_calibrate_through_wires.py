@@ -82,7 +82,7 @@ def marks_file(folder: Path) -> Path:
     return folder / "marks.csv"
 
 
-def test_given_all_wires_then_the_doctor_asks_every_instrument_and_unplugging_one_hides_no_other(
+def test_the_doctor_asks_every_instrument_and_a_missing_one_hides_no_other(
     rig: Path, sides: EmulatedInstruments
 ) -> None:
     for _ in range(5):

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.long
 
 
 @pytest.mark.timeout(300)
-def test_given_the_box_unplugged_and_the_program_stopped_then_the_bank_is_good_and_the_beam_was_parked(
+def test_box_unplugged_and_program_stopped_then_bank_is_good_and_beam_was_parked(
     tmp_path: Path,
 ) -> None:
     address = f"localhost:{free_port()}"

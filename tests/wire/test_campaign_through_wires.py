@@ -114,14 +114,14 @@ def check_as_good(lab: Path) -> np.ndarray:
     return through_wires
 
 
-def test_given_emulated_wires_before_another_plate_then_the_bank_is_as_good_as_the_in_process_rigs(lab):
+def test_emulated_wires_before_another_plate_then_bank_is_as_good_as_in_process_rigs(lab):
     keys = 'plate = "solid"\nforce_deg = 40.0\noscillation_deg = 40.0\n'
     add_to(lab, ("rig.toml", "virtual-rig.toml"), keys)
     check_as_good(lab)
     wavefocus("check", lab / "wires.h5")
 
 
-def test_given_emulated_wires_and_staggered_capture_then_all_actuators_sound_at_once_and_the_bank_is_as_good(lab):
+def test_staggered_capture_through_wires_gives_a_bank_that_is_as_good(lab):
     staggered = 'excitation = "staggered"\nperiods = 2\nkeep_raw = true\n'
     add_to(lab, ("run.toml", "virtual-run.toml"), staggered)
     through_wires = check_as_good(lab)
@@ -132,7 +132,7 @@ def test_given_emulated_wires_and_staggered_capture_then_all_actuators_sound_at_
     assert np.median(rounded) <= np.median(through_wires) - 18
 
 
-def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_goes_on_by_itself(lab):
+def test_a_capture_goes_on_after_each_instrument_is_replugged(lab):
     write_run(lab, "run.toml", "rig.toml", averages=1)
     with emulated_instruments(lab / "rig.toml") as sides:
         files = [str(lab / "run.toml"), "--bank", str(lab / "b.h5")]
@@ -163,7 +163,7 @@ def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_g
         assert list(bank["status"]) == [1] * len(POSITIONS)
 
 
-def test_given_a_replug_and_a_kill_in_a_capture_then_resume_measures_the_rest_and_keeps_what_was_committed(lab):
+def test_after_a_replug_and_a_kill_resume_measures_the_rest_and_keeps_the_done(lab):
     write_run(lab, "run.toml", "rig.toml", averages=1)
     bank = lab / "b.h5"
     with emulated_instruments(lab / "rig.toml") as sides:

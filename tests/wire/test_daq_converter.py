@@ -25,7 +25,7 @@ def quantised(scale, volts):
 
 
 @given(ranges_v, calibrations, st.integers(0, 2**32 - 1))
-def test_given_a_calibrated_converter_then_its_codes_come_back_as_counts_without_noise(range_v, calibration, seed):
+def test_a_calibrated_converter_then_its_codes_come_back_as_counts_without_noise(range_v, calibration, seed):
     bits, offset, gain, shift = calibration
     step_v = 2 * range_v / 2**bits * gain
     codes = np.random.default_rng(seed).integers(-(2 ** (bits - 2)), 2 ** (bits - 2), 1000)

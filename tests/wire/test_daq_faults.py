@@ -120,7 +120,7 @@ def test_given_any_code_in_mid_campaign_then_it_is_tried_again_at_least_once():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_given_what_no_code_explains_then_it_is_tried_again_only_from_a_device_that_has_recorded(known):
+def test_what_no_code_explains_is_tried_again_on_a_device_that_has_recorded(known):
     rpc = RpcError(grpc.StatusCode.DATA_LOSS, "data loss")
     for failure in (rpc, ValueError("Cannot invoke RPC on closed channel!"), DaqWarning("", 200015)):
         explained = explain(failure, "recorder Dev1", "recording", known=known, owned=known)
@@ -138,9 +138,7 @@ def test_given_what_no_code_explains_then_it_is_tried_again_only_from_a_device_t
         ("in_use", "TaskControl", FOR_GOOD),
     ],
 )
-def test_given_a_fault_while_the_device_is_opened_or_its_first_task_made_then_nothing_of_it_stays(
-    kind, operation, error
-):
+def test_a_fault_while_the_device_opens_or_makes_a_task_leaves_nothing_behind(kind, operation, error):
     with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
         with pytest.raises(InstrumentError) as caught:
             take_one(bench.recorder(answer_s=ANSWER_S))
@@ -179,7 +177,7 @@ def test_given_an_overloaded_input_then_the_flag_of_that_channel_is_up():
         check_tone(take_one(recorder))
 
 
-def test_given_a_device_that_stays_away_then_reconnecting_says_so_each_time_until_it_is_back():
+def test_device_that_stays_away_then_reconnecting_says_so_each_time_until_it_is_back():
     with daq_bench() as bench:
         recorder = bench.recorder()
         take_one(recorder)
@@ -264,7 +262,7 @@ def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back
         assert bench.calls("ResetDevice") == 1
 
 
-def test_given_a_shared_box_that_a_dead_session_reserved_then_reconnecting_takes_it_back_without_a_reset():
+def test_a_box_that_a_dead_session_reserved_is_taken_back_without_a_reset():
     silence = fault("silent", "StopTask", at_call=2)
     with daq_bench(faults=silence) as bench:
         recorder = bench.recorder(answer_s=ANSWER_S, resets=False, task_name="wavefocus_here")
@@ -276,7 +274,7 @@ def test_given_a_shared_box_that_a_dead_session_reserved_then_reconnecting_takes
         assert bench.calls("ResetDevice") == 0
 
 
-def test_given_what_a_killed_process_left_reserved_then_the_next_recorder_of_its_name_has_it_without_a_reset():
+def test_what_a_killed_process_left_reserved_goes_to_the_next_recorder():
     with daq_bench() as bench:
         left = bench.recorder(task_name="wavefocus_here")  # never closed, as by a process that was killed
         check_tone(take_one(left))
@@ -310,7 +308,7 @@ def test_given_a_fault_on_the_way_out_then_closing_is_harmless(operation, kind):
         recorder.close()
 
 
-def test_given_records_back_to_back_then_a_late_answer_within_its_deadline_is_no_fault():
+def test_records_back_to_back_then_a_late_answer_within_its_deadline_is_no_fault():
     with daq_bench(faults=fault("silent", "ReadAnalogF64", seconds=0.2)) as bench:
         recorder = bench.recorder(answer_s=30.0)
         for _ in range(3):
@@ -327,7 +325,7 @@ def test_given_a_server_that_refuses_a_call_for_now_then_it_is_made_again(kind, 
 
 
 @pytest.mark.parametrize(("kind", "calls"), [("exhausted", 4), ("internal", 1)])
-def test_given_a_server_that_goes_on_refusing_then_the_attempt_fails_and_the_next_one_works(kind, calls):
+def test_server_that_goes_on_refusing_then_attempt_fails_and_next_one_works(kind, calls):
     with daq_bench(faults=fault(kind, "StartTask", at_call=1, count=calls)) as bench:
         recorder = bench.recorder()
         with pytest.raises(TransientInstrumentError, match="could not serve the call this time"):

@@ -81,7 +81,7 @@ def session(library, tmp_path):
     return run
 
 
-def test_given_the_local_driver_then_records_are_taken_again_and_again_and_the_device_is_given_back(session):
+def test_the_local_driver_takes_many_records_and_gives_the_device_back(session):
     session("""
 recorder = opened()
 assert recorder.identify() == (
@@ -124,7 +124,7 @@ recorder.close()
     session(script, SHIM_READ_STATUS=status)
 
 
-def test_given_a_library_that_stays_broken_after_a_replug_then_a_fresh_process_brings_the_device_back(session):
+def test_a_library_broken_by_a_replug_works_again_in_a_fresh_process(session):
     session("""
 recorder, here = in_a_process(), opened()
 process = recorder.process_id
@@ -163,7 +163,7 @@ with pytest.raises(InstrumentError, match="it is closed"):
 """)
 
 
-def test_given_the_process_of_the_library_is_killed_then_the_recorder_is_lost_and_comes_back(session):
+def test_process_of_library_is_killed_then_recorder_is_lost_and_comes_back(session):
     session("""
 recorder = in_a_process()
 recorder.start(request(100_000))
@@ -213,7 +213,7 @@ device = "none"
 """
 
 
-def test_given_a_rig_file_without_an_address_then_the_library_is_loaded_in_a_process_of_its_own(session, tmp_path):
+def test_rig_file_without_address_then_library_is_loaded_in_process_of_its_own(session, tmp_path):
     rig_file = tmp_path / "rig.toml"
     rig_file.write_text(RIG, encoding="utf-8")
     script = """

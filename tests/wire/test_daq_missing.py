@@ -53,7 +53,7 @@ def test_given_a_package_that_is_not_installed_then_opening_says_how_to_install_
 
 @pytest.mark.may_skip("NI-DAQmx is on this computer")
 @pytest.mark.skipif(sys.platform == "win32" or find_library("nidaqmx") is not None, reason="NI-DAQmx may be here")
-def test_given_no_driver_on_this_computer_then_it_names_the_driver_and_the_way_over_the_network():
+def test_no_driver_on_this_computer_then_it_names_driver_and_way_over_network():
     with pytest.raises(InstrumentError, match="the NI-DAQmx driver is not on this computer") as caught:
         NiRecorder("Dev1", address=None, reference_input="ai0", response_input="ai1", terminal="rse", trigger=None)
     assert caught.value.instrument == "recorder Dev1"

@@ -43,7 +43,7 @@ def test_given_what_is_played_then_it_arrives_with_its_voltages_where_it_was_in_
     assert np.std((late - shifted)[:-1]) < 0.2 * np.std((late - reference)[:-1])
 
 
-def test_given_a_device_then_it_tells_product_serial_number_driver_address_and_inputs(bench):
+def test_a_device_then_it_tells_product_serial_number_driver_address_and_inputs(bench):
     recorder = bench.recorder()
     name = recorder.identify()
     assert recorder.identity == DeviceIdentity("NI", "USB-6211", "01E57A2C")
@@ -73,7 +73,7 @@ def test_given_a_record_of_another_kind_then_it_gets_a_task_of_its_own(bench, ch
     assert bench.calls("ClearTask") == 1
 
 
-def test_given_another_program_on_the_device_then_starting_says_so_and_does_not_reset_it(bench):
+def test_another_program_on_the_device_then_starting_says_so_and_does_not_reset_it(bench):
     take_one(bench.recorder())
     with pytest.raises(InstrumentError, match=r"another program has reserved it.*close that program") as caught:
         bench.recorder().start(ask())
@@ -82,7 +82,7 @@ def test_given_another_program_on_the_device_then_starting_says_so_and_does_not_
 
 
 @pytest.mark.parametrize("product", PRODUCTS.values(), ids=lambda product: product.name)
-def test_given_each_product_then_its_fastest_rate_and_all_its_ranges_record_whole_counts(product):
+def test_each_product_then_its_fastest_rate_and_all_its_ranges_record_whole_counts(product):
     with daq_bench(Tone(noise_v=0.01), product.name, speed=50.0) as bench:
         for terminal, ranges_v in product.ranges_v.items():
             recorder = bench.recorder(terminal=terminal)
@@ -117,9 +117,7 @@ BOTH_10_V = (10.0, 10.0)
         ("USB-6211", "differential", {"range_v": (2.0, 10.0)}, "USB-6211 has no range of 2 V; choose 0.2, 1, 5 or 10"),
     ],
 )
-def test_given_a_record_that_the_product_cannot_make_then_the_refusal_names_what_it_can(
-    product, terminal, wrong, refusal
-):
+def test_a_record_that_the_product_cannot_make_then_the_refusal_names_what_it_can(product, terminal, wrong, refusal):
     with daq_bench(product=product) as bench:
         recorder = bench.recorder(terminal=terminal)
         with pytest.raises(InstrumentError, match=refusal):
@@ -151,7 +149,7 @@ def test_given_a_wrong_name_then_opening_names_the_devices_that_there_are(bench)
     assert type(caught.value) is InstrumentError
 
 
-def test_given_single_ended_wiring_then_the_task_has_it_and_the_response_is_sampled_a_conversion_later():
+def test_the_task_has_single_ended_wiring_and_samples_a_conversion_later():
     wires = Wires()
     with daq_bench(wires, product="USB-6211") as bench:
         take_one(bench.recorder(terminal="nrse", reference_input="ai15", response_input="ai8"), rate_hz=10_000.0)
@@ -167,7 +165,7 @@ def test_given_single_ended_wiring_then_the_task_has_it_and_the_response_is_samp
         ("USB-6356", 10_000.0, 0.0),
     ],
 )
-def test_given_a_product_then_its_own_conversion_clock_says_how_late_the_response_is_sampled(product, rate_hz, delay_s):
+def test_product_then_its_own_conversion_clock_says_how_late_response_is_sampled(product, rate_hz, delay_s):
     wires = Wires()
     with daq_bench(wires, product=product) as bench:
         recorder = bench.recorder()
@@ -258,7 +256,7 @@ def test_given_a_good_connection_then_reconnecting_goes_on_with_the_same_device(
     check_tone(take_one(recorder))
 
 
-def test_given_another_input_then_its_volts_are_read_between_two_records_and_records_go_on():
+def test_another_input_then_its_volts_are_read_between_two_records_and_records_go_on():
     class Steady:
         def record(self, start_ns, samples, rate_hz, inputs, channel_delay_s):
             return np.array([[{"ai2": 0.213}.get(name, 0.0)] * samples for name in inputs])

@@ -37,7 +37,7 @@ def voltage_task(bench, samples=500):
         yield task
 
 
-def test_given_more_time_needed_than_allowed_then_what_there_is_comes_with_zeros_behind():
+def test_more_time_needed_than_allowed_then_what_there_is_comes_with_zeros_behind():
     with daq_bench() as bench, voltage_task(bench, samples=50_000) as task:
         task.start()
         reader = AnalogMultiChannelReader(task.in_stream)

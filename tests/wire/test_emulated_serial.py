@@ -59,7 +59,7 @@ def test_given_asi_then_each_mistake_has_its_code():
         assert ask("W A") == ":A 1000.0 \r\n"
 
 
-def test_given_mirrorcle_then_it_is_deaf_outside_command_mode_and_flat_without_high_voltage():
+def test_mirrorcle_is_deaf_outside_command_mode_and_flat_without_high_voltage():
     mirror = motion()
     with terminal(MirrorcleDevice(mirror, 250.0)) as ask:
         # The first of the two is not answered at all.

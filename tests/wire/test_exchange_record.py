@@ -35,7 +35,7 @@ def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came
 
 
 @pytest.mark.skipif(LOCAL != "pty", reason="the emulated mirror is behind a path")
-def test_given_the_emulated_rig_then_the_doctors_record_has_what_every_instrument_was_asked(
+def test_emulated_rig_then_doctors_record_has_what_every_instrument_was_asked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, record = tmp_path / "rig.toml", tmp_path / "rig.jsonl"

@@ -47,7 +47,7 @@ def test_given_a_call_that_hangs_then_the_mirror_is_connected_again_without_it(h
 
 
 @pytest.mark.parametrize("hung_move", ["generic"], indirect=True)
-def test_given_a_call_that_hangs_then_parking_connects_again_and_closing_does_not_wait(hung_move):
+def test_a_call_that_hangs_then_parking_connects_again_and_closing_does_not_wait(hung_move):
     bench, mirror = hung_move
     mirror.park()
     mirror.wait_settled(10.0)

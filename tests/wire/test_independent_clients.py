@@ -45,6 +45,6 @@ def test_given_asitiger_then_its_axes_moves_and_errors_are_those_of_a_tiger(tmp_
 @pytest.mark.parametrize(
     ("command", "answer"), [("0 V", ":A v3.30"), ("0 CD", "Mar 01 2019:15:42:05"), ("0 BU", "TIGER_COMM")]
 )
-def test_given_a_line_of_micro_managers_adapter_then_the_answer_is_in_the_form_that_it_reads(command, answer):
+def test_line_of_micro_managers_adapter_then_answer_is_in_form_that_it_reads(command, answer):
     device = AsiTigerDevice(MirrorMotion((0.0, 0.0), 0.0, math.inf, 250.0))
     assert device.answer(command).split("\r")[0].strip() == answer

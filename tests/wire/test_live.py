@@ -58,9 +58,7 @@ def move_until(running: Lines, event: str, code: str = "") -> dict:
     raise AssertionError(f"no {event} {code} came")
 
 
-def test_given_a_real_audio_server_then_it_sounds_outlives_its_loss_and_a_stop_and_is_silent_in_the_end(
-    lab: Path, server: JackServer
-) -> None:
+def test_with_a_real_audio_server_it_outlives_its_loss_and_is_silent_in_the_end(lab: Path, server: JackServer) -> None:
     environment = {**os.environ, **server.environment}
     rig = ("--rig", lab / "rig.toml", "--json")
     with Lines("live", lab / "plate.h5", *rig, environment=environment) as running:

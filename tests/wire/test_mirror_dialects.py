@@ -81,7 +81,7 @@ def test_given_another_identity_in_the_rig_file_then_the_device_is_refused_by_na
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_given_a_dialect_with_read_back_then_it_says_where_the_mirror_points_and_none_without(dialect, tmp_path):
+def test_dialect_with_read_back_then_it_says_where_mirror_points_and_none_without(dialect, tmp_path):
     with mirror_bench(dialect, LOCAL, tmp_path) as bench:
         mirror = bench.mirror()
         bench.check_move(mirror, 12.5, -7.25)
@@ -191,7 +191,7 @@ def test_given_no_answer_at_any_baud_then_all_that_were_tried_are_named(tmp_path
     assert "115200 and 460800 baud" in caught.value.cause
 
 
-def test_given_a_controller_that_is_still_enabled_then_its_settings_are_sent_with_the_voltage_off(tmp_path):
+def test_a_controller_still_enabled_takes_its_settings_with_the_voltage_off(tmp_path):
     with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
         bench.mirror(setup=("MTI+VB 80",)).close()  # closing leaves the mirror enabled
         with pytest.raises(InstrumentError, match=r"setting up \(MTI\+VB 500\).*MTI-ERR InvalidParameter"):
@@ -234,7 +234,7 @@ def test_given_a_status_register_then_bit_4_alone_says_that_optotune_moves(digit
 
 
 @pytest.mark.parametrize("answer", ["OU", "OL", "NO", "ERROR 17"])
-def test_given_a_refusal_of_optotune_then_the_move_can_be_tried_again_unless_it_was_clamped(answer, tmp_path):
+def test_refusal_of_optotune_then_move_can_be_tried_again_unless_it_was_clamped(answer, tmp_path):
     with mirror_bench("optotune-mre2", LOCAL, tmp_path, device=answering(OptotuneDevice, "xy=", answer)) as bench:
         mirror = bench.mirror()
         with pytest.raises(InstrumentError, match=f"answers {answer}") as caught:
@@ -252,7 +252,7 @@ def test_given_a_corner_of_the_square_then_it_is_outside_of_optotunes_circle(tmp
         assert not any(command.startswith("xy=") for command in bench.far.commands)
 
 
-def test_given_a_controller_that_restarted_unnoticed_then_mirrorcle_is_lost_and_enabled_again(tmp_path):
+def test_a_controller_that_restarted_unnoticed_is_lost_and_enabled_again(tmp_path):
     # Its high voltage is off then, and nothing on the line would say that it points nowhere.
     class Controller(MirrorcleDevice):
         def operation(self, command):

@@ -34,7 +34,7 @@ def moves(bench):
     ("where", "kind"),
     [*((FIRST, kind) for kind in ("silent", "late", "truncated")), *((where, "garbled") for where in EACH)],
 )
-def test_given_one_answer_that_cannot_be_had_then_the_move_is_said_once_more_and_done(where, kind, tmp_path):
+def test_one_answer_that_cannot_be_had_then_the_move_is_said_once_more_and_done(where, kind, tmp_path):
     fault = move_fault(kind, seconds=1.5 * ANSWER_S if kind == "late" else 0.0)
     with bench_at(where, tmp_path, fault) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
@@ -44,7 +44,7 @@ def test_given_one_answer_that_cannot_be_had_then_the_move_is_said_once_more_and
 
 
 @pytest.mark.parametrize(("where", "kind"), [(FIRST, "silent"), (OVER_TCP, "garbled")])
-def test_given_two_answers_that_cannot_be_had_then_the_attempt_fails_and_the_next_one_works(where, kind, tmp_path):
+def test_two_answers_that_cannot_be_had_then_attempt_fails_and_next_one_works(where, kind, tmp_path):
     with bench_at(where, tmp_path, move_fault(kind, count=2)) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         with pytest.raises(TransientInstrumentError, match="asked twice") as caught:
@@ -58,7 +58,7 @@ def test_given_two_answers_that_cannot_be_had_then_the_attempt_fails_and_the_nex
 
 
 @pytest.mark.parametrize("where", [FIRST, OVER_TCP])
-def test_given_an_answer_later_than_all_patience_then_it_is_not_taken_for_the_next_one(where, tmp_path):
+def test_an_answer_later_than_all_patience_then_it_is_not_taken_for_the_next_one(where, tmp_path):
     with bench_at(where, tmp_path, move_fault("late", seconds=6 * ANSWER_S)) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         with pytest.raises(TransientInstrumentError):
@@ -91,7 +91,7 @@ def test_given_an_angle_that_the_device_does_not_reach_then_no_new_attempt_is_ma
 
 
 @pytest.mark.parametrize("where", [FIRST, OVER_TCP])
-def test_given_a_device_that_stops_reading_then_it_is_lost_and_found_again_after_replugging(where, tmp_path):
+def test_device_that_stops_reading_then_it_is_lost_and_found_again_after_replugging(where, tmp_path):
     with bench_at(where, tmp_path, move_fault("stalled")) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         with pytest.raises(TransientInstrumentError):
@@ -107,7 +107,7 @@ def test_given_a_device_that_stops_reading_then_it_is_lost_and_found_again_after
 @pytest.mark.parametrize(
     ("where", "operation"), [(OVER_TCP, "move"), *((FIRST, name) for name in ("move", "identify", "park", "wait"))]
 )
-def test_given_an_unplugged_device_then_it_is_lost_until_it_is_back_at_the_same_place(where, operation, tmp_path):
+def test_an_unplugged_device_then_it_is_lost_until_it_is_back_at_the_same_place(where, operation, tmp_path):
     with bench_at(where, tmp_path) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S, settle_s=0.0)
         port = bench.far.address
@@ -131,7 +131,7 @@ def test_given_an_unplugged_device_then_it_is_lost_until_it_is_back_at_the_same_
         bench.check_move(mirror)
 
 
-def test_given_a_plug_that_falls_out_and_is_put_back_by_itself_then_reconnecting_is_tried_until_it_works(tmp_path):
+def test_a_plug_out_and_in_again_is_reconnected_until_it_works(tmp_path):
     fault = WireFault("mirror", "unplugged", "move", at_call=2, seconds=0.2)
     with bench_at(FIRST, tmp_path, fault) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
@@ -161,7 +161,7 @@ def test_given_a_connection_that_broke_and_is_back_then_parking_finds_it(where, 
 
 
 @pytest.mark.parametrize("where", NAMED)
-def test_given_another_device_at_the_same_place_then_it_is_refused_for_good_and_both_are_named(where, tmp_path):
+def test_another_device_at_same_place_then_it_is_refused_for_good_and_both_are_named(where, tmp_path):
     # On opening it is asked twice; all after that is another's.
     fault = WireFault("mirror", "impostor", "identify", at_call=3, count=100)
     with bench_at(where, tmp_path, fault) as bench:
@@ -176,7 +176,7 @@ def test_given_another_device_at_the_same_place_then_it_is_refused_for_good_and_
 
 
 @pytest.mark.parametrize("where", NAMED)
-def test_given_one_answer_with_another_name_then_it_is_asked_again_before_it_is_believed(where, tmp_path):
+def test_one_answer_with_another_name_then_it_is_asked_again_before_it_is_believed(where, tmp_path):
     with bench_at(where, tmp_path, WireFault("mirror", "impostor", "identify", at_call=3)) as bench:
         assert bench.mirror(answer_s=ANSWER_S).identify()
 

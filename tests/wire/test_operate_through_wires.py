@@ -36,7 +36,7 @@ def swept(lines: Lines, actuator: int) -> dict[str, Any]:
     return told
 
 
-def test_given_real_drivers_then_the_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(
+def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(
     rig: Path, sides: EmulatedInstruments
 ) -> None:
     change_text(rig, "inter_channel_delay_s = 1.4e-5", "")

@@ -151,9 +151,7 @@ signal = { kind = "noise", band_hz = [50, 900], duration_s = 3.0 }
 """
 
 
-def test_given_a_scene_then_it_is_rendered_while_it_sounds_and_leaves_the_outputs_as_rendered_before(
-    lab: Path, server: JackServer
-) -> None:
+def test_a_scene_rendered_while_it_sounds_plays_what_render_writes(lab: Path, server: JackServer) -> None:
     x_mm, y_mm = np.meshgrid(np.arange(16) * 4.0, np.arange(3) * 4.0)
     green = np.random.default_rng(4).standard_normal((48, 3, 60)) * np.exp(-np.arange(60) / 15)
     with h5py.File(lab / "bank.h5", "w") as file:

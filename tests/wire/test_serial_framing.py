@@ -87,7 +87,7 @@ def checked(tmp_path_factory):
 
 @settings(max_examples=25)
 @given(garbage=st.binary(max_size=40))
-def test_given_arbitrary_bytes_for_an_answer_then_they_are_an_error_and_never_a_position(garbled, garbage):
+def test_arbitrary_bytes_for_an_answer_then_they_are_an_error_and_never_a_position(garbled, garbage):
     assert disturbed(garbled, lambda answer: garbage, SerialMirror.where_mrad) is None
     assert where(garbled[1]) == pytest.approx(TARGET_MRAD, abs=0.01)
 
@@ -115,9 +115,7 @@ def test_given_a_changed_byte_then_a_line_with_a_checksum_is_right_or_an_error(c
     to=st.sampled_from([*b"0123456789-. :ABNXYOK*\r\n", 0, 0xFF]),
     every=st.integers(1, 3),
 )
-def test_given_answers_changed_at_will_then_waiting_ends_well_only_where_the_beam_stands(
-    garbled, x_mrad, at, to, every
-):
+def test_answers_changed_at_will_then_waiting_ends_well_only_where_the_beam_stands(garbled, x_mrad, at, to, every):
     count = itertools.count(1)
 
     def settled(mirror):

@@ -64,7 +64,7 @@ def mirror_of(opened: ExitStack, config: RigConfig) -> BoundedMirror:
 
 
 @pytest.mark.parametrize("opens_when_high", [True, False])
-def test_given_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(
+def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(
     opened: ExitStack, tmp_path: Path, opens_when_high: bool
 ) -> None:
     box = server(opened)
@@ -118,7 +118,7 @@ def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened: 
     assert silence(plain) == []
 
 
-def test_given_a_shutter_that_does_not_answer_then_nothing_is_measured_and_the_mirror_is_parked(
+def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(
     opened: ExitStack, tmp_path: Path
 ) -> None:
     # The third write to the line, the one that closes it, and all after it are refused.
@@ -172,7 +172,7 @@ def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened
         first.open_beam()
 
 
-def test_given_another_box_under_the_same_name_then_the_shutter_is_not_moved_until_its_own_is_back(
+def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(
     opened: ExitStack,
 ) -> None:
     box = server(opened)
@@ -262,7 +262,7 @@ def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_park
 
 @pytest.mark.may_skip("Windows has no signal that stops a program")
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="POSIX")
-def test_given_the_program_is_stopped_then_the_beam_is_blocked_and_it_goes_on_by_the_rules_of_a_loss(
+def test_program_is_stopped_then_beam_is_blocked_and_it_goes_on_by_rules_of_loss(
     opened: ExitStack, tmp_path: Path
 ) -> None:
     box = server(opened)

@@ -17,7 +17,7 @@ from wavefocus.trials.answers import read_answers
 pytestmark = pytest.mark.long
 
 
-def test_given_a_player_that_is_unplugged_in_a_trial_then_the_trial_is_repeated_and_every_onset_is_found(
+def test_a_player_unplugged_in_a_trial_repeats_it_and_every_onset_is_found(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "rig.toml").write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")

@@ -132,7 +132,7 @@ def test_given_no_such_device_or_several_then_those_alike_are_named(plugged_in, 
     assert remedy in caught.value.remedy
 
 
-def test_given_the_file_of_rules_then_it_has_every_device_that_is_known_and_each_rule_is_one_of_udev():
+def test_the_file_of_rules_has_every_known_device_and_each_rule_is_of_udev():
     assert Path(re.search(r"sudo cp (\S+) /etc/udev/rules.d/", permit(0x3923, 0x7179, "linux")).group(1)) == RULES
     assert 'ATTR{idProduct}=="5678"' in permit(0x1234, 0x5678, "linux")
     assert "serial_number" in permit(0x1234, 0x5678, "win32")

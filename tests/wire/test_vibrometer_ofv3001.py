@@ -35,7 +35,7 @@ def test_given_a_range_number_then_decoder_and_sensitivity_are_those_of_the_manu
     assert set(commands) <= {"VELO?", "LEV", ""}
 
 
-def test_given_a_controller_under_local_control_then_it_is_put_under_remote_control_and_read(tmp_path):
+def test_controller_under_local_control_then_it_is_put_under_remote_control_and_read(tmp_path):
     reading, commands = read(Ofv3001Device(needs_remote=True), tmp_path)
     assert reading.range_text == "125mm/s/V"
     assert "REN" in commands
@@ -75,7 +75,7 @@ def test_given_no_answer_at_all_then_the_remedy_names_cable_and_baud(tmp_path):
     assert "baud" in caught.value.remedy
 
 
-def test_given_a_range_of_a_decoder_that_is_not_installed_then_the_emulated_one_ignores_it():
+def test_a_range_of_a_decoder_that_is_not_installed_then_the_emulated_one_ignores_it():
     device = Ofv3001Device(decoders=("OVD-01",))
     for command in ("VELO7", "VELO0", "VELOX", "NONSENSE"):
         assert device.answer(command) == ""

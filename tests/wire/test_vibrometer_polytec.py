@@ -70,7 +70,7 @@ def test_given_a_range_that_cannot_be_read_then_it_is_no_sensitivity(text, tmp_p
         read(far)
 
 
-def test_given_a_decoder_that_is_not_there_then_its_number_is_asked_for_and_with_it_it_is_read(tmp_path):
+def test_a_missing_decoder_has_its_number_asked_for_and_is_read_with_it(tmp_path):
     with controller(LOCAL, tmp_path, decoder=0) as far:
         assert read(far, decoder=0).range_text == "125mm/s/V"
         with pytest.raises(InstrumentError, match=r"Not Available.*decoder's number in the rig file"):
@@ -85,7 +85,7 @@ def test_given_a_controller_that_does_not_know_delay_and_level_then_they_are_unk
 
 
 @pytest.mark.parametrize("text", ["Off", "off"])
-def test_given_a_decoder_that_is_switched_off_then_that_is_said_and_not_the_cable_blamed(text, tmp_path):
+def test_a_decoder_that_is_switched_off_then_that_is_said_and_not_the_cable_blamed(text, tmp_path):
     with controller(LOCAL, tmp_path, range_text=text) as far, pytest.raises(InstrumentError) as caught:
         read(far)
     assert type(caught.value) is InstrumentError
@@ -95,7 +95,7 @@ def test_given_a_decoder_that_is_switched_off_then_that_is_said_and_not_the_cabl
 
 @pytest.mark.parametrize("operation", ["name", "delay", "level"])
 @pytest.mark.parametrize("answer", ["\xb5\xe9 \xff", "", "see display"])
-def test_given_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_without_it(operation, answer, tmp_path):
+def test_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_without_it(operation, answer, tmp_path):
     class Odd(PolytecDevice):
         def answer(self, command):
             return f"{answer}\n" if self.operation(command) == operation else super().answer(command)
@@ -110,9 +110,7 @@ def test_given_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_w
 
 @pytest.mark.parametrize("silent", ["Get,Controller", "GetDevInfo,Controller"])
 @pytest.mark.parametrize("name", ["OFV-5000", "OFV-5000Xtra", "OFV-5000 Vibrometer Controller"])
-def test_given_a_controller_that_knows_one_of_the_two_questions_for_its_name_then_it_is_asked_that(
-    silent, name, tmp_path
-):
+def test_a_controller_is_asked_the_question_for_its_name_that_it_knows(silent, name, tmp_path):
     class KnowsOne(PolytecDevice):
         def answer(self, command):
             if self.operation(command) != "identify":
@@ -131,7 +129,7 @@ def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, 
 
 
 @pytest.mark.parametrize("with_light", [False, True])
-def test_given_a_range_that_is_changed_meanwhile_then_the_condition_is_left_until_it_is_set_back(with_light, tmp_path):
+def test_range_that_is_changed_meanwhile_then_condition_is_left_until_it_is_set_back(with_light, tmp_path):
     device = PolytecDevice()
     with EmulatedSerial(device, wire(LOCAL, tmp_path), WireFaultPlan("vibrometer", ())) as far:
         section = VibrometerSection(driver="polytec-ofv5000", port=far.address)
