@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, write_whole
-from wavefocus.commands.verify import VerifyLog
+from wavefocus.campaign.verification_log import VerifyLog
 from wavefocus.config.calibration import name_calibration
 from wavefocus.config.messages.campaign import Drift
 from wavefocus.storage.ledger.owner import owner_path, remove_owner, write_owner

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import socket
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -23,17 +18,16 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.crosstalk import ROW_SHARE, UNKNOWN_ROWS_SHARE, Crosstalk, share_of_median_row
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.campaign_view import CampaignView
-from wavefocus.campaign.sidecar_files import EventLines, read_drift
+from wavefocus.campaign.sidecar_files import read_drift
+from wavefocus.campaign.verification_log import VerifyLog
 from wavefocus.config.messages.campaign import Event, Subscriber
-from wavefocus.config.messages.codec import Message, to_line
-from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
 from wavefocus.console import Report, progress, say, working_on
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drives import naming, render_by_options
 from wavefocus.ending import ended_by_file, ending_at_once
-from wavefocus.exits import Exit, exit_code, sentence
+from wavefocus.exits import Exit
 from wavefocus.input_files import input_files, scan_rows
 from wavefocus.options import RenderOptions
 from wavefocus.rendering.arrays import Float64Array, Int64Array
@@ -86,7 +80,6 @@ from wavefocus.storage.field_file import Field, write_field
 from wavefocus.storage.output_files import require_output_folder, staged_folder
 from wavefocus.storage.point_status import median_of_pairs, usable
 from wavefocus.storage.scan_journal import ScanJournal
-from wavefocus.storage.sidecar_files import create
 from wavefocus.storage.units import quantity
 
 # Enough for an outline that looks round on any screen.
@@ -146,8 +139,8 @@ def verify(
             VerifyLog(out) as log,
         ):
             with staged_folder(out, RECORD_NAME, results) as staged:
-                work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, force)
-                work = replace(work, corrections=corrections, control=control)
+                asked = linearity, force, corrections, control
+                work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, *asked)
                 earlier = None if before is None else (str(against), before)
                 verification, record = work.run(rows, str(rig_file), earlier)
             for name in journals:
@@ -189,8 +182,8 @@ class _Work:
     journals: Path
     linearity: bool
     force: bool
-    corrections: int = 0
-    control: str = "scene"
+    corrections: int
+    control: str
 
     def run(
         self, rows: list[int] | None, rig_name: str, earlier: tuple[str, VerificationRecord] | None
@@ -422,8 +415,7 @@ def _tolerances(configuration: Configuration, bank: Bank) -> Tolerances:
 
 
 def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str, object]:
-    run = configuration.run
-    sweep, capture = run.sweep, run.capture
+    sweep, capture = configuration.run.sweep, configuration.run.capture
     facts: dict[str, object] = {
         "Bank": str(bank.path),
         "Positions measured": f"{np.count_nonzero(bank.status)} of {bank.positions}",
@@ -456,66 +448,3 @@ def _checked_rig(rig_file: Path, configuration: Configuration, bank: Bank) -> Ri
             "rig must have the bank's actuators in the bank's order"
         )
     return rig
-
-
-# Followers look twenty times a second; more lines would only fill the disk.
-TELLS_EVERY_S = 0.1
-
-
-class VerifyLog:
-    """Writes the log of one verification; a context manager, and a subscriber of the scan's events.
-
-    A line is an object with ``at`` and ``event``: first ``started`` (``pid``, ``host``), then ``step`` (``step``,
-    ``done``, ``total``, ``left_s``) and any event of a scan as in a bank's log, at the end ``ended`` (``code``,
-    ``reason``). A disk that refuses lines does not end the verification.
-    """
-
-    def __init__(self, out: Path) -> None:
-        # A file of its own, so that followers see that it is another one.
-        (out / LOG_NAME).unlink(missing_ok=True)
-        self._file = create(out / LOG_NAME)
-        self._lines = EventLines(lambda line: self._file.write(line.encode()), str(out / LOG_NAME), "verification")
-        self._write(VerifyStarted(_now(), os.getpid(), socket.gethostname()))
-
-    def __call__(self, event: Event) -> None:
-        """Write an event of the scan."""
-        self._lines(event)
-
-    def step(self, name: str, total: int) -> Callable[[int, int], None]:
-        """Begin a step of `total` items; the result is called with the number done."""
-        started_s = time.monotonic()
-        told_s = started_s
-        self._write(VerifyStep(_now(), name, 0, total))
-
-        def report(done: int, total: int) -> None:
-            nonlocal told_s
-            now_s = time.monotonic()
-            if done < total and now_s - told_s < TELLS_EVERY_S:
-                return
-            told_s = now_s
-            left_s = round((now_s - started_s) / done * (total - done), 1) if done else None
-            self._write(VerifyStep(_now(), name, done, total, left_s))
-
-        return report
-
-    def done(self, code: int, reason: str) -> None:
-        """Say how it ended."""
-        self._write(VerifyEnded(_now(), int(code), reason))
-
-    def __enter__(self) -> VerifyLog:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is not None:
-            self.done(exit_code(error), sentence(error))
-        with suppress(OSError):
-            self._file.close()
-
-    def _write(self, message: Message) -> None:
-        self._lines.write(to_line(message))
-
-
-def _now() -> datetime:
-    return datetime.now(UTC)
