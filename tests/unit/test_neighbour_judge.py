@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
+from wavefocus.benchmarks.time_stepping import ThinPlate
 from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, waves_of_rows
 from wavefocus.calibration.neighbour_judge import NeighbourResult, RowsAtFrequencies, judge_rows
 
@@ -96,6 +97,18 @@ def test_where_positions_are_too_far_apart_then_nothing_is_judged() -> None:
     verdict = judged(greens, position_mm, np.full((3, 2), np.nan))
     assert verdict.differences == ()
     assert not verdict.judged.any()
+
+
+def test_a_thin_ringing_plate_then_raises_no_alarm() -> None:
+    plate = ThinPlate(0.3, 0.2, 1.57)
+    points_m = (SQUARE_MM + np.array([150.0, 100.0])) / 1e3
+    sources_m = np.array([[0.03, 0.04], [0.27, 0.15], [0.26, 0.03]])
+    greens = plate.impulse_velocity(points_m, sources_m, TAPS, RATE_HZ, quality=60.0, band_hz=(30.0, 900.0))
+    greens = greens + 1e-3 * greens.std() * RNG.standard_normal(greens.shape)
+    actuator_mm = 1e3 * sources_m - [150.0, 100.0]
+    assert judged(greens, SQUARE_MM, actuator_mm).differences == ()
+    greens[60, 1] *= 0.5
+    assert [one.position for one in judged(greens, SQUARE_MM, actuator_mm).differences] == [60]
 
 
 def test_banks_in_any_unit_then_are_judged_alike(clean: np.ndarray) -> None:
