@@ -21,6 +21,7 @@ def far(lab: Path) -> Path:
     """The lab, with two positions that are near to nothing of the scene."""
     with (lab / "positions.csv").open("a", encoding="utf-8") as file:
         file.write("0,40\n4,40\n")
+    change_text(lab / "scene.toml", "limit_v = 1.0", 'limit_v = 1.0\ninterpolation = "nearest"')
     return lab
 
 

@@ -94,7 +94,10 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def _staged(path: Path, folder: Path, publish: Callable[[StagingDir], None]) -> Iterator[Path]:
-    """Yield a hidden folder next to `path`, synced and published when the block ends well; errors name `folder`."""
+    """Yield a hidden folder next to `path`, synced and published when the block ends well; errors name `folder`.
+
+    What replaces a file has that file's permissions.
+    """
     clear_leftovers(path.parent)
     with staging_dir(path) as staging:
         staging.temporary.mkdir()
@@ -103,6 +106,8 @@ def _staged(path: Path, folder: Path, publish: Callable[[StagingDir], None]) -> 
         except InputError as error:
             raise InputError(str(error).replace(str(staging.temporary), str(folder))) from error
         for made in staging.temporary.rglob("*"):
+            if (older := folder / made.relative_to(staging.temporary)).is_file():
+                shutil.copymode(older, made)
             (durable.sync_folder if made.is_dir() else durable.sync_path)(made)
         durable.sync_folder(staging.temporary)
         publish(staging)
