@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,19 @@ def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot: QtBot, 
     assert received == [{"event": "ready"}, {"order": "mute"}]
     assert (process.exit_code, process.last_line, process.failure) == (0, "all is done", "")
     assert process.last_message == {"order": "mute"}
+
+
+def test_a_message_written_before_anybody_listens_is_received(qtbot: QtBot, owner: QObject, tmp_path: Path) -> None:
+    written = tmp_path / "written"
+    process = started(ECHO.replace("for line", f"open({str(written)!r}, 'w').close()\nfor line", 1), owner)
+    while not written.exists():
+        time.sleep(0.01)
+    time.sleep(0.1)  # a thread that read already would have emitted it by now
+    with qtbot.waitSignal(process.received, timeout=SOON_MS):
+        pass
+    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
+        process.close_input()
+    assert process.last_message == {"event": "ready"}
 
 
 @pytest.mark.parametrize(

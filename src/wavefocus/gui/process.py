@@ -77,7 +77,9 @@ class CommandProcess(QObject):
             self._log_file, self._last_line = None, f"{self._name} cannot be started: {error_text(failure)}"
             QTimer.singleShot(0, lambda: self._ended.emit(127))
             return
-        threading.Thread(target=self._follow, args=(self._process,), name=self._name, daemon=True).start()
+        self._follower = threading.Thread(target=self._follow, args=(self._process,), name=self._name, daemon=True)
+        # Whoever starts a command connects to its signals before the event loop goes on: no message is emitted earlier.
+        QTimer.singleShot(0, self._follower.start)
 
     @property
     def pid(self) -> int | None:
