@@ -257,17 +257,21 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
 def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
     """Progress as a line now and then, for when nobody watches a terminal."""
     started_s = last_s = time.monotonic()
+    of = 0
 
     def report(done: int, total: int, note: str = "") -> None:
-        nonlocal last_s
+        nonlocal last_s, started_s, first, of
         now_s = time.monotonic()
+        if of and total != of:  # other items begin: what came before says nothing of their rate
+            first, started_s = done, now_s
+        of = total
         if now_s - last_s < LINE_EVERY_S:
             return
         last_s = now_s
         if not timed:
             say(f"{what}: {done} of {total}, {note}")
             return
-        rate = (done - first) / (now_s - started_s)
+        rate = (done - first) / max(now_s - started_s, 1e-3)
         left = f"{hours((total - done) / rate)} left" if rate > 0 else "no estimate yet"
         say(f"{what}: {done} of {total}, {rate:.1f}/s, {left} {note}".rstrip())
 

@@ -14,6 +14,7 @@ import wavefocus as wf
 from wavefocus import cli
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.config.messages.campaign import Progress, State, StateChanged
+from wavefocus.console import progress
 
 pty = pytest.importorskip("pty") if sys.platform != "win32" else None
 posix = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal is POSIX")
@@ -101,6 +102,20 @@ def test_given_no_terminal_then_a_silent_command_stays_silent() -> None:
     code = SILENT.format(first="pass")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
+
+
+def test_time_left_is_that_of_the_items_and_not_of_what_prepared_them(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    with progress("render", 1) as report:
+        report(0, 1)
+        for now_s[0], done in ((100.0, 100), (140.0, 200)):  # prepared for 100 s, then 100 items in 40 s
+            report(done, 1000)
+    first, second = capsys.readouterr().err.splitlines()
+    assert "no estimate yet" in first
+    assert "2.5/s, 5 min 20 s left" in second
 
 
 def test_given_a_pause_then_the_progress_line_has_no_time_left() -> None:

@@ -44,17 +44,19 @@ class VerifyLog:
 
     def step(self, name: str, total: int) -> Callable[[int, int], None]:
         """Begin a step of `total` items; the result is called with the number done."""
-        started_s = time.monotonic()
-        told_s = started_s
+        started_s = told_s = time.monotonic()
+        first, of = 0, total
         self._write(VerifyStep(_now(), name, 0, total))
 
         def report(done: int, total: int) -> None:
-            nonlocal told_s
+            nonlocal told_s, started_s, first, of
             now_s = time.monotonic()
+            if total != of:  # other items begin: what came before says nothing of their rate
+                started_s, first, of = now_s, done, total
             if done < total and now_s - told_s < TELLS_EVERY_S:
                 return
             told_s = now_s
-            left_s = round((now_s - started_s) / done * (total - done), 1) if done else None
+            left_s = round((now_s - started_s) / (done - first) * (total - done), 1) if done > first else None
             self._write(VerifyStep(_now(), name, done, total, left_s))
 
         return report
