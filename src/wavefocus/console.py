@@ -224,7 +224,7 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
         ``report(done, total, note="")``, to be called as items are done.
     """
     if not sys.stderr.isatty():
-        yield _line_reporter(what, done, timed=timed)
+        yield _line_reporter(what, Pace(done, total), timed=timed)
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
     from rich.table import Column
@@ -254,24 +254,36 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
             yield report
 
 
-def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
+class Pace:
+    """Items a second; it begins anew where the number of items changes, since others begin then.
+
+    done, total: Items that are done, and all.
+    """
+
+    def __init__(self, done: int, total: int) -> None:
+        self._first, self._total, self._since_s = done, total, time.monotonic()
+
+    def per_s(self, done: int, total: int) -> float:
+        """Return the items a second so far, 0.0 while none is known."""
+        now_s = time.monotonic()
+        if total != self._total:
+            self._first, self._total, self._since_s = done, total, now_s
+        return (done - self._first) / max(now_s - self._since_s, 1e-3)
+
+
+def _line_reporter(what: str, pace: Pace, *, timed: bool) -> Report:
     """Progress as a line now and then, for when nobody watches a terminal."""
-    started_s = last_s = time.monotonic()
-    of = 0
+    last_s = time.monotonic()
 
     def report(done: int, total: int, note: str = "") -> None:
-        nonlocal last_s, started_s, first, of
-        now_s = time.monotonic()
-        if of and total != of:  # other items begin: what came before says nothing of their rate
-            first, started_s = done, now_s
-        of = total
+        nonlocal last_s
+        rate, now_s = pace.per_s(done, total), time.monotonic()
         if now_s - last_s < LINE_EVERY_S:
             return
         last_s = now_s
         if not timed:
             say(f"{what}: {done} of {total}, {note}")
             return
-        rate = (done - first) / max(now_s - started_s, 1e-3)
         left = f"{hours((total - done) / rate)} left" if rate > 0 else "no estimate yet"
         say(f"{what}: {done} of {total}, {rate:.1f}/s, {left} {note}".rstrip())
 

@@ -15,6 +15,7 @@ from wavefocus.campaign.sidecar_files import EventLines
 from wavefocus.config.messages.campaign import Event
 from wavefocus.config.messages.codec import Message, to_line
 from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
+from wavefocus.console import Pace
 from wavefocus.exits import exit_code, sentence
 from wavefocus.rendering.verify.record import LOG_NAME
 from wavefocus.storage.sidecar_files import create
@@ -44,20 +45,16 @@ class VerifyLog:
 
     def step(self, name: str, total: int) -> Callable[[int, int], None]:
         """Begin a step of `total` items; the result is called with the number done."""
-        started_s = told_s = time.monotonic()
-        first, of = 0, total
+        told_s, pace = time.monotonic(), Pace(0, total)
         self._write(VerifyStep(_now(), name, 0, total))
 
         def report(done: int, total: int) -> None:
-            nonlocal told_s, started_s, first, of
-            now_s = time.monotonic()
-            if total != of:  # other items begin: what came before says nothing of their rate
-                started_s, first, of = now_s, done, total
+            nonlocal told_s
+            rate, now_s = pace.per_s(done, total), time.monotonic()
             if done < total and now_s - told_s < TELLS_EVERY_S:
                 return
             told_s = now_s
-            left_s = round((now_s - started_s) / (done - first) * (total - done), 1) if done > first else None
-            self._write(VerifyStep(_now(), name, done, total, left_s))
+            self._write(VerifyStep(_now(), name, done, total, round((total - done) / rate, 1) if rate > 0 else None))
 
         return report
 

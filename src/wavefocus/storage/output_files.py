@@ -54,8 +54,7 @@ def replacement(path: Path, *, new: bool = False, grown: bool = False) -> Iterat
                 place.complete()
                 durable.publish_new(place.temporary, path)
                 return
-            if path.exists():
-                shutil.copymode(path, place.temporary)
+            _keep_mode(path, place.temporary)
             place.publish()
 
 
@@ -106,9 +105,8 @@ def _staged(path: Path, folder: Path, publish: Callable[[StagingDir], None]) -> 
         except InputError as error:
             raise InputError(str(error).replace(str(staging.temporary), str(folder))) from error
         for made in staging.temporary.rglob("*"):
-            if (older := folder / made.relative_to(staging.temporary)).is_file():
-                shutil.copymode(older, made)
             (durable.sync_folder if made.is_dir() else durable.sync_path)(made)
+            _keep_mode(folder / made.relative_to(staging.temporary), made)
         durable.sync_folder(staging.temporary)
         publish(staging)
 
@@ -254,6 +252,12 @@ def _precious(path: Path) -> str:
     except InputError:
         return "is a damaged HDF5 file, perhaps a bank,"
     return ""
+
+
+def _keep_mode(older: Path, made: Path) -> None:
+    """Give a synced file the permissions of the one that it replaces: to be synced it must be writable."""
+    if older.is_file():
+        shutil.copymode(older, made)
 
 
 def _remove_if_empty(folder: Path) -> None:
