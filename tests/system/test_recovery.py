@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.captures import Listener, capture, empty_bank, events_of, held, states_of
+from tests.system.captures import Listener, capture, empty_bank, events_of, states_of
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 
@@ -42,21 +42,6 @@ def test_instrument_unplugged_and_plugged_in_then_bank_is_that_of_quiet_night(
     assert events_of(told, "fault")[0]["retried"] is True
     assert disturbed.read_bytes() == measured.read_bytes()
     assert run(["check", str(disturbed)]) == 0
-
-
-def test_given_a_hub_unplugged_then_both_instruments_on_it_come_back(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with_faults(
-        lab,
-        'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 1\nrecord = 0',
-        'role = "player"\noperation = "mute"\nkind = "unplugged"\nat_call = 1\ntries = 2',
-    )
-    assert capture(lab, lab / "plate.h5") == 0
-    back = [one["role"] for one in events_of(capsys.readouterr().out, "reconnect_tried") if one["connected"]]
-    assert sorted(back) == ["player", "recorder"]
-    assert held(lab / "plate.h5") == [1] * 6
-    assert held(lab / "plate.h5", "quality/attempts") == [1] * 6
 
 
 def test_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
@@ -96,29 +81,6 @@ def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
     assert "on the way out: virtual player: muting" in told
     assert "on the way out: virtual mirror: parking" in told
     assert "player" in told.splitlines()[-1]
-
-
-def test_record_that_fails_once_then_it_alone_is_taken_again_and_bank_is_same(
-    lab: Path, measured: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    disturbed = empty_bank(lab, "disturbed.h5")
-    capsys.readouterr()
-    with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "underflow"\nat_call = 9')
-    assert capture(lab, disturbed) == 0
-    faults = events_of(capsys.readouterr().out, "fault")
-    assert [(one["instrument"], one["position"], one["retried"]) for one in faults] == [("virtual player", 2, True)]
-    assert disturbed.read_bytes() == measured.read_bytes()
-
-
-def test_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_connection(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "timeout"\nat_call = 8\ncount = 6')
-    assert capture(lab, lab / "plate.h5") == 0
-    tries = events_of(capsys.readouterr().out, "reconnect_tried")
-    assert [(one["role"], one["connected"]) for one in tries] == [("recorder", True)]
-    assert held(lab / "plate.h5") == [1] * 6
-    assert held(lab / "plate.h5", "quality/attempts") == [1, 1, 2, 2, 1, 1]
 
 
 def test_a_record_that_cannot_be_silenced_connects_the_player_afresh(
@@ -177,30 +139,6 @@ def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_wh
     assert facts["recovering"]["gives_up_s"] == 600.0
     assert "is recovering since" in answers[1].stdout
     assert "virtual player" in answers[1].stdout
-
-
-def test_given_status_before_the_first_try_has_ended_then_it_names_the_instrument(lab: Path) -> None:
-    with_faults(lab, 'role = "mirror"\noperation = "wait_settled"\nkind = "unplugged"\nat_call = 2')
-    bank = lab / "plate.h5"
-    answers: list[str] = []
-
-    def ask() -> None:
-        command = [sys.executable, "-m", "wavefocus", "status", str(bank), "--json"]
-        answers.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-
-    listener = Listener(('"state": "recovering"', ask))
-    with contextlib.redirect_stdout(listener):
-        assert capture(lab, bank) == 0
-    facts = json.loads(answers[0])
-    assert facts["state"] == "recovering"
-    assert facts["recovering"]["instrument"] == "virtual mirror"
-    assert facts["recovering"]["tries"] is None
-
-
-def test_given_status_of_a_finished_campaign_then_it_is_idle(bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["status", str(bank), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["state"], facts["recovering"]) == ("idle", None)
 
 
 @pytest.mark.parametrize("interrupts", [1, 2])

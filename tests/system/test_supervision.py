@@ -189,17 +189,6 @@ def test_given_a_campaign_then_its_heartbeat_tells_how_it_ended(lab: Path, capsy
     assert "no process owns the bank" in told
 
 
-@POSIX
-@pytest.mark.may_skip("a folder that may not be written to is another thing on Windows")
-def test_given_a_heartbeat_that_cannot_be_written_then_the_campaign_does_not_notice(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bank = lab / "plate.h5"
-    (lab / "plate.h5.heartbeat").mkdir()
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
-    assert "finished: 6 of 6 positions (6 valid)" in capsys.readouterr().err
-
-
 # -- drivers that hang ------------------------------------------------------------------------------------------
 
 HANGS = {
@@ -429,15 +418,6 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
     status = held(bank)
     assert status[2] & 1 == 0
     assert status[:2] + status[3:] == [1] * 5
-
-
-def test_given_ctrl_c_while_suspended_then_it_stops_at_once(lab: Path) -> None:
-    _with_rig(lab, WATCHED)
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 9999\nkind = "dark"')
-    listener = Listener(('"state": "suspended"', lambda: signal.raise_signal(signal.SIGINT)))
-    with contextlib.redirect_stdout(listener):
-        assert capture(lab, lab / "plate.h5") == 130
-    assert states_of(listener.told)[-2:] == ["suspended", "stopped"]
 
 
 def test_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab: Path) -> None:

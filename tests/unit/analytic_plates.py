@@ -3,14 +3,10 @@
 `gel`: Hankel waves of an unbounded gel, and two echoes. `mirrors`: a rectangle of gel by mirror images. `disk`: a
 clamped disk by Bessel series. `bending`: a simply supported rectangle of glass by its modes. Banks are the plates'
 Green's functions with noise at -55 dB, scans are responses of the changed rig with noise at -40 dB.
-
-``python -m tests.unit.analytic_plates`` prints the table of docs/reference/verify.md.
 """
 
 from __future__ import annotations
 
-import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -297,44 +293,6 @@ def mirrored(plate: str, rng: np.random.Generator, kind: int, medium: Medium = M
     )  # fmt: skip
 
 
-def faster(plate: str, rng: np.random.Generator) -> Case:
-    speed = 1.0 + _sign(rng) * rng.uniform(0.008, 0.04)
-    return Case(
-        "waves faster or slower", _names("speed"), green(plate, Medium(speed=speed)), size=f"{100 * speed - 100:.1f} %"
-    )
-
-
-def singles(plate: str, count: int, seed: int) -> Iterator[tuple[Case, np.random.Generator]]:
-    """36 cases: each actuator kind, the mirror's four, speed."""
-    for number in range(count):
-        rng = np.random.default_rng([seed, list(PLATES).index(plate), number])
-        kind = number % 14
-        if kind < 9:
-            yield electric(plate, rng, kind, green(plate)), rng
-        elif kind < 13:
-            yield mirrored(plate, rng, kind - 9), rng
-        else:
-            yield faster(plate, rng), rng
-
-
-def pairs(plate: str, count: int, seed: int) -> Iterator[tuple[Case, np.random.Generator]]:
-    """Two causes at once."""
-    for number in range(count):
-        rng = np.random.default_rng([seed, 10 + list(PLATES).index(plate), number])
-        if number % 5 >= 3:
-            first = electric(plate, rng, int(rng.integers(9)), green(plate))
-        else:
-            first = faster(plate, rng) if number % 2 else mirrored(plate, rng, int(rng.integers(4)))
-        second = electric(plate, rng, int(rng.integers(9)), first.green)
-        if number % 5 == 0:
-            speed = 1.0 + _sign(rng) * rng.uniform(0.008, 0.04)
-            first = Case("", _names("speed"), first.green)
-            second = mirrored(plate, rng, int(rng.integers(4)), Medium(speed=speed))
-        size, factor, late_s = f"{first.size} {second.size}", first.factor * second.factor, first.late_s + second.late_s
-        right = first.right | second.right
-        yield Case("two at once", right, second.green, size=size, factor=factor, late_s=late_s), rng
-
-
 def unlisted(plate: str, count: int, seed: int) -> Iterator[tuple[Case, np.random.Generator]]:
     """Damping, a cubic, a finger, a mirror whose error is not affine."""
     for number in range(count):
@@ -370,28 +328,3 @@ def outcome(case: Case, found: Verification) -> str:
     if certain:
         return "named" if {code for code, _ in case.right} <= {symptom.code for symptom in certain} else "part"
     return "unexplained" if found.symptoms else "passed" if found.passed else "unnamed"
-
-
-KINDS = ((singles, 36), (pairs, 10), (unlisted, 15))
-"""And how many of each on each plate."""
-
-
-def main(seed: int = 1) -> None:
-    """Print a line for each case, then the counts by cause and plate."""
-    table: dict[tuple[str, str], Counter[str]] = {}
-    for plate in PLATES:
-        for cases, count in KINDS:
-            for case, rng in cases(plate, count, seed):
-                found = verified(plate, case, rng)
-                word = outcome(case, found)
-                table.setdefault((case.cause, plate), Counter())[word] += 1
-                named = [(one.code, one.actuators, one.value, one.explained) for one in found.symptoms]
-                sys.stdout.write(f"{plate} | {case.cause} {case.size} | {sorted(case.right)} | {word} | {named}\n")
-                sys.stdout.flush()
-    for cause in dict.fromkeys(cause for cause, _ in table):
-        counts = {plate: dict(table[cause, plate]) for plate in PLATES if (cause, plate) in table}
-        sys.stdout.write(f"{cause}: {counts}\n")
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1)

@@ -64,23 +64,6 @@ def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder: str, sign: 
     assert np.mean(slopes) == pytest.approx(math.log(8.0), abs=0.35)
 
 
-def test_quest_plus_takes_the_level_of_least_expected_entropy() -> None:
-    settings = table(method="quest_plus", trials=5)
-    for answers in ("", "+", "+-", "+-+"):
-        track, entropy = QuestPlus(settings, LADDER[::-1]), {}
-        levels_of(track, answers)
-        taken = track.next_level()
-        before = track._posterior.copy()
-        for level in LADDER:
-            share = share_right(math.log10(level), track._threshold, track._slope, 0.5, 0.02)
-            entropy[level] = 0.0
-            for likelihood in (share, 1.0 - share):
-                chance = float(before @ likelihood)
-                after = before * likelihood / chance
-                entropy[level] -= chance * float(after @ np.log(after))
-        assert taken == min(entropy, key=entropy.__getitem__)
-
-
 DESIGN = """
 [trials]
 question = "Which way?"

@@ -16,7 +16,6 @@ from wavefocus.storage.bank.ledger import PointRecord, bank_row_shape, encode_ro
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.hdf5_reading import heap_is_sound
 from wavefocus.storage.ledger.pages import Replacement
 
 
@@ -77,23 +76,6 @@ def test_a_position_outside_the_bank_then_is_refused(tmp_path: Path, position: i
         bank.green(position)
 
 
-@pytest.mark.parametrize("dataset", ["green", "durability/ledger"])
-def test_a_flipped_byte_then_is_named_and_the_other_positions_still_read(tmp_path: Path, dataset: str) -> None:
-    path = measured(tmp_path / "bank.h5")
-    with h5py.File(path, "r") as file:
-        found = file[dataset].id
-        offset = found.get_chunk_info(1).byte_offset if dataset == "green" else found.get_offset() + 4096
-        byte = path.read_bytes()[offset + 40]
-    overwrite(path, offset + 40, bytes([byte ^ 1]))
-    before = path.read_bytes()
-    with open_bank(path) as bank:
-        assert bank.verify() == (1,)
-        with pytest.raises(InputError, match=r"bank\.h5: position 1 is damaged"):
-            bank.green(1)
-        assert np.array_equal(bank.green(2), green_of(2))
-    assert path.read_bytes() == before
-
-
 def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_path: Path) -> None:
     path = measured(tmp_path / "bank.h5")
     with h5py.File(path, "r") as file:
@@ -119,23 +101,6 @@ def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_pat
     overwrite(path, heap + 16, bytes(16))  # an object without index and size: HDF5 2.0 never returns from it
     with pytest.raises(InputError, match="its texts are not readable"):
         open_bank(path)
-
-
-@pytest.mark.parametrize(
-    ("content", "sound"),
-    [
-        (b"GCOL\1\0\0\0" + (32).to_bytes(8, "little") + bytes(8) + (16).to_bytes(8, "little"), True),
-        (b"GCOL\1\0\0\0" + (32).to_bytes(8, "little") + bytes(16), False),  # free space of no size
-        (
-            b"GCOL\1\0\0\0" + (32).to_bytes(8, "little") + b"\1" + bytes(7) + b"\7" + bytes(7),
-            False,
-        ),  # too long
-        (b"GCOL\1\0\0\0" + (64).to_bytes(8, "little"), False),  # cut off
-        (b"", False),
-    ],
-)
-def test_a_text_heap_then_is_sound_only_when_its_objects_fit(content: bytes, sound: bool) -> None:
-    assert heap_is_sound(content) is sound
 
 
 # --- banks of other programs ----------------------------------------------------------------------------

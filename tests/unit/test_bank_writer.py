@@ -252,15 +252,6 @@ def test_a_disabled_position_then_keeps_its_data_and_loses_its_valid_bit(tmp_pat
         assert np.array_equal(bank.quality["snr_db"][2], record_of(2).snr_db)
 
 
-def test_a_position_disabled_before_it_was_measured_then_reads_as_zeros(tmp_path: Path) -> None:
-    create_bank(tmp_path / "bank.h5", header())
-    with BankWriter.open(tmp_path / "bank.h5") as writer:
-        writer.disable(0)
-    with open_bank(tmp_path / "bank.h5") as bank:
-        assert bank.status.tolist() == [16, 0, 0, 0]
-        assert not bank.green(0).any()
-
-
 @pytest.mark.parametrize(
     ("position", "green", "message"),
     [
@@ -278,13 +269,6 @@ def test_a_wrong_commit_then_is_refused_and_writes_nothing(
     with BankWriter.open(path) as writer, pytest.raises(InputError, match=message):
         writer.commit(position, green, record_of(0))
     assert digest(path) == before
-
-
-@pytest.mark.parametrize(("status", "attempts"), [(0, 1), (32, 1), (1, -1)])
-def test_a_record_out_of_range_then_is_refused(status: int, attempts: int) -> None:
-    figures = np.zeros(2, np.float32)
-    with pytest.raises(InputError, match="is needed"):
-        PointRecord(status, attempts, figures, figures, figures, figures)
 
 
 class FailingFile(PosixFile):
@@ -602,11 +586,6 @@ def test_marks_of_a_row_then_share_its_status_field_and_are_read_back(
         assert getattr(kept, name) == getattr(figures, name)[1] == getattr(record, name)
 
 
-def test_a_neighbour_round_beyond_its_bits_then_is_refused() -> None:
-    with pytest.raises(InputError, match="neighbour_round is 4194304"):
-        replace(record_of(1), neighbour_round=2**22)
-
-
 def test_rms_of_each_committed_position_is_stored_and_silent_or_new_one_has_none(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     create_bank(path, header())
@@ -620,17 +599,6 @@ def test_rms_of_each_committed_position_is_stored_and_silent_or_new_one_has_none
     with open_bank(path) as bank:
         np.testing.assert_allclose(bank.rms[:2], _true_rms([0, 1]), rtol=1e-14)
         assert np.isnan(bank.rms[2:]).all()
-
-
-def test_a_row_without_room_for_its_rms_is_read_by_who_needs_it(tmp_path: Path) -> None:
-    path = tmp_path / "bank.h5"
-    create_bank(path, header(1, 200, 3))
-    with BankWriter.open(path) as writer:
-        writer.commit(0, green_of(0, 1, 200, 3), record_of(0, 1, 200))
-    with open_bank(path) as bank:
-        assert np.isnan(bank.rms).all()
-        expected = np.sqrt(np.mean(green_of(0, 1, 200, 3).astype(np.float64) ** 2, axis=1))
-        np.testing.assert_allclose(rms_map(bank)[0], expected, rtol=1e-14)
 
 
 def _without_stored_rms(path: Path, position: int) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.benchmarks.diagrams import draw_diagrams, pareto
-from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure
+from wavefocus.benchmarks.diagrams import draw_diagrams
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
 from wavefocus.benchmarks.machine import conditions, load
 
 
@@ -26,19 +26,6 @@ def test_conditions_are_plain_and_name_no_place_of_this_machine() -> None:
     assert found["cores"] >= 1
     assert "numpy" in found["packages"]
     assert load() is None or load() >= 0
-
-
-def test_actions_take_turns_and_those_named_once_run_once() -> None:
-    calls: list[str] = []
-    found = measure({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3, once=("b",))
-    assert calls == ["a", "b", "a", "a"]
-    assert found["a"].spread_s is not None
-    assert found["b"].spread_s is None
-
-
-def test_a_peer_counts_no_more_than_its_cpu_time() -> None:
-    point = Entry(work="w", method="m", timing=Times(0.5, 0.5)).against(Times(10.0, 2.0))
-    assert (point.row["times"], point.row["cpu_times"]) == (4.0, 4.0)
 
 
 def test_points_are_written_as_json_and_tables_with_their_marks(tmp_path: Path) -> None:
@@ -63,10 +50,6 @@ def test_points_are_written_as_json_and_tables_with_their_marks(tmp_path: Path) 
 def test_a_mark_of_a_figure_that_was_not_measured_is_not_judged(value: float | None) -> None:
     point = Entry(work="w", method="m", figures={"hours": value}, marks=(Mark("hours", 2.0, at_most=True),))
     assert point.judged(point.marks[0]) is (None if value is None else False)
-
-
-def test_the_pareto_front_is_what_nothing_beats_in_cost_and_error() -> None:
-    assert pareto([(3.0, 0.1), (1.0, 0.5), (2.0, 0.6), (2.0, 0.1), (4.0, 0.01)]) == [1, 3, 4]
 
 
 def _precision(method: str, step: float, error: float, wall_s: float) -> Entry:

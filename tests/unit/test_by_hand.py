@@ -159,20 +159,6 @@ def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds() -> Non
     assert not player.sounding
 
 
-def test_given_a_gate_shut_twice_then_it_takes_two_to_open_it() -> None:
-    player = SlowPlayer()
-    player.go_on.set()
-    gate = BoundedPlayer(player, 30.0)
-    gate.shut()
-    gate.shut()
-    gate.open()
-    with pytest.raises(ShutError, match="muted meanwhile"):
-        gate.play({0: np.zeros(4)}, RATE_HZ)
-    gate.open()
-    gate.play({0: np.zeros(4)}, RATE_HZ)
-    assert player.sounding
-
-
 def test_gate_that_is_shut_then_record_fails_silently_muted_and_leaves_rig_usable() -> None:
     setup = bench()
     gate = BoundedPlayer(setup.instruments.player, 30.0)

@@ -8,12 +8,8 @@ from datetime import timedelta
 import pytest
 
 from tests.unit.test_config_calibration import AT, measured
-from wavefocus.acquisition.setup import identities_of
-from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.protocols import DeviceIdentity
-from wavefocus.drivers.timeouts import bounded
-from wavefocus.mocks.virtual.rig import VirtualRig
-from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rig.calibration_validity import calibrated_elsewhere, calibration_warnings
 
 THERE = {role: DeviceIdentity("", role[0]) for role in ("mirror", "recorder", "player")}
@@ -23,10 +19,6 @@ def calibrated(**care: object) -> RigConfig:
     actuators = {"position_mm": [[0, 0], [10, 0]]}
     care = {"file": "cal.toml", "measured": measured().model_dump(), **care}
     return RigConfig.model_validate({"actuators": actuators, "calibration": care})
-
-
-def test_given_no_calibration_then_there_is_nothing_to_warn_of() -> None:
-    assert calibration_warnings(default_rig(), THERE) == []
 
 
 def test_a_fresh_calibration_of_the_same_devices_then_there_is_nothing_to_warn_of() -> None:
@@ -64,15 +56,6 @@ def test_a_device_named_only_in_words_is_not_compared_and_that_is_said() -> None
     assert calibrated_elsewhere(rig, there) == {}
     (told,) = calibration_warnings(rig, there, AT)
     assert "inputs not comparable: the file names its device only in words" in told.reason
-
-
-def test_given_other_settings_then_the_virtual_devices_stay_the_same() -> None:
-    one, other = VirtualSettings(), VirtualSettings(seed=2, full_scale_v=1.0, largest_range_v=1.0)
-    assert one != other
-    instruments = [VirtualRig(settings).instruments for settings in (one, other)]
-    first, second = (identities_of(each) for each in instruments)
-    assert first == second == identities_of(bounded(instruments[0], 10.0))
-    assert len(set(first.values())) == 3
 
 
 def test_an_interface_that_windows_counts_anew_then_the_calibration_still_holds() -> None:

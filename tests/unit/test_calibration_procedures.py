@@ -77,13 +77,6 @@ def outputs(probe: Probe, hands: Hands) -> tuple[OutputFigures, ...]:
     return measure_outputs(task, probe, hands, lambda done, total: None)
 
 
-def test_given_both_inputs_on_one_cable_then_their_delay_is_found() -> None:
-    rig, _, probe = bench(inter_channel_delay_s=-7.3e-6, clock_ppm=-80.0)
-    found = measure_inputs(probe, Hands(rig))
-    assert found.late_s == pytest.approx(-7.3e-6, abs=1e-7)
-    assert found.clock_ppm == pytest.approx(-80.0, abs=0.2)
-
-
 def test_given_a_cable_forgotten_then_the_person_is_asked_and_the_second_try_counts() -> None:
     rig, _, probe = bench()
     hands = Hands(rig, forgets=("both",))
@@ -178,13 +171,6 @@ def test_given_a_response_too_loud_then_the_actuator_is_named() -> None:
     task = ActuatorsTask(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ)
     with pytest.raises(NotMeasuredError, match="actuator 0 at 1 V reaches the end of an input's range"):
         measure_actuators(task, replace(setup, range_v=(10.0, 0.02)), lambda done, total: None)
-
-
-def test_given_actuators_then_they_are_heard_at_one_distance_inwards() -> None:
-    actuator_mm = np.array([*ACTUATORS, (0.0, 0.0), (0.0, -5.0)])
-    places = listening_places(actuator_mm, 30.0)
-    np.testing.assert_allclose(np.hypot(*(places - actuator_mm).T), 30.0)
-    assert Outline.stadium(250.0, 150.0).contains(places).all()
 
 
 @pytest.mark.parametrize(("length_mm", "width_mm"), [(250.0, 150.0), (150.0, 150.0), (1000.0, 50.0)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from datetime import UTC, datetime, timedelta
@@ -21,14 +20,8 @@ from wavefocus.campaign.control import (
     withdraw,
     write_heartbeat,
 )
-from wavefocus.campaign.status import CampaignStatus, Heartbeat
+from wavefocus.campaign.status import Heartbeat
 from wavefocus.config.messages.campaign import (
-    Fault,
-    Logged,
-    PositionStarted,
-    Progress,
-    SessionEnded,
-    SessionStarted,
     State,
     StateChanged,
 )
@@ -59,10 +52,6 @@ def test_a_clock_that_was_set_back_then_an_old_heartbeat_is_silent_all_the_same(
     assert Heartbeat(now + timedelta(seconds=ahead_s), 12, "here").is_silent(now) is silent
 
 
-def test_given_a_heartbeat_with_any_number_then_its_finish_is_a_date() -> None:
-    assert Heartbeat(datetime.now(UTC), 12, "here", remaining_s=1e300).finish_at is not None
-
-
 @pytest.mark.parametrize(
     "text", ["", "{", "[1]", '{"at": 1}', '{"at": "2026-01-01T00:00:00", "pid": 1, "host": "h"}', '{"at": "x"}',
              '{"at": "2026-01-01T00:00:00+00:00", "pid": 1, "host": "h", "state": "dancing"}']
@@ -70,23 +59,6 @@ def test_given_a_heartbeat_with_any_number_then_its_finish_is_a_date() -> None:
 def test_given_a_heartbeat_that_is_none_then_there_is_none(tmp_path: Path, text: str) -> None:
     heartbeat_path(tmp_path / "plate.h5").write_text(text, encoding="utf-8")
     assert read_heartbeat(tmp_path / "plate.h5") is None
-
-
-def test_given_events_then_the_next_beat_tells_them() -> None:
-    status = CampaignStatus()
-    for event in (
-        SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ()),
-        StateChanged(0.0, State.RUNNING, "7 positions to do"),
-        PositionStarted(0.0, 5, 1, 0.0, 0.0),
-        Fault(1.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True),
-        Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0),
-    ):
-        status = status.after(Logged(datetime.now(UTC), event))
-    beat = Heartbeat.of(status)
-    assert (beat.state, beat.reason, beat.position, beat.done, beat.total) == ("running", "7 positions to do", 5, 3, 9)
-    assert (beat.remaining_s, beat.fault) == (60.0, "mirror: moving: it is gone")
-    ended = status.after(Logged(datetime.now(UTC), SessionEnded(3.0, State.STOPPED, 3, 9, {})))
-    assert Heartbeat.of(ended).position is None
 
 
 def test_given_an_order_then_it_is_taken_once(tmp_path: Path) -> None:
@@ -130,17 +102,6 @@ def test_given_orders_while_it_attends_then_they_are_obeyed_and_acknowledged(tmp
     assert not orders_path(bank).exists()
 
 
-def test_change_of_state_then_it_is_told_before_next_beat_and_last_one_stays(tmp_path: Path) -> None:
-    bank = tmp_path / "plate.h5"
-    with CampaignControl(bank, StopRequest()) as control:
-        control(StateChanged(0.0, State.RUNNING, "begins"))
-        _until(lambda: (beat := read_heartbeat(bank)) is not None and beat.state == "running")
-        control(StateChanged(0.0, State.FINISHED, "ends"))
-    beat = read_heartbeat(bank)
-    assert beat is not None
-    assert (beat.state, beat.reason) == ("finished", "ends")
-
-
 def test_a_heartbeat_that_cannot_be_written_is_told_once_and_orders_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -153,12 +114,6 @@ def test_a_heartbeat_that_cannot_be_written_is_told_once_and_orders_work(
         give_order(bank, "stop")
         _until(lambda: stop.requested)
     assert capsys.readouterr().err.count("heartbeat of") == 1
-
-
-def test_given_a_beat_then_every_field_is_plain_json(tmp_path: Path) -> None:
-    write_heartbeat(tmp_path / "plate.h5", Heartbeat.of(CampaignStatus()))
-    content = json.loads(heartbeat_path(tmp_path / "plate.h5").read_text(encoding="utf-8"))
-    assert set(content) == set(Heartbeat.__struct_fields__) | {"finish_at"}
 
 
 def test_given_an_order_laid_while_another_is_taken_then_it_is_not_lost(tmp_path: Path) -> None:

@@ -19,17 +19,6 @@ def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing(
     assert signals.all == (2, 15, 21)
 
 
-def test_given_posix_then_a_terminal_that_is_gone_has_its_own_signal() -> None:
-    posix = SimpleNamespace(SIGINT=2, SIGHUP=1, SIGTERM=15)
-    assert EndingSignals.here(posix).terminal_gone == (1,)
-
-
-def test_given_this_system_then_ctrl_c_and_an_order_to_end_are_known() -> None:
-    signals = EndingSignals.here()
-    assert signal.SIGINT in signals.finish
-    assert signal.SIGTERM in signals.at_once
-
-
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
 
 
@@ -60,15 +49,6 @@ def test_given_nohup_then_a_terminal_that_is_gone_stays_ignored() -> None:
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def test_given_a_pause_taken_back_then_nothing_is_asked_for() -> None:
-    stop = StopRequest()
-    stop.pause()
-    assert stop.pause_requested
-    stop.go_on()
-    assert not stop.pause_requested
-    stop.wait_for_news(60.0)  # the news is there already
 
 
 def test_given_two_who_stop_it_then_the_first_is_named() -> None:

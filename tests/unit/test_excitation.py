@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +13,6 @@ import wavefocus as wf
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.waveforms import WAVEFORMS
-from wavefocus.config.run import Waveform
 from wavefocus.storage.errors import InputError
 
 DEFAULT = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)
@@ -25,15 +24,6 @@ def test_default_excitation_has_three_periods_of_sweep_and_silence() -> None:
     assert np.array_equal(DEFAULT.signal_v()[12_000:24_000], DEFAULT.base_v())
     assert not DEFAULT.base_v()[10_000:].any()
     assert DEFAULT.band_hz == (20.0, 500.0)
-
-
-def test_sweep_reaches_its_amplitude_and_never_more() -> None:
-    assert np.abs(DEFAULT.base_v()).max() == pytest.approx(0.5, abs=1e-12)
-
-
-def test_sweep_holds_no_0_hz() -> None:
-    spectrum = np.abs(np.fft.rfft(DEFAULT.base_v()))
-    assert spectrum[0] < 1e-12 * spectrum.max()
 
 
 def test_spectrum_is_flat_inside_the_band_and_gone_beyond_it() -> None:
@@ -74,10 +64,6 @@ def test_sweep_starts_and_ends_softly() -> None:
 def test_nonsense_is_refused_by_name(change: dict[str, Any], named: str) -> None:
     with pytest.raises(InputError, match=named):
         dataclasses.replace(DEFAULT, **change)
-
-
-def test_every_waveform_can_be_chosen_in_a_run_file() -> None:
-    assert set(get_args(Waveform)) == set(WAVEFORMS)
 
 
 @pytest.mark.parametrize("waveform", WAVEFORMS)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -66,16 +64,6 @@ def test_a_field_is_the_full_convolution_in_any_unit(seed, positions, actuators,
     assert relative_error(single.field, expected) < 2e-6
 
 
-def test_taps_longer_than_a_block_are_convolved_in_full():
-    rng = np.random.default_rng(0)
-    bank = make_bank(rng.standard_normal((2, 2, 9000)))
-    drive = make_drive(rng.standard_normal((2, 70_000)))
-    from scipy.signal import fftconvolve
-
-    expected = np.array([fftconvolve(bank.values[p], drive.drive_v, axes=1).sum(axis=0) for p in range(2)])
-    assert relative_error(predict(drive, bank).field, expected) < 1e-12
-
-
 def test_a_field_starts_with_its_drive_and_has_the_banks_unit():
     bank = make_bank(np.ones((1, 1, 3)))
     field = predict(make_drive([[1.0, 2.0]], start_s=-0.002), bank)
@@ -100,28 +88,6 @@ def test_unmeasured_positions_are_left_out_and_refused_where_they_are_asked_for(
         predict(make_drive([[1.0]]), bank, [0, 1, 3])
     with pytest.raises(InputError, match="no measured position"):
         predict(make_drive([[1.0]]), make_bank(np.ones((2, 1, 3)), status=np.zeros(2, np.uint8)))
-
-
-def test_a_silent_drive_gives_a_silent_field():
-    assert not predict(make_drive(np.zeros((3, 50))), make_bank(np.ones((2, 3, 30)))).field.any()
-
-
-def test_rows_come_as_a_stream_with_progress_in_the_calling_thread():
-    rng = np.random.default_rng(0)
-    bank = make_bank(rng.standard_normal((200, 2, 30)))
-    drive = make_drive(rng.standard_normal((2, 50_000)))
-    reported, rows = [], []
-
-    def report(*count):
-        reported.append((*count, threading.get_ident()))
-
-    for first, responses in Prediction(drive, bank, measured_positions(bank)[0], dtype=np.float64).rows(report):
-        assert first == len(rows)
-        rows.extend(responses)
-    assert reported[-1] == (200, 200, threading.get_ident())
-    assert len(reported) > 1
-    assert reported == sorted(reported)
-    np.testing.assert_array_equal(rows, predict(drive, bank).field)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavefocus.config.interpolations import INTERPOLATIONS
 from wavefocus.rendering.greens.interpolation.base import OffGridError, interpolation_method
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenArray
@@ -32,15 +31,6 @@ def test_the_nearest_row_is_found_along_any_path(seed, positions, step):
     np.testing.assert_allclose(distance_mm, np.hypot(*(points_mm - position_mm[rows]).T))
 
 
-@pytest.mark.parametrize("points", [1, 200])
-def test_point_whose_distance_squared_is_beyond_all_numbers_has_nearest_row_far_away(points):
-    far_mm = np.full((points, 2), 1e300)
-    for position_mm in (LATTICE, np.random.default_rng(0).uniform(-20, 20, (30, 2))):
-        rows, distance_mm = PositionGrid(position_mm).nearest(far_mm)
-        assert ((rows >= 0) & (rows < len(position_mm))).all()
-        np.testing.assert_allclose(distance_mm, 2**0.5 * 1e300)
-
-
 @given(seed=st.integers(0, 2**31))
 @settings(max_examples=20, deadline=None)
 def test_on_a_tie_the_lower_index_is_nearest(seed):
@@ -49,30 +39,6 @@ def test_on_a_tie_the_lower_index_is_nearest(seed):
     points_mm = 2.0 * rng.integers(0, [11, 9], (300, 2))
     rows, _ = PositionGrid(position_mm).nearest(points_mm)
     np.testing.assert_array_equal(rows, brute(position_mm, points_mm))
-
-
-@given(seed=st.integers(0, 2**31), across=st.sampled_from([0, 1]))
-@settings(max_examples=20, deadline=None)
-def test_the_nearest_row_is_found_along_a_line_of_positions(seed, across):
-    rng = np.random.default_rng(seed)
-    position_mm = rng.permutation(np.stack([np.zeros(40), 4.0 * np.arange(40)], axis=1))
-    points_mm = np.concatenate([rng.uniform(-30, 190, (300, 2)), rng.uniform(-4, 4, (300, 2)), [[0.0, 2.0]]])
-    if across:
-        position_mm, points_mm = position_mm[:, ::-1], points_mm[:, ::-1]
-    rows, _ = PositionGrid(position_mm).nearest(points_mm)
-    np.testing.assert_array_equal(rows, brute(position_mm, points_mm))
-
-
-def test_a_point_amid_a_ring_of_positions_gets_the_lowest_index():
-    ring = np.array([(5, 0), (-5, 0), (0, 5), (0, -5), (3, 4), (-3, 4), (3, -4), (-3, -4), (4, 3), (-4, 3)], float)
-    rows, _ = PositionGrid(ring).nearest(np.zeros((1, 2)))
-    assert rows.tolist() == [0]
-
-
-def test_the_spacing_is_the_median_distance_of_neighbours():
-    assert PositionGrid(LATTICE).spacing_mm == 4.0
-    assert PositionGrid(np.array([[0, 0], [1, 0], [10, 0], [13, 0]])).spacing_mm == 2.0
-    assert PositionGrid(np.array([[0, 0]])).spacing_mm == 0.0
 
 
 def test_a_point_further_than_one_spacing_is_refused_with_place_and_distance():
@@ -140,11 +106,6 @@ def test_positions_that_are_none_are_refused(position_mm):
 WORST_ERROR = {"nearest": 0.45, "bilinear": 0.1, "kernel": 0.04}
 """Relative error of plane waves of 40 mm between positions 4 mm apart. Sines are cut at both ends, to which the
 kernel is more sensitive than to the waves."""
-
-
-def test_every_registered_method_is_in_the_table():
-    elsewhere = {"waves", "auto"}  # test_waves_interpolation.py: they need actuators
-    assert set(WORST_ERROR) == set(INTERPOLATIONS) - elsewhere
 
 
 @pytest.mark.parametrize(("name", "worst"), WORST_ERROR.items())

@@ -7,12 +7,9 @@ import functools
 import numpy as np
 import pytest
 
-from tests.unit.plate_banks import SPACING_MM, SQUARE_MM, errors_at, plate_bank, plate_greens
-from wavefocus.calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
-from wavefocus.mocks.plates.soft import SOFT_PLATE
-from wavefocus.rendering.greens.interpolation.base import Neighbourhoods, OffGridError
+from tests.unit.plate_banks import SQUARE_MM, errors_at, plate_bank
+from wavefocus.rendering.greens.interpolation.base import OffGridError
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-from wavefocus.rendering.greens.interpolation.left_out import RowValues
 from wavefocus.rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.paths import Circle, Line, Polyline, Strokes
@@ -65,15 +62,6 @@ def test_between_the_positions_the_error_stays_within_the_marks(grid, noise_db, 
     assert errors_at(450.0, greens, POINTS_MM).max() < at_450_hz
 
 
-@pytest.mark.parametrize("noise_db", [None, -60.0])
-def test_the_wave_number_comes_from_the_bank_alone(noise_db):
-    _, kernel = kernel_on("square", noise_db)
-    waves = kernel.waves.at(np.array([200.0, 250.0, 350.0, 450.0]))
-    truth = SOFT_PLATE.wavenumber(waves.frequency_hz) / 1e3
-    np.testing.assert_allclose(waves.wavenumber_rad_mm.real, truth.real, rtol=0.02)
-    np.testing.assert_allclose(waves.wavenumber_rad_mm.imag, truth.imag, rtol=0.15)
-
-
 def test_interpolation_without_actuator_positions_or_band_is_as_good():
     bank, _ = kernel_on()
     bare = GreenArray(bank.values, bank.position_mm, bank.sample_rate_hz)
@@ -88,27 +76,6 @@ def test_a_bank_in_another_unit_is_interpolated_to_the_same_rows_in_that_unit(sc
     expected = greens_at(bank, KernelInterpolation(bank, POINTS_MM[:8]), POINTS_MM[:4])
     found = greens_at(scaled, KernelInterpolation(scaled, POINTS_MM[:8]), POINTS_MM[:4])
     np.testing.assert_allclose(found / scale, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
-
-
-def test_patches_of_one_shape_share_their_weights():
-    neighbourhoods = Neighbourhoods(SQUARE_MM, np.ones(len(SQUARE_MM), dtype=bool))
-    inner = [row for row, point in enumerate(SQUARE_MM) if np.abs(point).max() <= 12.0]
-    assert len({neighbourhoods.patch(row).key for row in inner}) == 1
-    patch = neighbourhoods.patch(inner[0])
-    assert len(patch.rows) == 37
-    assert np.hypot(*patch.offset_mm.T).max() == pytest.approx(np.sqrt(10.0) * SPACING_MM)
-
-
-def test_left_out_in_closed_form_is_what_leaving_out_gives():
-    bank, kernel = kernel_on("with holes", -60.0)
-    patch = kernel.neighbourhoods.patch(70)
-    values = RowValues(bank, kernel.waves.frequency_hz).of(patch.rows)
-    closed = np.einsum("fn,fna->fa", PatchKernel(kernel.waves, patch.offset_mm).left_out, values)
-    others = PatchKernel(kernel.waves, patch.offset_mm[1:])
-    predicted = (others.weights(np.zeros((1, 2))) @ values[:, 1:])[:, 0]
-    np.testing.assert_allclose(closed, values[:, 0] - predicted, atol=1e-6 * np.abs(values).max())
-    variance = others.variance(np.zeros((1, 2)))[:, 0] + kernel.waves.ridge
-    np.testing.assert_allclose(PatchKernel(kernel.waves, patch.offset_mm).left_out_variance, variance, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("square", -40.0), ("irregular", -60.0)])
@@ -168,13 +135,6 @@ def test_a_row_of_zeros_that_says_it_was_measured_is_refused_by_name():
         KernelInterpolation(bank, np.array([[1.0, 1.0]]))
 
 
-def test_positions_on_one_line_are_refused():
-    line = np.stack([np.arange(40) * 4.0, np.zeros(40)], axis=1)
-    bank = plate_bank(line)
-    with pytest.raises(InputError, match="40 measured positions are too few or lie on one line"):
-        KernelInterpolation(bank, line)
-
-
 def test_too_few_positions_are_refused():
     bank = plate_bank(SQUARE_MM[[0, 1, 2, 13, 14, 15]])
     with pytest.raises(InputError, match="6 measured positions are too few"):
@@ -194,41 +154,6 @@ def test_a_point_off_the_grid_is_refused():
     _, kernel = kernel_on()
     with pytest.raises(OffGridError, match=r"\(40, 0\) mm, 16 mm from"):
         kernel.nodes(np.array([[40.0, 0.0]]))
-
-
-def test_the_kernel_of_directions_is_the_bessel_function_of_a_ring():
-    """Im k = 0 and no disk: mean_d exp(-j k d.(x - y)) = J0(k r)."""
-    from scipy.special import j0
-
-    model = WaveModel(np.array([100.0]), np.array([0.6 + 0j]), np.array([1e-9]), np.array([1e-3]))
-    offset_mm = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [7.0, -3.0]])
-    across = PatchKernel(model, offset_mm).weights(offset_mm)[0]
-    apart = np.hypot(*(offset_mm[:, None] - offset_mm).transpose(2, 0, 1))
-    covariance = j0(0.6 * apart)
-    expected = covariance @ np.linalg.inv(covariance + 1e-3 * np.eye(4))
-    np.testing.assert_allclose(across, expected, atol=1e-6)
-
-
-def test_the_disk_s_kernel_is_the_mean_over_its_wave_numbers():
-    """2 J1(z) / z is the mean of J0(z rho) over the unit disk, that is of 2 rho drho."""
-    from scipy.special import j0
-
-    rho = (np.arange(20_000) + 0.5) / 20_000
-    z = np.array([0.0, 0.3, 2.0, 7.0])
-    mean = (j0(z[:, None] * rho) * 2.0 * rho).mean(axis=1)
-    np.testing.assert_allclose(disk_kernel(z), mean, atol=1e-8)
-    assert DISK_RADIUS == 1.15
-
-
-def test_many_rows_are_made_in_bounded_memory_and_the_same_again():
-    bank, _ = kernel_on()
-    kernel = KernelInterpolation(bank, POINTS_MM[:8])
-    points_mm = np.random.default_rng(5).uniform(-20.0, 20.0, (150, 2))
-    first = greens_at(bank, kernel, points_mm)
-    again = greens_at(bank, kernel, points_mm[::-1])[::-1]
-    np.testing.assert_allclose(again, first, rtol=0, atol=1e-8 * np.abs(first).max())
-    assert np.median(errors_at(250.0, first, points_mm)) < 0.002
-    np.testing.assert_allclose(plate_greens(points_mm[:1]), first[:1], atol=0.02 * np.abs(first[:1]).max())
 
 
 def interpolated(nodes, values, along):
@@ -252,15 +177,6 @@ def test_a_wave_along_the_path_comes_back_with_the_error_asked_for(path, error):
     assert 0.2 * error < rms < 1.3 * error
 
 
-def test_weights_sum_to_one_and_are_exact_on_a_node():
-    nodes = PathNodes(Polyline([(0.0, 0.0), (10.0, 0.0), (10.0, 0.3), (14.0, 0.3)]), 0.7)
-    index, weights = nodes.weights(np.linspace(0.0, 14.3, 400))
-    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
-    index, weights = nodes.weights(nodes.arc_length_mm[1:9])
-    at = index[np.arange(8), np.argmax(np.abs(weights), axis=1)]
-    np.testing.assert_array_equal(at, np.arange(1, 9))
-
-
 def test_corners_and_gaps_are_not_interpolated_across():
     square = Polyline([(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)], closed=True)
     strokes = Strokes([np.array([[0.0, 0.0], [15.0, 0.0]]), np.array([[5.0, 9.0], [5.0, -9.0]])])
@@ -269,18 +185,3 @@ def test_corners_and_gaps_are_not_interpolated_across():
         along = np.linspace(0.0, path.length_mm, 5003)[1:-1]
         found = interpolated(nodes, wave(path.point_at(nodes.arc_length_mm)), along)
         assert np.abs(found - wave(path.point_at(along))).max() < 5e-3
-
-
-def test_turns_of_a_circle_share_their_nodes():
-    once, five = (PathNodes(Circle((0.0, 0.0), 10.0, turns), 0.8) for turns in (1.0, 5.0))
-    points = Circle((0.0, 0.0), 10.0, 5.0).point_at(five.arc_length_mm)
-    assert len(np.unique(np.round(points, 6), axis=0)) == len(once.arc_length_mm) - 1
-
-
-@pytest.mark.parametrize("length_mm", [1e-4, 0.5, 0.8, 1.5, 2.3])
-def test_a_path_shorter_than_four_nodes_takes_what_there_is(length_mm):
-    path = Line((0.0, 0.0), (length_mm, 0.0))
-    nodes = PathNodes(path, 0.8)
-    along = np.linspace(0.0, length_mm, 11)
-    found = interpolated(nodes, 2.0 + 3.0 * nodes.arc_length_mm, along)
-    np.testing.assert_allclose(found, 2.0 + 3.0 * along, atol=1e-12)

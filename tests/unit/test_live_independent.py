@@ -7,10 +7,9 @@ import pytest
 
 from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
 from wavefocus.config.scene import Regularisation
-from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
-from wavefocus.rendering.live.finer import KernelRowsBetween, finer_rows
+from wavefocus.rendering.live.finer import finer_rows
 from wavefocus.rendering.live.independent import MAX_ENERGY, independent_filters
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
@@ -148,41 +147,6 @@ def test_the_engine_says_while_the_energy_of_near_fingers_is_bounded():
     assert not bounded[-1]
 
 
-def test_fingers_that_move_then_what_is_forgotten_of_their_way_changes_no_drive():
-    drives = []
-    for keeps_all in (True, False):
-        engine = LiveEngine(
-            BANK, block_samples=BLOCK, look_ahead_samples=50, signal=SIGNAL, record=keeps_all,
-            regularisation=Regularisation(independent=True),
-        )  # fmt: skip
-        blocks = []
-        for block in range(80):
-            for source, (x_mm, y_mm) in enumerate([(-14.0, -10.0), (-14.0, 10.0)]):
-                engine.move(f"{source}", (x_mm + 0.3 * block, y_mm), 1.0 - source)
-            blocks.append(engine.next_block())
-        drives.append(np.concatenate(blocks, axis=1))
-    np.testing.assert_allclose(drives[1], drives[0], rtol=0, atol=1e-6 * np.abs(drives[0]).max())
-
-
-def test_finer_rows_are_those_of_kernel_interpolation():
-    kernel, finer = KernelInterpolation(BANK, BANK.position_mm), KernelRowsBetween(BANK)
-    samples, bins = 4 * TAPS, 60
-
-    def filters_of(row: int) -> np.ndarray:
-        return np.fft.rfft(rows.green(row), samples)[:, :bins].conj()
-
-    rows = kernel.rows
-    bin_hz = np.arange(bins) * RATE_HZ / samples
-    found = finer.filters(filters_of, bin_hz)
-    assert found.shape[0] == finer.count > 0
-    places_mm = finer._grid.position_mm[BANK.positions :][:: finer.count // 8]
-    band = (bin_hz > BANK.band_hz[0]) & (bin_hz < BANK.band_hz[1]) if BANK.band_hz else bin_hz > 50.0
-    for place_mm in places_mm:
-        mine = found[int(finer.nearest(place_mm[None])[0]) - BANK.positions][:, band]
-        reference = filters_of(int(kernel.add(place_mm[None])[0]))[:, band]
-        assert np.linalg.norm(mine - reference) < 0.02 * np.linalg.norm(reference)
-
-
 def test_given_a_grid_as_fine_as_such_rows_then_auto_takes_the_nearest_position():
     step_mm = np.arange(8.0)
     position_mm = np.stack(np.meshgrid(step_mm, step_mm), axis=-1).reshape(-1, 2)
@@ -216,12 +180,6 @@ def test_one_finger_or_two_at_one_place_give_the_drives_of_time_reversal():
         engine.move("other", (12.0, 4.0) if block < 30 else (-12.0, -4.0))
         largest_v.append(np.abs(engine.next_block()).max())
     assert max(largest_v[25:]) < 4.0 * max(largest_v[20:28])
-
-
-def test_given_one_actuator_then_independent_drives_are_plain_ones():
-    bank = GreenArray(BANK.values[:, :1], BANK.position_mm, RATE_HZ, band_hz=BANK.band_hz)
-    plain, quiet = (played(FINGERS_MM, [1.0] * 4, bank=bank, blocks=30, independent=one) for one in (False, True))
-    np.testing.assert_allclose(quiet, plain, rtol=0, atol=5e-3 * np.abs(plain).max())
 
 
 def test_given_saturation_then_fingers_are_as_quiet():

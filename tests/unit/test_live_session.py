@@ -291,21 +291,6 @@ class SimulatedSession:
             now_s = max(now_s, pace.begin_s(now_s, waiting_s))
 
 
-def test_given_blocks_that_take_unequally_long_then_nearly_all_that_is_to_wait_waits() -> None:
-    # Every second block has the positions of four independent sources, and takes longer than it plays.
-    session = SimulatedSession(lambda block, _: 1e-4 if block % 2 else (0.0065, 0.009, 0.005)[block % 3], 4)
-    assert session.underruns == []
-    assert set(session.sounding) == {4}
-    assert min(session.waiting_s[100:]) > 0.02
-
-
-def test_orders_that_take_longer_than_a_block_wait_for_one_block_or_two() -> None:
-    session = SimulatedSession(lambda block, _: 0.004 if block < 1000 else 0.011, 10)
-    assert session.underruns == []
-    assert set(session.sounding) == {10}
-    assert min(session.waiting_s[100:]) > 0.02
-
-
 def test_a_stall_then_what_is_to_wait_is_there_again_within_a_tenth_of_a_second() -> None:
     session = SimulatedSession(lambda *_: 0.0025, 4, {1000: 0.03})
     assert session.underruns == []
@@ -320,29 +305,12 @@ def test_stalls_of_machine_that_let_player_run_dry_then_no_source_is_left_out() 
     assert set(session.sounding) == {4}
 
 
-@pytest.mark.parametrize("slow_blocks", [30, 200])
-def test_slow_computing_for_a_while_then_all_sources_sound_again_within_seconds(slow_blocks: int) -> None:
-    slow = range(2000, 2000 + slow_blocks)
-    session = SimulatedSession(lambda block, sources: (0.02 if block in slow else 1.5e-3) * sources / 2, 4)
-    assert session.underruns
-    assert min(session.sounding) < 4
-    assert session.sounding[slow.stop + round(8.0 / 0.005)] == 4
-    assert session.sounding[-1] == 4
-
-
 def test_more_sources_than_machine_computes_then_latest_are_left_out_and_taken_back() -> None:
     session = SimulatedSession(lambda block, sources: (2.4e-3 if block < 6000 else 1e-4) * sources, 10, blocks=30_000)
     assert len(session.underruns) <= 3
     assert all(sounding <= 7 for sounding in session.sounding[300:6000:2000])
     assert session.sounding[-1] == 10
     assert session.sounding.index(10, 6000) < 6000 + round(120 / 0.005)
-
-
-def test_an_interface_with_long_periods_then_blocks_are_not_computed_in_a_burst() -> None:
-    session = SimulatedSession(lambda *_: 0.002, 4, ahead_s=0.08, period_s=1024 / 48_000)
-    settled = session.gaps_s[100:]
-    assert session.underruns == []
-    assert sum(gap < 0.0045 for gap in settled) < 0.05 * len(settled)
 
 
 def test_given_slow_blocks_then_the_latest_sources_are_left_out_and_taken_back() -> None:

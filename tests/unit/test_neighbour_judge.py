@@ -7,7 +7,7 @@ import pytest
 
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
 from wavefocus.benchmarks.time_stepping import ThinPlate
-from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, waves_of_rows
+from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
 from wavefocus.calibration.neighbour_judge import NeighbourResult, RowsAtFrequencies, judge_rows
 
 POSITIONS, ACTUATORS = len(SQUARE_MM), len(ACTUATOR_MM)
@@ -66,22 +66,6 @@ def test_neighbouring_positions_of_another_level_are_all_found_and_no_other(clea
     wrong = [30, 31, 57, 70, 84, 98, 110, 111, 123, 137]
     greens[wrong] *= 10 ** (level_db / 20)
     assert found(judged(greens)) == [(position, "level") for position in wrong]
-
-
-def test_reversed_and_swapped_rows_then_are_named(clean: np.ndarray) -> None:
-    greens = clean.copy()
-    greens[20, 3] *= -1
-    greens[123, [2, 7]] = greens[123, [7, 2]]
-    verdict = judged(greens)
-    assert found(verdict) == [(20, "polarity"), (123, "swapped")]
-    assert verdict.differences[1].actuators == (2, 7)
-
-
-def test_a_position_measured_elsewhere_then_is_named(clean: np.ndarray) -> None:
-    greens = clean.copy()
-    greens[84] = clean[20]
-    (one,) = judged(greens[:, ::2], actuator_mm=ACTUATOR_MM[::2]).differences
-    assert (one.position, one.kind, one.whole) == (84, "elsewhere", True)
 
 
 def test_faulty_neighbours_side_by_side_then_are_all_found_and_no_other(clean: np.ndarray) -> None:
@@ -171,31 +155,6 @@ def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_othe
     level, swap, _, whole, _ = verdict.differences
     assert (level.actuators, swap.actuators) == ((3,), (2, 7))
     assert (level.level_db, whole.level_db) == pytest.approx((-7.96, -4.44), abs=0.4)
-
-
-def test_left_out_errors_by_waves_are_those_of_the_dense_covariance(coarse: np.ndarray) -> None:
-    """By solving with the covariance matrix of the rows that stay, written down as it is defined."""
-    spectra = coarse_spectra(coarse)
-    position_mm = np.vstack([COARSE_MM, CHECKS_MM])
-    usable = np.arange(len(coarse)) != 5
-    measured = position_mm, ACTUATOR_MM, spectra.values, spectra.frequency_hz, usable
-    rows = RowsByWaves(*measured, waves_of_rows(*measured))
-    out, actuator, number = np.array([20, 31]), 4, 20
-    errors, variance = rows.errors_without(actuator, out)
-    assert np.isnan(errors[5]).all()
-    waves, shares = rows._waves[number]
-    x, _, _, noise = waves._scaled(actuator, shares)
-    power = np.sqrt(np.square(np.abs(spectra.values[usable, actuator, number])).mean())
-    covariance = power**2 * noise[:, None] * (x @ x.conj().T + np.eye(len(x))) * noise
-    values = spectra.values[usable, actuator, number]
-    place = np.flatnonzero(usable)
-    for position in (0, 20, 40):
-        stays = ~np.isin(place, [position, *out])
-        one = int(np.flatnonzero(place == position)[0])
-        weights = np.linalg.solve(covariance[np.ix_(stays, stays)], covariance[stays, one]).conj()
-        assert errors[position, number] == pytest.approx(values[one] - weights @ values[stays], rel=1e-3)
-        expected = covariance[one, one].real - (weights @ covariance[stays, one]).real
-        assert variance[position, number] == pytest.approx(expected, rel=1e-3)
 
 
 def test_waves_that_leave_no_noise_or_none_at_all_then_judge_no_row(coarse: np.ndarray) -> None:

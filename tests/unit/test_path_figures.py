@@ -9,10 +9,9 @@ from scipy.special import j0
 from tests.unit.wave_travel import impulse_travel as travel_of_a_wave
 from wavefocus.config.scene import Regularisation
 from wavefocus.mocks.plates.soft import SOFT_PLATE, DampedWave
-from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.crosstalk import PathResponses, crosstalk_table
 from wavefocus.rendering.field.metrics import band_limited
-from wavefocus.rendering.field.wave_figures import correlation_over_distance, impulse_travel, path_spectrum
+from wavefocus.rendering.field.wave_figures import correlation_over_distance, impulse_travel
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.storage.errors import InputError
 
@@ -97,15 +96,6 @@ def test_waves_from_all_sides_correlate_like_a_bessel_function():
     assert (found.mean <= found.high).all()
 
 
-def test_a_silent_actuator_is_left_out_of_the_correlation():
-    greens = np.tile(RNG.standard_normal(30), (3, 3, 1))
-    greens[:, 1] = 0.0
-    bank = GreenArray(greens, line_mm(3), RATE_HZ)
-    np.testing.assert_allclose(correlation_over_distance(bank, [0.0, 20.0], range(3)).mean, 1.0)
-    with pytest.raises(InputError, match="no two positions are between 50 and 60 mm"):
-        correlation_over_distance(bank, [50.0, 60.0], range(3))
-
-
 def plane_wave_bank(wave, *, band=(50.0, 450.0), taps=1500):
     """exp(-j k r) / sqrt(r), flat over the band: what the definition of group velocity and loss speaks of."""
     position_mm = np.stack(np.meshgrid(np.arange(0, 80, 8.0), np.arange(0, 40, 8.0)), axis=-1).reshape(-1, 2)
@@ -129,16 +119,6 @@ def test_group_velocity_and_attenuation_are_those_of_the_wave(wave):
     assert found.velocity_error_m_s < 0.1 * found.group_velocity_m_s
 
 
-def test_gains_and_delays_of_the_actuators_do_not_change_how_impulses_travel():
-    bank = plane_wave_bank(SOFT_PLATE)
-    greens = bank.values * np.array([1.0, 30.0, 1e-3])[:, None]
-    greens[:, 1] = np.roll(greens[:, 1], 40, axis=1)
-    other = GreenArray(greens * 2.0**-90, bank.position_mm, RATE_HZ, actuator_mm=bank.actuator_mm)
-    first, second = impulse_travel(bank), impulse_travel(other)
-    assert second.group_velocity_m_s == pytest.approx(first.group_velocity_m_s, rel=1e-3)
-    assert second.attenuation_db_per_cm == pytest.approx(first.attenuation_db_per_cm, rel=1e-3)
-
-
 def room_bank(seed):
     """Sound that a room answers for tenths of a second, as at a few microphones close together."""
     like = plane_wave_bank(SOFT_PLATE, taps=3000)
@@ -150,34 +130,3 @@ def room_bank(seed):
 @pytest.mark.parametrize("seed", range(2))
 def test_arrivals_that_do_not_follow_distances_give_no_velocity(seed):
     assert not impulse_travel(room_bank(seed)).is_sure
-
-
-def test_unknown_actuator_positions_leave_nothing_to_fit():
-    bank = plane_wave_bank(SOFT_PLATE)
-    with pytest.raises(InputError, match="only 0 pairs"):
-        impulse_travel(GreenArray(bank.values, bank.position_mm, RATE_HZ))
-
-
-def test_the_spectrum_of_a_gaussian_is_its_fourier_transform():
-    time = np.arange(2000) / RATE_HZ
-    responses = np.stack([np.exp(-0.5 * ((time - at) / 0.002) ** 2) for at in (0.05, 0.12)])
-    found = path_spectrum(responses, RATE_HZ, np.array([250, 950]), 500)
-    expected = 0.002 * np.sqrt(2.0 * np.pi) * np.exp(-0.5 * (2.0 * np.pi * found.frequency_hz * 0.002) ** 2)
-    np.testing.assert_allclose(found.mean, expected, atol=1e-9)
-    assert np.diff(found.frequency_hz)[0] <= 5.0
-    assert found.share_within((0.0, 5000.0)) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("shape", "starts", "samples"), [((0, 5), [], 3), ((2, 5), [0], 3), ((1, 5), [0], 0)])
-def test_a_spectrum_of_nothing_is_refused(shape, starts, samples):
-    with pytest.raises(InputError):
-        path_spectrum(np.zeros(shape), RATE_HZ, np.array(starts, dtype=np.int64), samples)
-
-
-def test_the_range_of_n_leaves_out_what_lies_beside_an_actuator():
-    position_mm = line_mm(6, 10.0)
-    gain = np.array([1.0, 10.0, 100.0, np.nan, 50.0, 20.0])
-    actuator_mm = np.array([[0.0, 3.0], [np.nan, np.nan]])
-    assert metrics.gain_range_db(gain, position_mm, actuator_mm, 0.0) == pytest.approx(40.0)
-    assert metrics.gain_range_db(gain, position_mm, actuator_mm, 8.0) == pytest.approx(20.0)
-    assert metrics.gain_range_db(gain, position_mm, actuator_mm[1:], 8.0) == pytest.approx(40.0)

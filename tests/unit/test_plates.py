@@ -17,8 +17,6 @@ from wavefocus.mocks.plates.infinite import PlateTable
 from wavefocus.mocks.plates.soft import (
     SOFT_PLATE,
     SPRINGPOT_PLATE,
-    DampedWave,
-    SpringpotWave,
     mean_hankel,
 )
 from wavefocus.mocks.virtual.settings import MirrorGeometry
@@ -44,14 +42,6 @@ def test_with_the_springpot_an_impulse_travels_as_the_paper_measured():
     assert loss == pytest.approx([2.0, 7.7, 12.5], abs=0.1)
 
 
-def test_given_a_springpot_without_loss_then_it_is_the_wave_without_damping():
-    elastic, plain = SpringpotWave(4.8, 0.0), DampedWave(4.8, 0.0)
-    frequency_hz = np.array([0.0, 30.0, 250.0, 900.0])
-    for radius_mm in (1.0, 10.0, 90.0):
-        expected = plain.velocity(frequency_hz, radius_mm)
-        assert elastic.kernels(frequency_hz, radius_mm, 2.5)[0] == pytest.approx(expected, rel=1e-12)
-
-
 def test_springpot_then_its_response_is_causal_and_table_is_within_1e_minus_7():
     # Its tail falls as a power of time, so it needs 20 s not to wrap.
     frequency_hz = np.fft.rfftfreq(200_000, 1e-4)
@@ -61,40 +51,6 @@ def test_springpot_then_its_response_is_causal_and_table_is_within_1e_minus_7():
     table = PlateTable(SPRINGPOT_PLATE, STEP_HZ, 1001, np.ones(1001, dtype=np.complex128))
     expected = SPRINGPOT_PLATE.kernels(FREQUENCY_HZ, 33.0, 2.5)[0]
     assert np.abs(table.evaluate(np.array([33.0]))[0] - expected).max() < 1e-7 * np.abs(expected).max()
-
-
-@pytest.mark.parametrize("wave", [lambda: SpringpotWave(0.0, 0.1), lambda: SpringpotWave(4.8, -0.1)])
-def test_given_a_springpot_that_cannot_be_then_it_is_refused(wave):
-    with pytest.raises(ValueError, match="must be"):
-        wave()
-
-
-def test_given_a_simulated_impulse_then_its_energy_travels_at_the_group_velocity():
-    # The same definition by a time-domain route: waveforms at two places, centroids of their energy.
-    frequency_hz = np.fft.rfftfreq(20_000, 1e-4)
-    band = (frequency_hz >= 50) & (frequency_hz <= 450)
-    time_s = 1e-4 * np.arange(20_000)
-    centroids, energies = [], []
-    for distance_m in (0.010, 0.050):
-        lag = np.exp(-1j * SOFT_PLATE.wavenumber(frequency_hz) * distance_m - 2j * np.pi * frequency_hz)
-        energy = np.fft.irfft(np.where(band, lag, 0)) ** 2
-        energies.append(energy.sum())
-        centroids.append(np.average(time_s, weights=energy))
-    assert 0.040 / (centroids[1] - centroids[0]) == pytest.approx(4.8, rel=2e-3)
-    assert 10 * np.log10(energies[0] / energies[1]) / 4.0 == pytest.approx(3.8, rel=2e-3)
-
-
-def test_given_single_frequencies_then_the_loss_is_that_of_the_notes():
-    # notes/plates.md: 3.3 / 3.8 / 3.8 dB/cm at 50 / 250 / 450 Hz
-    loss = -SOFT_PLATE.wavenumber([50.0, 250.0, 450.0]).imag * 20 / np.log(10) / 100
-    assert loss == pytest.approx([3.3, 3.8, 3.8], abs=0.1)
-
-
-def test_given_a_point_far_from_the_disc_then_the_wave_goes_outward_and_decays():
-    radius_mm = np.linspace(20, 120, 201)
-    wave = SOFT_PLATE.velocity(250.0, radius_mm)
-    assert np.all(np.diff(np.unwrap(np.angle(wave))) < 0)
-    assert np.all(np.diff(np.abs(wave)) < 0)
 
 
 @pytest.mark.parametrize("radius_mm", [0.0, 1.0, 2.4, 2.6, 8.0])
@@ -133,38 +89,6 @@ def test_given_single_precision_then_the_table_keeps_100_db():
     error = table.evaluate(radius_mm) - direct
     assert table.evaluate(radius_mm).dtype == np.complex64
     assert np.max(np.abs(error)[:, 1:] / np.abs(direct)[:, 1:]) < 1e-5
-
-
-def test_given_no_frequency_then_nothing_moves():
-    assert SOFT_PLATE.velocity(0.0, 10.0) == 0
-    assert chain_response(np.array([0.0])) == pytest.approx(0)
-
-
-@pytest.mark.parametrize(("speed_m_s", "damping_per_s"), [(0.0, 1.0), (-4.8, 1.0), (np.nan, 1.0)])
-def test_given_a_speed_that_is_not_positive_then_it_is_named(speed_m_s, damping_per_s):
-    with pytest.raises(ValueError, match="speed_m_s"):
-        DampedWave(speed_m_s, damping_per_s)
-
-
-def test_given_a_damping_that_feeds_the_wave_then_it_is_refused():
-    with pytest.raises(ValueError, match=r"damping_per_s is -1.*grow"):
-        DampedWave(4.8, -1.0)
-
-
-def test_given_a_growing_wave_or_a_negative_radius_then_it_is_refused():
-    with pytest.raises(ValueError, match=r"imaginary part of 1.*grow"):
-        mean_hankel(100 + 1j, 0.01, 0.0025)
-    with pytest.raises(ValueError, match=r"radius is -0\.01 m"):
-        mean_hankel(100 - 1j, -0.01, 0.0025)
-
-
-def test_given_a_source_without_size_then_it_is_refused():
-    with pytest.raises(ValueError, match="source radius is 0"):
-        mean_hankel(100 - 1j, 0.01, 0.0)
-
-
-def test_given_the_straight_mirror_then_a_slope_is_a_thousandth_of_the_place():
-    assert MirrorGeometry().spot_mm(100.0, -50.0) == pytest.approx((1000 * np.tan(0.1), 1000 * np.tan(-0.05)))
 
 
 @given(st.floats(-120, 120), st.floats(-70, 70), st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6))

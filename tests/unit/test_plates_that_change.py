@@ -72,16 +72,6 @@ def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothin
     assert np.linalg.norm(covered(1e6)) < 1e-3 * np.linalg.norm(covered(None))
 
 
-def test_taps_then_the_spectra_of_a_touched_plate_are_those_of_its_cut_responses() -> None:
-    plate = make_plate("soft", ACTUATOR_MM, RECTANGLE, chain_response, {"finger": FINGER})
-    place, taps, length, full = (12.0, -7.0), 700, 512, 24_000
-    (found,) = plate.fir_spectra(np.array([place]), taps, 10_000.0, length, slice(3, 30))
-    response = plate.response(place, 10_000.0 / full, full // 2 + 1, single=False)
-    cut = np.fft.irfft(response, full)[:, :taps]
-    wanted = cut @ np.exp(-2j * np.pi * np.outer(np.arange(taps), np.arange(3, 30)) / length)
-    assert np.linalg.norm(found - wanted) < 1e-5 * np.linalg.norm(wanted)
-
-
 def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_more() -> None:
     found = _response("soft", {"speed_per_k": -0.01, "loss_per_k": 0.03}, 4.0)
     slower = DampedWave(0.96 * SOFT_PLATE.speed_m_s, 1.12 * SOFT_PLATE.damping_per_s)
@@ -89,21 +79,6 @@ def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_
     distance_mm = np.hypot(*(ACTUATOR_MM - (12.0, -7.0)).T)[:, None]
     wanted = slower.velocity(hertz, distance_mm) * chain_response(hertz) / 0.96**2
     assert np.linalg.norm(found - wanted) < 1e-6 * np.linalg.norm(wanted)
-
-
-@pytest.mark.parametrize(("name", "keys"), PLATES)
-def test_given_any_plate_then_scaled_in_speed_it_is_itself_at_a_scaled_frequency(
-    name: str, keys: dict[str, Any]
-) -> None:
-    """c -> s c, with the loss scaled along, is f -> s f, amplitudes aside; of glass, f -> s^2 f."""
-    factor, glass = 1.1, name == "thin"
-    outline = Outline.rectangle(500.0, 400.0)
-    changes = {"speed_per_k": 0.05, "loss_per_k": 0.0 if glass else 0.05}
-    own, warmer = (make_plate(name, ACTUATOR_MM, outline, np.ones_like, keys | changes, k) for k in (0.0, 2.0))
-    found = warmer.response((12.0, -7.0), 100.0 * factor ** (2 if glass else 1), 5, single=False)[:, 1:]
-    ratio = found / own.response((12.0, -7.0), 100.0, 5, single=False)[:, 1:]
-    # The rectangle's modes are summed to a frequency, which leaves out some of the warmer plate.
-    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=0.03 if keys.get("quality") else 1e-7)
 
 
 def test_course_of_room_then_plate_follows_it_and_without_key_it_does_not() -> None:

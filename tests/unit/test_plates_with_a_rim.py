@@ -11,10 +11,8 @@ from scipy.special import h2vp, hankel2, jv, jvp
 from tests.unit.wave_travel import thin_plate_green
 from wavefocus.benchmarks.time_stepping import ThinPlate
 from wavefocus.config.outline import Outline
-from wavefocus.config.run import Virtual
-from wavefocus.mocks.plates import PLATES
 from wavefocus.mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
-from wavefocus.mocks.plates.stadium import Elements, StadiumPlate, ritz_modes, spacing_mm, triangulate
+from wavefocus.mocks.plates.stadium import Elements, StadiumPlate, spacing_mm, triangulate
 from wavefocus.mocks.plates.thin import HIGHEST_HZ as HIGHEST_HZ_GLASS
 from wavefocus.mocks.plates.thin import (
     INFINITE_STRENGTH,
@@ -80,35 +78,6 @@ def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(
     assert np.linalg.norm(solved - exact) < 5e-3 * np.linalg.norm(exact)
 
 
-def test_given_a_rectangle_then_the_elements_agree_with_its_modes() -> None:
-    length_mm, width_mm = 70.0, 46.0
-    elements = Elements(triangulate(Outline.rectangle(length_mm, width_mm), SPACING_MM))
-    k = complex(SOFT_PLATE.wavenumber(450.0))
-    across, along = np.meshgrid(np.pi * np.arange(600) / length_mm, np.pi * np.arange(600) / width_mm)
-    weight = np.where(across > 0, 2, 1) * np.where(along > 0, 2, 1) / (length_mm * width_mm * 1e-6)
-    wave = 1e3 * np.hypot(across, along)
-    argument = np.maximum(wave, 1e-9) * MAGNET_RADIUS_MM / 1e3
-    weight = weight * 2 * jv(1, argument) / argument / (wave**2 - k**2)
-
-    def shape(point_mm: np.ndarray) -> np.ndarray:
-        x, y = point_mm[0] + length_mm / 2, point_mm[1] + width_mm / 2
-        return np.cos(across * x) * np.cos(along * y)
-
-    source_mm, place_mm = np.array([[25.0, 0.0], [5.0, -15.0]]), np.array([[-20.0, 11.0], [0.0, 17.0], [-30.0, -2.0]])
-    exact = [[np.sum(weight * shape(place) * shape(source)) for source in source_mm] for place in place_mm]
-    solved = elements.values_at(place_mm, elements.solve(SOFT_PLATE, 0.0, 450.0, elements.forces(source_mm)))
-    assert np.linalg.norm(solved - exact) < 5e-3 * np.linalg.norm(exact)
-
-
-@pytest.mark.parametrize("frequency_hz", [20.0, 123.0, 377.0, 450.0, 500.0])
-def test_given_few_modes_then_they_agree_with_all_elements(disk: Elements, frequency_hz: float) -> None:
-    modes = ritz_modes(disk, SOURCE_MM, SOFT_PLATE, 0.0, HIGHEST_HZ)
-    gap = modes.stiffness - complex(SOFT_PLATE.wavenumber(frequency_hz)) ** 2
-    few = (disk.values_at(PLACE_MM, modes.shapes) / gap) @ modes.force
-    solved = disk.values_at(PLACE_MM, disk.solve(SOFT_PLATE, 0.0, frequency_hz, disk.forces(SOURCE_MM)))
-    assert np.linalg.norm(few - solved) < 2e-3 * np.linalg.norm(solved)
-
-
 @pytest.mark.parametrize("admittance", [0.0, 0.7])
 def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Path, admittance: float) -> None:
     plate = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like, rim_admittance=admittance)
@@ -161,12 +130,6 @@ def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(
     assert np.linalg.norm(third - first) < 1e-6 * np.linalg.norm(first)
 
 
-def test_the_run_file_takes_every_plate() -> None:
-    for name in PLATES.all():
-        plate, _, edge = name.partition(", ")
-        assert Virtual.model_validate({"plate": plate, "edge": edge or None}).plate == plate
-
-
 def test_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_time() -> None:
     outline, rate_hz, samples = Outline.rectangle(250.0, 150.0), 40_000.0, 40_000
     plate = ThinRectangle(np.array([[60.0, 30.0]]), outline, np.ones_like, quality=80.0)
@@ -195,25 +158,6 @@ def test_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_f
     found = plate.response((-40.0, 10.0), 50.0, 11, single=False)[0, 1:]
     # Averaged over a small disk, both parts change by (k a)^2 / 8.
     np.testing.assert_allclose(found, INFINITE_STRENGTH * 1j * angular * green, rtol=float(argument.max() ** 2 / 4))
-
-
-def test_modes_of_large_lossy_glass_add_up_to_the_closed_form() -> None:
-    outline, actuator_mm = Outline.rectangle(800.0, 700.0), np.array([[20.0, -10.0], [-30.0, 40.0]])
-    modes = ThinRectangle(actuator_mm, outline, np.ones_like, quality=1.0)
-    waves = InfiniteGlass(actuator_mm, outline, np.ones_like, quality=1.0)
-    for place in ((-20.0, 15.0), (60.0, 30.0)):
-        found, wanted = (plate.response(place, 100.0, 11, single=False)[:, 5:] for plate in (modes, waves))
-        found *= INFINITE_STRENGTH / STRENGTH
-        assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted)
-
-
-def test_taps_then_the_spectra_of_infinite_glass_are_those_of_the_cut_responses() -> None:
-    plate = InfiniteGlass(ACTUATOR_MM, STADIUM, chain_response, quality=50.0)
-    rate_hz, taps, length, full = 10_000.0, 1000, 1024, 24_000
-    (found,) = plate.fir_spectra(PLACE_MM[:1] / 2, taps, rate_hz, length, slice(3, 52))
-    response = plate.response(tuple(PLACE_MM[0] / 2), rate_hz / full, full // 2 + 1, single=False)
-    wanted = np.fft.rfft(np.fft.irfft(response, full)[:, :taps], length)[:, 3:52]
-    assert np.linalg.norm(found - wanted) < 1e-4 * np.linalg.norm(wanted)
 
 
 def test_given_glass_that_rings_for_seconds_then_its_response_does_not_wrap() -> None:

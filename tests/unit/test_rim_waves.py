@@ -8,18 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
-from wavefocus.calibration.coarse_grid.bounds import judged, judged_frequencies
-from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
+from wavefocus.calibration.coarse_grid.bounds import judged
 from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
 from wavefocus.calibration.coarse_grid.waves import (
-    SMEARED,
     Dispersion,
     distances_mm,
-    outgoing,
-    outgoing_at_all,
-    own_waves,
-    rim_ring,
-    waves_of_actuators,
 )
 
 RADIUS_MM = 55.0
@@ -82,59 +75,6 @@ def test_waves_of_a_disk_are_found_beyond_the_spatial_nyquist_limit(coarse, rand
     assert model.pressure_share == 0.0
 
 
-def test_the_gradient_of_the_evidence_is_that_of_its_differences(coarse):
-    position_mm, transfer = coarse
-    ring_mm = rim_ring(np.vstack([position_mm, ACTUATOR_MM]), 10.0, 5.0)
-    power = np.square(np.abs(transfer[1])).mean(axis=0)
-    level = np.square(np.abs(transfer)).mean(axis=0)
-    for share in (0.0, 0.5):
-        waves = FrequencyWaves(
-            complex(LAW.wavenumber(FREQUENCY_HZ)[1]), share, position_mm, ACTUATOR_MM, ring_mm, power,
-            level / level.mean(axis=0), transfer[1],
-        )  # fmt: skip
-        theta = np.array([*FIRST_SHARES, 0.3, -10.0])
-        _, gradient = waves.evidence(theta)
-        step = 1e-2 * np.eye(6)
-        differences = [(waves.evidence(theta + one)[0] - waves.evidence(theta - one)[0]) / 2e-2 for one in step]
-        assert np.allclose(gradient, differences, rtol=1e-3, atol=1e-4 * np.abs(gradient).max())
-
-
-@pytest.mark.parametrize("order", [0, 2])
-def test_outgoing_waves_are_hankel_functions(order):
-    distance_mm = RNG.uniform(1.0, 300.0, 4000)
-    for k in (0.004, 0.14 - 0.04j, 0.6 - 0.045j):
-        assert np.allclose(outgoing(k, distance_mm, order), hankel2(order, k * distance_mm), rtol=3e-5)
-
-
-@pytest.mark.parametrize(("pressure_share", "count"), [(0.0, 1), (0.5, 6)])
-def test_waves_of_other_frequencies_follow_an_actuators_own(pressure_share, count):
-    """A solid's have the orders of its own: 0, and 2 in two directions."""
-    found, own = waves_of_actuators([0.6, 0.5 - 0.04j], pressure_share, lattice(11.0), ACTUATOR_MM)
-    assert own == count
-    for k, waves in zip((0.6, 0.5 - 0.04j), found, strict=True):
-        assert np.allclose(waves[:own], own_waves(k, pressure_share, lattice(11.0), ACTUATOR_MM))
-        of_each = len(waves[own:]) // len(SMEARED)
-        for number, share in enumerate(SMEARED):
-            other = own_waves(share * k, pressure_share, lattice(11.0), ACTUATOR_MM)[:of_each]
-            assert np.allclose(waves[own + number * of_each :][:of_each], other, atol=1e-3)
-
-
-def test_waves_of_many_frequencies_are_those_of_each():
-    distance_mm = RNG.uniform(8.0, 260.0, (50, 60))
-    wavenumbers = LAW.wavenumber(FREQUENCY_HZ)
-    found = outgoing_at_all(wavenumbers, distance_mm)
-    for k, values in zip(wavenumbers, found, strict=True):
-        assert np.allclose(values, hankel2(0, k * distance_mm), rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize("hz", [5.0, 25.0, 450.0])
-def test_waves_of_one_frequency_are_hankel_functions_however_long(hz):
-    """Waves much longer than the surface: H0 is a logarithm there, which the table has to follow."""
-    distance_mm, wavenumber = RNG.uniform(8.0, 260.0, (50, 60)), LAW.wavenumber(np.array([hz]))
-    found = outgoing_at_all(wavenumber, distance_mm)[0]
-    assert np.allclose(found, hankel2(0, wavenumber * distance_mm), rtol=1e-4, atol=1e-5)
-
-
 def plate_noise(rng, *shape):
     part = rng.standard_normal((2, *shape))
     return (part[0] + 1j * part[1]) / np.sqrt(2)
@@ -171,40 +111,6 @@ def test_bounds_hold_the_stated_share_of_errors_without_the_noise_of_the_checks(
             assert found.error_scale[0] == pytest.approx(4.0, rel=0.35)
             assert (found.by_noise[0] > 0.02) == bool(noise)
     assert np.mean(covered) == pytest.approx(stated, abs=0.05)
-
-
-def test_bounds_are_judged_more_often_than_errors_come_and_go():
-    """Errors of a plate may be small every 25 Hz: its bins are 4.6 Hz apart, and judged at every other one."""
-    bins_hz = 13.9 + 4.63 * np.arange(126)
-    assert np.diff(bins_hz[judged_frequencies(bins_hz)]).max() < 10.0
-
-
-def glass_response(points_mm, sources_mm, size_mm=(200.0, 120.0), wavenumber=0.0424, quality=100.0):
-    """Bending waves of a simply supported rectangle around 0: the sum of its modes."""
-    number = np.arange(1, 50)
-    shapes = []
-    for at_mm in (points_mm, sources_mm):
-        x, y = (np.sin(np.pi * np.outer(at / size + 0.5, number)) for at, size in zip(at_mm.T, size_mm, strict=True))
-        shapes.append(x[:, :, None] * y[:, None, :])
-    square = np.square(np.pi * number / size_mm[0])[:, None] + np.square(np.pi * number / size_mm[1])
-    return np.einsum("pmn,amn,mn->pa", *shapes, 1.0 / (square**2 - wavenumber**4 * (1 - 1j / quality)), optimize=True)
-
-
-def test_near_fields_of_bending_waves_are_in_the_rest():
-    """Glass, whose waves are long: what the rim adds fades within a few positions, as no wave does."""
-    side = [np.arange(-8, 9) * 10.0, np.arange(-4, 5) * 10.0]
-    position_mm = np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
-    actuator_mm = np.array([[92.0, 8.0], [30.0, 54.0], [-70.0, 52.0], [-91.0, -20.0], [10.0, -55.0]])
-    rng = np.random.default_rng(3)
-    points_mm = rng.uniform((-80, -40), (80, 40), (150, 2))
-    exact, truth = glass_response(position_mm, actuator_mm), glass_response(points_mm, actuator_mm)
-    noise = rng.standard_normal((2, *exact.shape)) * 1e-3 / np.sqrt(2) * np.sqrt(np.square(np.abs(exact)).mean())
-    model = RimWaves.fit(
-        np.array([450.0]), position_mm, actuator_mm, (exact + noise[0] + 1j * noise[1])[None], workers=1
-    )
-    error = np.linalg.norm(model.values(points_mm)[0] - truth, axis=1) / np.linalg.norm(truth, axis=1)
-    assert np.median(error) < 0.003
-    assert np.quantile(error, 0.9) < 0.01
 
 
 def test_sizes_and_too_few_positions_are_refused(coarse):

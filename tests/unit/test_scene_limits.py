@@ -19,10 +19,8 @@ from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_repor
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.scene_picture import scene_picture
-from wavefocus.rendering.scene.model import Scene, Source, build_scene, read_scene
-from wavefocus.rendering.scene.paths import Line, Point
+from wavefocus.rendering.scene.model import build_scene, read_scene
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.signals import Impulse, Sine
 from wavefocus.rendering.scene.size import MAX_SECONDS, check_scene_size, scene_size
 from wavefocus.rendering.scene.svg import SvgPath, flatten
 from wavefocus.storage.errors import InputError
@@ -303,39 +301,3 @@ def test_a_name_is_drawn_as_it_is_written(name: str) -> None:
         warnings.simplefilter("error")
         png = scene_picture(scene, bank()).png
     assert struct.unpack(">4s", png[:4])[0] == b"\x89PNG"
-
-
-@pytest.mark.parametrize(
-    ("source", "lasts_s"),
-    [
-        (Source(Point((0.0, 0.0)), Sine(100.0, 0.5), start_s=1.0), 1.5),
-        (Source(Line((0.0, 0.0), (4.5, 0.0)), Sine(100.0, 0.5), speed_mm_s=15.0, step_mm=1.5), 0.4),
-        (Source(Line((0.0, 0.0), (4.5, 0.0)), Impulse(), speed_mm_s=15.0, step_mm=1.5, emission="per_point"), 0.4001),
-        (Source(Line((0.0, 0.0), (1e308, 1e308)), Impulse(), speed_mm_s=1.0, step_mm=1e-12), np.inf),
-    ],
-)
-def test_given_a_source_then_it_is_known_how_long_it_emits_before_it_is_sampled(source: Source, lasts_s: float) -> None:
-    size = scene_size(Scene("s", (source,)), sample_rate_hz=10_000.0, taps=1, actuators=1)
-    assert size.seconds == pytest.approx(lasts_s)
-
-
-def test_given_the_sources_of_a_render_then_the_picture_does_not_sample_them_anew() -> None:
-    between = '{ kind = "point", at_mm = [1, 1] }'
-    text = f"[scene]\nname = 'auto'\n{source('', between, IMPULSE)}[output]\ninterpolation = 'auto'\n"
-    scene, reads = read(text), list[int]()
-
-    class CountedBank:
-        def __getattr__(self, name: str) -> object:
-            return getattr(bank(), name)
-
-        def green(self, row: int) -> np.ndarray:
-            reads.append(row)
-            return bank().green(row)
-
-    _, report = render_with_report(scene, CountedBank())
-    reads.clear()
-    again = scene_picture(scene, CountedBank())
-    needed = len(reads)
-    reads.clear()
-    assert scene_picture(scene, CountedBank(), sampled=report.sources).png == again.png
-    assert len(reads) < needed

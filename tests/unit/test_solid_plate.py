@@ -69,35 +69,6 @@ def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(
             assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted), (force, oscillation)
 
 
-def test_oblique_directions_then_the_response_is_a_sum_of_the_tensor_s_elements() -> None:
-    tensor = np.array(
-        [[_plate(a, b).response((-12.0, 9.0), 50.0, 10, single=False)[0] for a in (0, 90)] for b in (0, 90)]
-    )
-    force, oscillation = (np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([20.0, 75.0]))
-    found = _plate(20.0, 75.0).response((-12.0, 9.0), 50.0, 10, single=False)[0]
-    np.testing.assert_allclose(found, np.einsum("o,ofb,f->b", oscillation, tensor, force), rtol=1e-12)
-
-
-def test_given_source_and_place_exchanged_then_so_are_the_directions() -> None:
-    there = _plate(10.0, 80.0, np.array([[30.0, 5.0]])).response((-20.0, -8.0), 25.0, 20, single=False)
-    back = _plate(80.0, 10.0, np.array([[-20.0, -8.0]])).response((30.0, 5.0), 25.0, 20, single=False)
-    np.testing.assert_allclose(there, back, rtol=1e-12)
-
-
-@pytest.mark.parametrize(("direction_deg", "wave", "ratio"), [(0.0, "pressure", 5.0 / 8.0), (90.0, "shear", 1.0)])
-def test_far_away_the_motion_along_is_a_pressure_wave_and_across_a_shear_wave(
-    direction_deg: float, wave: str, ratio: float
-) -> None:
-    """The far field of a line force: one wave each way, (c_s / c)^2 / mu times its g (lossless, but for a trace)."""
-    keys = KEYS | {"damping_per_s": 1e-3}
-    source, far_mm = np.zeros((1, 2)), 40_000.0
-    plate = SolidPlate(source, DISK, np.ones_like, **keys, force_deg=direction_deg, oscillation_deg=direction_deg)
-    own = DampedWave(keys[f"{wave}_speed_m_s"], keys["damping_per_s"])
-    for hertz in (100.0, 400.0):
-        found = plate.response((far_mm, 0.0), hertz, 2, single=False)[0, 1]
-        assert found == pytest.approx(ratio**2 * complex(own.velocity(hertz, far_mm)), rel=2e-3)
-
-
 def test_given_taps_then_the_spectra_are_those_of_the_cut_responses() -> None:
     plate = SolidPlate(np.array([[30.0, 10.0], [-30.0, -20.0]]), DISK, chain_response, force_deg=30.0)
     rate_hz, taps, length, full = 10_000.0, 1000, 1024, 24_000

@@ -11,12 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.resampling import decimate
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, Records
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.raw.header import EMPTY, Schedule, sequential, staggered
+from wavefocus.storage.raw.header import Schedule
 
 RATE_HZ = 2000.0
 BAND_HZ = (20.0, 400.0)
@@ -149,17 +148,6 @@ def test_given_slots_that_overlap_then_they_are_refused() -> None:
         StaggeredEstimator(SIGNAL.base_v(), Records(RATE_HZ, BAND_HZ, TAPS, schedule))
 
 
-def test_staggered_signals_are_one_sweep_round_the_period() -> None:
-    (base_v, sounding), *rest = SIGNAL.played_v(lead_samples=250)
-    assert not rest
-    assert sorted(sounding) == [0, 1, 2, 3, 4]
-    assert base_v.size == 250 + SIGNAL.used_samples
-    assert np.array_equal(base_v[:600], SIGNAL.base_v())
-    for actuator, volts in sounding.items():
-        assert np.array_equal(volts[:600], np.roll(base_v[:600], 120 * actuator))
-        assert np.array_equal(volts[600:], volts[: volts.size - 600])
-
-
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
@@ -176,18 +164,6 @@ def test_a_staggered_signal_refuses_what_cannot_be_played(changes: dict[str, int
         return
     with pytest.raises(InputError, match=complaint):
         StaggeredSignal(SWEEP, **asked)
-
-
-@given(actuators=st.integers(1, 30), data=st.data())
-def test_every_actuator_plays_once_whatever_the_groups(actuators: int, data: st.DataObject) -> None:
-    groups = data.draw(st.integers(1, actuators))
-    schedule = staggered(actuators, 0.25, groups)
-    driven = schedule.actuator[schedule.actuator != EMPTY]
-    assert sorted(driven.tolist()) == list(range(actuators))
-    assert schedule.records == groups
-    assert schedule.period_s == pytest.approx(0.25 * -(-actuators // groups))
-    assert sequential(actuators).is_sequential
-    assert not schedule.is_sequential
 
 
 @pytest.mark.parametrize(
@@ -207,15 +183,3 @@ def test_a_schedule_that_cannot_be_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=complaint):
         Schedule(np.array(actuator), np.array(delay_s), np.array(gain), period_s)
-
-
-@given(highest=st.floats(0.005, 0.3), cycles=st.floats(0.1, 0.95))
-def test_thinning_keeps_every_frequency_of_its_band(highest: float, cycles: float) -> None:
-    samples, turn = 2000, 2 * np.pi * cycles * highest
-    window = np.hanning(samples)
-    tone = (window * np.cos(turn * np.arange(samples))).astype(np.float32)[None]
-    decimated = decimate(tone, highest)
-    assert decimated.values.shape[1] <= tone.shape[1] + 2 * abs(decimated.first) + 1
-    found = decimated.spectrum(turn, 1, 1)[0, 0]
-    right = (tone[0] * np.exp(-1j * turn * np.arange(samples))).sum()
-    assert abs(found - right) < 1e-3 * abs(right)

@@ -23,13 +23,6 @@ def names(folder: Path) -> list[str]:
     return sorted(entry.name for entry in folder.iterdir())
 
 
-def test_given_a_workplace_then_it_is_gone_afterwards(tmp_path: Path) -> None:
-    with staging_dir(tmp_path / "bank.h5") as place:
-        place.temporary.write_bytes(b"half")
-        assert place.temporary.parent.parent == tmp_path
-    assert names(tmp_path) == []
-
-
 def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> None:
     def fail() -> None:
         with staging_dir(tmp_path / "bank.h5") as place:

@@ -10,41 +10,12 @@ from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.ending import stop_on_signals
 
 
-def test_given_one_interrupt_then_the_position_is_finished_first() -> None:
-    stop = StopRequest()
-    with stop_on_signals(stop):
-        signal.raise_signal(signal.SIGINT)
-        assert stop.requested
-
-
-def test_given_two_interrupts_then_it_stops_at_once() -> None:
-    stop = StopRequest()
-    with stop_on_signals(stop):
-        signal.raise_signal(signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-
-
 def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed() -> None:
     with stop_on_signals(StopRequest()):
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
-
-
-def test_given_sigterm_then_it_stops_at_once() -> None:
-    stop = StopRequest()
-    with stop_on_signals(stop), pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGTERM)
-    assert stop.requested
-
-
-def test_after_leaving_the_former_dispositions_hold() -> None:
-    before = signal.getsignal(signal.SIGINT)
-    with stop_on_signals(StopRequest()):
-        assert signal.getsignal(signal.SIGINT) is not before
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_given_a_process_that_waits_then_sigterm_ends_it_through_its_cleanup() -> None:

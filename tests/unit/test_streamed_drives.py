@@ -9,11 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import soundfile
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.rendering.drive.coil_limits import RunningLevels, levels_of, rms_window
+from wavefocus.rendering.drive.coil_limits import levels_of
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, stream_wav
 from wavefocus.rendering.greens.source import GreenArray
@@ -185,26 +183,6 @@ def test_memory_does_not_grow_with_the_drives():
         assert streamed.shape[1] > 1500 * turns
     drives_bytes = 3 * 8 * 30 * 1570
     assert most[32.0] - most[2.0] < drives_bytes / 4
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    samples=st.integers(1, 400),
-    cuts=st.lists(st.integers(1, 399), max_size=6),
-    seed=st.integers(0, 2**32 - 1),
-    rate_hz=st.sampled_from([50.0, 100.0, 1000.0]),
-    scale=st.sampled_from([1e-200, 1.0, 1e200]),
-)
-def test_running_levels_are_those_of_the_whole(samples, cuts, seed, rate_hz, scale):
-    random = np.random.default_rng(seed)
-    plain_v = random.standard_normal((3, samples)) * np.exp(random.uniform(-12, 3, samples))
-    drive_v = plain_v * scale
-    levels = RunningLevels(3, rms_window(samples, rate_hz))
-    for block in np.split(drive_v, sorted(cut for cut in cuts if cut < samples), axis=1):
-        levels.add(block)
-    np.testing.assert_array_equal(levels.peaks_v, np.abs(drive_v).max(axis=1))
-    np.testing.assert_allclose(levels.norms / scale, np.linalg.norm(plain_v, axis=1), rtol=1e-12)
-    np.testing.assert_allclose(levels.rms_v / scale, levels_of(plain_v, rate_hz).rms_v, rtol=1e-10)
 
 
 def test_a_scene_of_one_sample_is_written(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import _thread
-import dataclasses
 import signal
 import threading
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.timeouts import CallThread, HungError, bounded
+from wavefocus.drivers.timeouts import CallThread, bounded
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05
@@ -23,25 +22,6 @@ def interruptible() -> Iterator[None]:
     former = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, former)
-
-
-def test_given_calls_then_their_answers_and_their_failures_come_back_in_order() -> None:
-    thread = CallThread("test")
-    assert [thread.call(lambda one=one: one * one, 5.0) for one in range(5)] == [0, 1, 4, 9, 16]
-    with pytest.raises(ZeroDivisionError):
-        thread.call(lambda: 1 // 0, 5.0)
-    assert thread.call(threading.get_ident, 5.0) == thread.call(threading.get_ident, 5.0) != threading.get_ident()
-    thread.abandon()
-
-
-def test_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fresh_thread() -> None:
-    thread, release = CallThread("test"), threading.Event()
-    first = thread.call(threading.get_ident, 5.0)
-    with pytest.raises(HungError):
-        thread.call(release.wait, SOON_S)
-    assert thread.call(threading.get_ident, 5.0) != first
-    release.set()
-    thread.abandon()
 
 
 def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible: None) -> None:
@@ -102,15 +82,6 @@ def test_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_t
     instrument.reconnect()
     assert role in instrument.identify()
     ask(roles)  # and now it is as the first time
-
-
-def test_given_an_operation_that_takes_its_time_then_its_own_time_is_allowed_for() -> None:
-    class Slow:
-        def wait_settled(self, timeout_s: float) -> None:
-            threading.Event().wait(timeout_s)
-
-    roles = dataclasses.replace(VirtualRig(VirtualSettings()).instruments, mirror=Slow())  # type: ignore[arg-type]
-    bounded(roles, SOON_S).mirror.wait_settled(2 * SOON_S)
 
 
 def test_given_a_failure_of_the_instrument_then_it_comes_through_with_its_role() -> None:

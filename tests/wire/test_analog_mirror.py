@@ -13,7 +13,6 @@ import pytest
 from tests.wire.analog_bench import analog_rig
 from tests.wire.daq_bench import Tone, check_tone, take_one
 from wavefocus.config.rig import RigConfig
-from wavefocus.drivers.daq.ni.ni_outputs import ramp_steps
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
 from wavefocus.drivers.protocols import WallClock
@@ -84,13 +83,6 @@ def test_given_a_far_move_then_no_step_is_larger_than_the_slew_rate_allows(scann
     assert len(steps) > 20
     assert steps.max() <= 0.2 + 1e-9
     assert scanner.written[-1] == pytest.approx(np.array(PARK_MRAD) * math.degrees(1e-3) / 2 * 0.8)
-
-
-def test_ramp_then_is_straight_and_ends_where_it_should() -> None:
-    steps = ramp_steps((1.0, 0.0), (-1.0, 0.5), 500.0)
-    np.testing.assert_allclose(steps, [(0.5, 0.125), (0.0, 0.25), (-0.5, 0.375), (-1.0, 0.5)])
-    assert ramp_steps((1.0, 0.0), (1.0, 0.0), 500.0) == []
-    assert ramp_steps((0.0, 0.0), (0.01, 0.0), 500.0) == [(0.01, 0.0)]
 
 
 def test_given_a_mirror_is_closed_then_the_outputs_are_left_at_the_parking_voltage(scanner: Scanner) -> None:
@@ -165,16 +157,6 @@ def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(s
     mirror.move_to(31.0, -20.0)
     mirror.wait_settled(1.0)
     assert scanner.motion.where_mrad() == pytest.approx((31.0, -20.0))
-
-
-def test_given_1500_positions_then_every_one_is_where_it_was_sent(scanner: Scanner) -> None:
-    mirror = scanner.mirror()
-    generator = np.random.default_rng(1)
-    for x_mrad, y_mrad in generator.uniform(-60, 60, (1500, 2)):
-        mirror.move_to(x_mrad, y_mrad)
-        mirror.wait_settled(1.0)
-        assert scanner.motion.where_mrad() == pytest.approx((x_mrad, y_mrad), abs=1e-6)
-    assert scanner.resets() == 0
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from wavefocus.drivers.audio.stream.playback import (
     Playback,
     PlayEnded,
     StreamPlay,
-    Taken,
 )
 
 RATE_HZ = 48_000
@@ -59,34 +58,6 @@ def signal_play(number, samples, channel=0):
     return play
 
 
-@pytest.mark.parametrize("frames", [1, PERIOD - 1, PERIOD, PERIOD + 1, 5 * PERIOD + 7])
-def test_given_a_play_then_it_begins_with_the_next_period_and_is_whole(frames):
-    host = Host()
-    host.periods(2)
-    host.playback.start(signal_play(1, ramp(frames), channel=2))
-    host.periods(10)
-    meant = np.zeros_like(host.heard)
-    meant[2 * PERIOD :][:frames, 2] = ramp(frames)
-    np.testing.assert_array_equal(host.heard, meant)
-    assert host.ends() == [(1, PLAYED)]
-
-
-@pytest.mark.parametrize("latency_s", [0.0, 0.05])
-@pytest.mark.parametrize("pieces", [1, 4])
-def test_given_a_latency_then_a_play_has_not_ended_before_its_last_sample_has_left(latency_s, pieces):
-    host = Host(latency_s=latency_s, pieces=pieces)
-    host.periods(2)
-    host.playback.start(signal_play(1, ramp(3 * PERIOD)))
-    host.periods(3)
-    passed = 0
-    while not host.ends():
-        host.periods(1)
-        passed += 1
-    # the period in which it ends has only begun
-    assert passed - 1 >= max(1, latency_s * RATE_HZ / PERIOD)
-    assert passed - 1 <= max(1, latency_s * RATE_HZ / PERIOD) + 1
-
-
 def test_mute_then_next_period_fades_over_two_milliseconds_and_rest_is_silent():
     host = Host()
     host.playback.start(signal_play(1, np.full(9000, 0.5, np.float32), channel=1))
@@ -101,24 +72,6 @@ def test_mute_then_next_period_fades_over_two_milliseconds_and_rest_is_silent():
     assert np.abs(np.diff(host.heard[PERIOD:, 1])).max() < 0.01
     assert not faded[fade:].any()
     assert host.ends() == [(1, MUTED)]
-
-
-def test_given_a_mute_before_the_first_period_then_nothing_sounds():
-    host = Host()
-    host.playback.start(signal_play(1, ramp(100)))
-    host.playback.mute()
-    host.periods(3)
-    assert not host.heard.any()
-    assert host.ends() == [(1, MUTED)]
-
-
-def test_given_a_mute_of_nothing_then_the_next_play_is_whole():
-    host = Host()
-    host.playback.mute()
-    host.playback.start(signal_play(1, ramp(100)))
-    host.periods(4)
-    np.testing.assert_array_equal(host.heard[:100, 0], ramp(100))
-    assert host.ends() == [(1, PLAYED)]
 
 
 @pytest.mark.parametrize("clean_periods", [0, 1, 3, 4])
@@ -187,23 +140,6 @@ def taken(host):
     return told
 
 
-@pytest.mark.parametrize("sizes", [[1], [PERIOD], [3 * PERIOD + 5], [7, PERIOD, 2 * PERIOD + 3, 1], [100] * 20])
-def test_given_a_play_in_pieces_then_it_is_whole_and_each_piece_is_told(sizes):
-    host = Host()
-    play, pieces = in_pieces(host, sizes)
-    for piece in pieces:
-        play.add(piece)
-    play.end()
-    host.playback.start(play)
-    host.periods(10)
-    meant = np.zeros_like(host.heard)
-    meant[: sum(sizes), [2, 0]] = np.concatenate(pieces)
-    np.testing.assert_array_equal(host.heard, meant)
-    told = taken(host)
-    assert told[:-1] == [Taken(1, int(frames)) for frames in np.cumsum(sizes)]
-    assert told[-1].outcome == PLAYED
-
-
 def test_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an_underflow():
     host = Host()
     play, pieces = in_pieces(host, [3 * PERIOD, PERIOD])
@@ -218,18 +154,6 @@ def test_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an_under
     assert not host.heard[2 * PERIOD + fade :].any()
     (end,) = [one for one in taken(host) if isinstance(one, PlayEnded)]
     assert (end.outcome, end.notice) == (UNDERFLOW, "the next piece of the signal did not come in time")
-
-
-def test_given_a_mute_then_a_play_in_pieces_fades_and_ends():
-    host = Host()
-    play, pieces = in_pieces(host, [6 * PERIOD])
-    play.add(pieces[0])
-    host.playback.start(play)
-    host.periods(2)
-    host.playback.mute()
-    host.periods(5)
-    assert not host.heard[2 * PERIOD + round(FADE_S * RATE_HZ) :].any()
-    assert [one.outcome for one in taken(host) if isinstance(one, PlayEnded)] == [MUTED]
 
 
 @pytest.mark.parametrize("factor", [44_100 / 48_000, 1.0, 1.0884, 2.0, 192_000 / 44_100])

@@ -15,11 +15,7 @@ from tests.wire.serial_bench import WIRES, wire
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
-from wavefocus.mocks.wire.mirrors import mirror_device
-from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 from wavefocus.mocks.wire.mirrors.generic import GenericMirrorDevice
-from wavefocus.mocks.wire.mirrors.mirrorcle import MirrorcleDevice
-from wavefocus.mocks.wire.mirrors.optotune import OptotuneDevice
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 REFERENCE = Path(__file__).parents[2] / "docs/reference/generic-mirror.md"
@@ -41,54 +37,6 @@ def terminal(device, *faults):
                 return answers.readline().decode()
 
             yield ask
-
-
-def test_given_asi_then_each_mistake_has_its_code():
-    with terminal(AsiTigerDevice(motion(), ("A", "B"))) as ask:
-        assert ask("BU") == "TIGER_COMM\r\n"
-        assert ask("M A=1000 B=-500") == ":A \r\n"
-        assert ask("W B A") == ":A 1000.0 -500.0 \r\n"  # in the order of the hardware
-        assert ask("um a? b?") == ":A A=1000.000 B=1000.000\r\n"
-        assert ask("/") == "N\r\n"
-        assert ask("JUMP") == ":N-1\r\n"
-        assert ask("M Q=1") == ":N-2\r\n"
-        assert ask("M A") == ":N-3\r\n"
-        assert ask("M") == ":N-3\r\n"
-        assert ask("M A=1e9") == ":N-3\r\n"
-        assert ask("M A=20000") == ":N-4\r\n"
-        assert ask("W A") == ":A 1000.0 \r\n"
-
-
-def test_mirrorcle_is_deaf_outside_command_mode_and_flat_without_high_voltage():
-    mirror = motion()
-    with terminal(MirrorcleDevice(mirror, 250.0)) as ask:
-        # The first of the two is not answered at all.
-        assert ask("MTI+EN\n$MTI$") == "MTI-Device MTI-MZ-2.3.113:USB Ready in Command Mode\r\n"
-        assert ask("$MTI$") == "MTI-ERR InvalidCommand\r\n"
-        assert ask("MTI+GT 0.5 0.5 0") == "MTI-OK\r\n"
-        assert mirror.where_mrad() == (-200.0, -200.0)
-        assert ask("MTI+EN") == "MTI-OK\r\n"
-        assert mirror.where_mrad() == (125.0, 125.0)
-        assert ask("MTI+GT 1.5 0 0") == "MTI-ERR InvalidParameter\r\n"
-        assert ask("MTI+GT 0.5 0.5") == "MTI-ERR InvalidCommand\r\n"
-        assert ask("MTI+BW 120") == "MTI-ERR InvalidCommand\r\n"
-        assert ask("MTI+DI") == "MTI-OK\r\n"
-        assert ask("MTI+BW 20") == "MTI-ERR InvalidParameter\r\n"
-        assert ask("MTI+BW 120") == "MTI-OK\r\n"
-        assert mirror.where_mrad() == (0.0, 0.0)
-        assert ask("MTI+EX") == "MTI-Device Exit Command Mode\r\n"
-
-
-def test_given_optotune_then_both_spellings_of_its_move_work():
-    with terminal(OptotuneDevice(motion())) as ask:
-        assert ask("start", "\r\n") == "OK\r\n"
-        assert ask("status", "\r\n") == "00000000\r\n"
-        assert ask("xy=0.1000;-0.1000", "\r\n") == "OK\r\n"
-        assert ask("xy= 0.1000; -0.1000", "\r\n") == "OK\r\n"
-        assert ask("xy=1.5;0", "\r\n") == "OU\r\n"
-        assert ask("xy=-1.5;0", "\r\n") == "OL\r\n"
-        assert ask("xy=0.8;0.8", "\r\n") == "OU\r\n"
-        assert ask("xy=up", "\r\n") == "NO\r\n"
 
 
 def test_given_the_generic_mirror_then_it_can_be_typed_to_by_hand():
@@ -124,14 +72,6 @@ def test_given_the_reference_page_then_the_device_holds_the_conversation_in_it()
             assert answer == ("0*30" if said.startswith("BUSY?") else heard)
 
 
-def test_given_polytec_with_echo_then_it_echoes_until_it_is_told_not_to():
-    with terminal(PolytecDevice(echo=True)) as ask:
-        assert ask("Get,VeloDec,1,Range") == "Get,VeloDec,1,Range\n"
-        assert ask("Set,Interface,0,Echo,Off") == "125mm/s/V\n"
-        assert ask("") == "Set,Interface,0,Echo,Off\n"
-        assert ask("Get,VeloDec,1,Range") == "125mm/s/V\n"
-
-
 def test_given_polytec_then_it_answers_as_public_programs_expect():
     device = PolytecDevice()
     with terminal(device) as ask:
@@ -150,11 +90,6 @@ def test_given_polytec_then_it_answers_as_public_programs_expect():
             assert ask(f"Set,VeloDec,1,Range,{refused}\nGet,VeloDec,1,Range") == "5mm/s/V LP\n"
         assert ask("Set,VeloDec,1,Range,Off\nGet,VeloDec,1,Range") == "Off\n"
         assert "125mm/s/V LP" in ask("GetDevInfo,VeloDec,1,Range").split(",")
-
-
-def test_given_an_unknown_dialect_then_there_is_no_device():
-    with pytest.raises(ValueError, match="no mirror dialect 'piezo'"):
-        mirror_device("piezo", motion())
 
 
 def test_given_a_second_terminal_then_it_is_hung_up_on_and_the_first_goes_on():
