@@ -60,17 +60,19 @@ def _tables(measured: dict[str, Any]) -> str:
 
 
 def _summary(measured: dict[str, Any]) -> str:
-    """Conditions, targets, the best methods of `SHOWN`, and the paper's numbers and figures."""
-    targets = [["benchmark", "targets", "missed"]]
-    for name, found in measured.items():
-        missed = [f"{mark['method']} ({mark['work']}): {heading(mark['figure'])}" for mark in found["marks"]
-                  if mark["met"] is False]  # fmt: skip
-        targets.append([name, str(len(found["marks"])), "; ".join(missed) or "none"])
+    """Conditions, targets missed, the best methods of `SHOWN`, and the paper's numbers and figures."""
+    missed = [
+        f"{name}: {mark['method']} ({mark['work']}): {heading(mark['figure'])}"
+        for name, found in measured.items()
+        for mark in found["marks"]
+        if mark["met"] is False
+    ]
+    count = sum(len(found["marks"]) for found in measured.values())
     parts = [
         "# Measured figures\n\nMade by `make bench`, which writes all tables and diagrams to `bench-out/README.md`;"
         " ratios vary by a quarter from run to run.\nErrors are relative L2 errors.\n",
         _conditions(measured),
-        "\n".join([*markdown(targets), ""]),
+        f"Of {count} targets missed: {'; '.join(missed) or 'none'}.\n",
     ]
     for name, work in SHOWN.items():
         points = [one for one in measured[name]["points"] if one["work"].startswith(work) and one.get("error")]
@@ -85,7 +87,8 @@ def _summary(measured: dict[str, Any]) -> str:
     pictures = [f"![Figure {file[:2]} of the paper](../pictures/paper-{file})" for file in BENCHMARKS["paper"].pictures]
     lines = measured["paper"]["lines"]
     ends = next(place for place, line in enumerate(lines) if line.startswith("**time of each part"))
-    return "\n".join([*parts, "## The paper's figures on the virtual rig", "", *lines[:ends], *pictures, ""])
+    rows = [" ".join(pictures[:4]), " ".join(pictures[4:])]
+    return "\n".join([*parts, "## The paper's figures on the virtual rig", "", *lines[:ends], *rows, ""])
 
 
 def _diagram(found: dict[str, Any], work: str) -> str:
