@@ -7,7 +7,6 @@ only when the command is chosen.
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -80,15 +79,8 @@ def run_command(arguments: Sequence[str]) -> int:
     Returns the exit code. Raises UsageError: the command line is wrong.
     """
     command, given = parsed(arguments)
-    from wavefocus.console import named_while_silent, working_on
-
-    # What a command imports is part of its silence.
-    about = re.split(r"; |\. ", _first(command.help))[0].rstrip(".")
-    with named_while_silent(f"{command.name}: {about[:1].lower()}{about[1:]}"):
-        working_on("loading its modules")
-        run = found(command.run) if isinstance(command.run, str) else command.run
-        working_on("")
-        return int(run(**given) or 0)
+    run = found(command.run) if isinstance(command.run, str) else command.run
+    return int(run(**given) or 0)
 
 
 def _first(help: str) -> str:

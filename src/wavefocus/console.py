@@ -6,11 +6,9 @@ import errno
 import io
 import os
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from typing import IO, TYPE_CHECKING, Protocol, TextIO, cast
@@ -27,9 +25,6 @@ if TYPE_CHECKING:
 # Without a terminal (a log file, a service) a line this often shows progress.
 LINE_EVERY_S = 30.0
 MIN_BAR = 10
-# A command that has shown nothing for so long is named, so that nobody takes it for hung.
-SILENT_S = 1.5
-LOOKS_EVERY_S = 0.25
 
 
 class _StandardError(io.TextIOBase):
@@ -104,58 +99,8 @@ def people() -> Console:
     return Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
 
 
-@dataclass
-class _Work:
-    """What the one command of this process does; another thread looks at it."""
-
-    step: str = ""
-    spoken_s: float = 0.0
-    bars: int = 0
-
-
-_work = _Work()
-
-
-def working_on(step: str) -> None:
-    """Note the step that begins, as ``"opening the instruments"``: `named_while_silent` names it if it takes long."""
-    _work.step = step
-
-
-@contextmanager
-def named_while_silent(what: str) -> Iterator[None]:
-    """Name a command, and its step, on a terminal whenever it has shown nothing for `SILENT_S`.
-
-    A pipe or a log file gets no such line.
-    """
-    if not _StandardError().isatty():
-        yield
-        return
-    over = threading.Event()
-    _work.spoken_s = time.monotonic()
-
-    def name() -> None:
-        named: tuple[str, float] | None = None
-        while not over.wait(LOOKS_EVERY_S):
-            # Each step is named once, and again where something else was said meanwhile.
-            silent = not _work.bars and time.monotonic() - _work.spoken_s > SILENT_S
-            if silent and named != (_work.step, _work.spoken_s):
-                step = _work.step
-                say(f"{what}: {step} ..." if step else f"{what} ...")
-                named = step, _work.spoken_s
-
-    watcher = threading.Thread(target=name, name="named while silent", daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        working_on("")
-        over.set()
-        watcher.join()
-
-
 def say(line: str) -> None:
     """Write one line to standard error; dropped where the terminal is gone."""
-    _work.spoken_s = time.monotonic()
     with suppress(OSError, ValueError):  # ValueError: it was closed
         print(escaped(line), file=sys.stderr, flush=True)
 
@@ -165,28 +110,17 @@ def answer(line: str) -> None:
 
     Raises OSError: standard output cannot be written.
     """
-    _work.spoken_s = time.monotonic()
     print(escaped(line), flush=True)
 
 
 @contextmanager
 def spinner(words: str) -> Iterator[Status | None]:
-    """Show on a terminal that something is going on, where nobody knows how much is left; None elsewhere."""
+    """Name on a terminal what is going on, where nobody knows how much is left; None elsewhere."""
     if not sys.stderr.isatty():
         yield None
         return
-    with people().status(words) as status, _bar_shown():
+    with people().status(f"{words} ...") as status:
         yield status
-
-
-@contextmanager
-def _bar_shown() -> Iterator[None]:
-    _work.bars += 1
-    try:
-        yield
-    finally:
-        _work.bars -= 1
-        _work.spoken_s = time.monotonic()
 
 
 def finish_clock(remaining_s: float) -> str:
@@ -250,8 +184,7 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
         def report(done: int, total: int, note: str = "") -> None:
             bar.update(task, completed=done, total=total, note=note)
 
-        with _bar_shown():
-            yield report
+        yield report
 
 
 class Pace:
@@ -292,6 +225,5 @@ def _line_reporter(what: str, pace: Pace, *, timed: bool) -> Report:
 
 def print_line(line: str) -> None:
     """Write a line on standard output at once."""
-    _work.spoken_s = time.monotonic()
     sys.stdout.write(line)
     sys.stdout.flush()

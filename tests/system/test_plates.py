@@ -7,11 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from wavefocus.__main__ import run
-from wavefocus.mocks.plates.thin import KAPPA_M2_S
 from wavefocus.storage.bank.reading import open_bank
 
 RIG = """
@@ -101,24 +99,6 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
                 "--out", str(out)]) == 0  # fmt: skip
     percent = {figure["name"]: figure["value"] for figure in json.loads((out / "verify.json").read_text())["figures"]}
     assert percent["normalised error"] < 1.0
-
-
-@pytest.mark.parametrize(("quality", "enough"), [(8.0, True), (1e4, False)])
-def test_for_glass_that_rings_long_plan_and_capture_name_the_taps_it_needs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], quality: float, enough: bool
-) -> None:
-    rig = RIG.replace("{kind}", "rectangle").replace("{length}", "300.0").replace("{width}", "200.0")
-    (tmp_path / "rig.toml").write_text(rig, encoding="utf-8")
-    text = RUN.replace("{plate}", "thin").replace("{spacing}", "150.0") + f"quality = {quality}\n"
-    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-    assert run(["plan", str(tmp_path / "run.toml"), "--json"]) == 0
-    ringing = json.loads(capsys.readouterr().out)["ringing"]
-    mode_hz = 0.5 * np.pi * KAPPA_M2_S * (1 / 0.3**2 + 1 / 0.2**2)
-    assert ringing["seconds"] == pytest.approx(np.log(1000.0) * quality / (np.pi * mode_hz))
-    assert (ringing["taps"], ringing["enough"]) == (np.ceil(1e4 * ringing["seconds"]), enough)
-    if not enough:
-        run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / "plate.h5")])
-        assert f"set taps = {ringing['taps']} and decay_s" in capsys.readouterr().err
 
 
 def test_kept_recordings_of_solid_then_bank_estimated_from_them_has_its_directions(tmp_path: Path) -> None:

@@ -165,7 +165,5 @@ def test_given_glass_that_rings_for_seconds_then_its_response_does_not_wrap() ->
     rig = VirtualRig(
         VirtualSettings(plate="thin", plate_keys=keys, outline=Outline.rectangle(250.0, 150.0), actuator_mm=places)
     )
-    mode_hz = float(ThinPlate(0.25, 0.15, KAPPA_M2_S).mode_hz(1, 1))
-    assert rig.ringing_s == pytest.approx(np.log(1000) * 200.0 / (np.pi * mode_hz))
     short, long = rig.truth(-40.0, 10.0, 1000)[0], rig.truth(-40.0, 10.0, 50_000)[0, :1000]
     assert np.linalg.norm(short - long) < 2e-3 * np.linalg.norm(long)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.setup import RecordMargins, record_samples
 from wavefocus.calibration import Float64Array, Int64Array
-from wavefocus.calibration.estimator.schedule_error import expected_error_db
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.config.limits import DriftLimits, QualityLimits
 
@@ -23,8 +22,6 @@ GEL_SPEED_M_S = 4.8
 """Waves of a gel plate as in the paper: group velocity about 4.8 m/s."""
 # On the virtual rig, up to 500 Hz and 4.8 m/s: all positions are judged at 7 mm, 77 % at 10 mm, 7 % at 12 mm.
 COARSE_WAVELENGTHS = 1.1
-# Actuators that sound together where all of them do not pay.
-GROUP = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,26 +179,6 @@ class CampaignPace:
         return under_way_s + positions * self.position_s + sentinel_passes * (sentinel_s + self._leak_s)
 
 
-# Signal-to-noise ratio at which schedules are compared before anything was measured: the paper's.
-ASSUMED_SNR_DB = 40.0
-
-
-@dataclass(frozen=True, slots=True)
-class Expectation:
-    """What may be expected of one schedule.
-
-    name: What it is called.
-    seconds: The whole campaign's.
-    additive_db: Expected relative L2 error in band where noise is always the same, in dB.
-    proportional_db: The same where noise grows with all that sounds.
-    """
-
-    name: str
-    seconds: float
-    additive_db: float
-    proportional_db: float
-
-
 def schedule_name(plan: Plan) -> str:
     """What a plan's schedule is called: ``sequential 3 x 1 s``, ``staggered 250 ms, groups of 5``."""
     excitation, signal = plan.excitation, plan.staggered
@@ -210,24 +187,3 @@ def schedule_name(plan: Plan) -> str:
     name = f"staggered {1e3 * signal.stagger_samples / excitation.sample_rate_hz:g} ms"
     name += f", {signal.periods} periods" if signal.periods > 1 else ""
     return name + (f", groups of {signal.slots}" if signal.groups > 1 else "")
-
-
-def expect(plan: Plan, margins: RecordMargins, snr_db: float = ASSUMED_SNR_DB) -> Expectation:
-    """Expect hours and errors of a plan under both models of noise.
-
-    margins: How long a record is before and after its signal.
-    snr_db: Response of one actuator by itself, while it sounds, over the noise from 0 to half the sample rate.
-    """
-    signal, excitation = plan.staggered, plan.excitation
-    rate_hz = excitation.sample_rate_hz
-    sounding_s, together = excitation.averages * excitation.duration_s, 1
-    if signal is not None:
-        sounding_s, together = signal.periods * signal.period_samples / rate_hz, signal.slots
-    additive_db, proportional_db = (
-        expected_error_db(
-            snr_db, sounding_s, loudness, band_hz=excitation.band_hz, sample_rate_hz=rate_hz, taps=plan.taps
-        )
-        for loudness in (1, together)
-    )
-    seconds = plan.positions * plan.position_s(margins)
-    return Expectation(schedule_name(plan), seconds, additive_db, proportional_db)

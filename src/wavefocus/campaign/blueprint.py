@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -174,33 +173,6 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
         staggered=staggered,
     )
     return Blueprint(configuration, plan)
-
-
-@dataclass(frozen=True, slots=True)
-class Ringing:
-    """How long a plate rings (-60 dB), the taps that hold it, and a sentence where the run's do not; else empty."""
-
-    seconds: float
-    taps: int
-    advice: str
-
-
-def ringing_of(blueprint: Blueprint) -> Ringing | None:
-    """Compare how long a virtual plate of glass rings with the run's taps; None of other plates."""
-    rig, run = blueprint.configuration.rig, blueprint.configuration.run
-    if plate_behind(rig, run).plate != "thin":
-        return None
-    from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of it
-
-    seconds, capture = virtual_rig(rig, run.virtual).ringing_s, run.capture
-    taps, advice = ceil(seconds * capture.sample_rate_hz), ""
-    if taps > capture.taps:
-        advice = (
-            f"the plate rings for {seconds:.3g} s (-60 dB), but capture.taps = {capture.taps} hold "
-            f"{capture.response_s:g} s: set taps = {taps} and decay_s = {ceil(10 * seconds) / 10:g}, or lower its "
-            "quality, or positions will be marked tail"
-        )
-    return Ringing(seconds, taps, advice)
 
 
 def needed_by(scene_files: Sequence[Path], blueprint: Blueprint) -> frozenset[int]:

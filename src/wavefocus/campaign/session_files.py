@@ -15,7 +15,6 @@ from wavefocus.campaign.blueprint import (
     bank_configuration,
     blueprint_of,
     require_same_plan,
-    ringing_of,
 )
 from wavefocus.campaign.schedule_choice import compared_schedules, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
@@ -39,8 +38,6 @@ def with_bank(
         earlier = compared_schedules(blueprint, str(run_file))
         if is_network_mount(bank.absolute().parent):
             say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
-        if (rings := ringing_of(blueprint)) is not None and rings.advice:
-            say(f"warning: {rings.advice}")
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, with_stated_delay(blueprint.bank_header(), blueprint.configuration.rig))
             return blueprint, earlier

@@ -31,7 +31,7 @@ def bench(what: str, out: Path, *, quick: bool, force: bool = False, seconds: fl
         module = import_module(f"wavefocus.benchmarks.{name}")
         made = conditions(f"wavefocus bench {name}")
         begun_s = time.monotonic()
-        with spinner(f"{BENCHMARKS[name].title} ..."):
+        with spinner(BENCHMARKS[name].title):
             found = module.run(out, quick=quick, **options)
         made |= {"seconds": round(time.monotonic() - begun_s, 1), "load_after": load()}
         # Small workloads say nothing about the marks.

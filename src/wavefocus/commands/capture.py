@@ -40,7 +40,7 @@ from wavefocus.config.messages.campaign import (
     State,
     Subscriber,
 )
-from wavefocus.console import print_line, progress, say, working_on
+from wavefocus.console import print_line, progress, say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
@@ -181,7 +181,6 @@ def _session(
     """Carry out one session with log, progress and signals around it; `earlier` happened before it."""
     stop, rig_file = StopRequest(), options.rig_file
     plan = blueprint.plan
-    working_on("opening the bank")
     with (
         _naming_resume_command(bank, rig_file),
         messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,

@@ -5,32 +5,24 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wavefocus.acquisition.plan import ASSUMED_SNR_DB, GROUP, Expectation, expect, schedule_name
+from wavefocus.acquisition.plan import schedule_name
 from wavefocus.acquisition.setup import names_of
 from wavefocus.acquisition.wording import finish_time, hours
-from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of, ringing_of
+from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.configuration import check_rows
 from wavefocus.console import answer
 from wavefocus.rig.setup import open_setup
-from wavefocus.storage.errors import InputError
 
 
-def plan(
-    run_file: Path,
-    scene_files: Sequence[Path] = (),
-    *,
-    details: bool = False,
-    as_json: bool,
-) -> None:
+def plan(run_file: Path, scene_files: Sequence[Path] = (), *, as_json: bool) -> None:
     """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
     the_plan, rig = blueprint.plan, blueprint.configuration.rig
@@ -38,7 +30,6 @@ def plan(
     position_s = the_plan.position_s(rig.recorder)
     second_looks = the_plan.second_looks(rows)
     duration_s = the_plan.campaign_s(rows, rig.recorder)
-    schedules, rings = compared(blueprint), ringing_of(blueprint)
     facts: dict[str, Any] = {
         "positions": the_plan.positions,
         "positions_needed": len(rows),
@@ -56,41 +47,26 @@ def plan(
         "finish_at": finish_time(duration_s, datetime.now(UTC)).isoformat(timespec="minutes"),
         "bank_bytes": blueprint.bank_header().file_bytes,
         "disk_free_bytes": shutil.disk_usage(run_file.resolve().parent).free,
-        "snr_db": ASSUMED_SNR_DB,
-        "schedules": [asdict(one) for one in schedules],
         "instruments": _instruments(rig, blueprint.configuration.run),
         "plan_sha256": the_plan.sha256,
     }
-    if rings is not None:
-        facts["ringing"] = {"seconds": rings.seconds, "taps": rings.taps, "enough": not rings.advice}
-    lines = _lines(facts)
+    lines = _lines(facts, position_s, the_plan.excitation.amplitude_v)
     if scene_files:
         all_s = the_plan.campaign_s(the_plan.order, rig.recorder)
         lines.insert(1, f"scenes      need {len(rows)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
-    if rings is not None and rings.advice:
-        lines.insert(-1, f"warning     {rings.advice}")
-    more = _details(facts, position_s, the_plan.excitation.amplitude_v)
     if as_json:
-        print(json.dumps({**facts, "lines": [*lines[:-1], *more, lines[-1]]}))
+        print(json.dumps({**facts, "lines": lines}))
         return
-    for line in [*lines[:-1], *(more if details else ()), lines[-1]]:
+    for line in lines:
         answer(line)
 
 
-def _lines(facts: Mapping[str, Any]) -> list[str]:
-    """Hours, bytes, end and limits."""
-    finish = datetime.fromisoformat(facts["finish_at"])
-    return [
+def _lines(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> list[str]:
+    finish, (start_hz, stop_hz) = datetime.fromisoformat(facts["finish_at"]), facts["band_hz"]
+    lines = [
         f"positions   {facts['positions']}, {facts['actuators']} actuators, {facts['records']} records",
-        f"duration    {hours(facts['duration_s'])}; started now it finishes {finish:%a %d %b %H:%M}",
-        f"bank        {facts['bank_bytes'] / 1e6:.0f} MB; {facts['disk_free_bytes'] / 1e9:.1f} GB free here",
-        f"plan        {facts['plan_sha256'][:16]}; within all limits",
+        f"sweeps      {facts['schedule']}, {start_hz:g}-{stop_hz:g} Hz, {amplitude_v:g} V",
     ]
-
-
-def _details(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> list[str]:
-    start_hz, stop_hz = facts["band_hz"]
-    lines = [f"sweeps      {facts['schedule']}, {start_hz:g}-{stop_hz:g} Hz, {amplitude_v:g} V"]
     if count := facts["check_positions"]:
         lines.append(f"checks      {count} of the positions lie off the grid and only judge what is interpolated")
     if count := facts["second_looks"]:
@@ -100,15 +76,13 @@ def _details(facts: Mapping[str, Any], position_s: float, amplitude_v: float) ->
         )
     if count := facts["sentinel_passes"]:
         lines.append(f"sentinel    measured again {count} times, {hours(count * position_s)} of that")
-    lines += [
-        f"schedule    {one['name']}: {hours(one['seconds'])}; expected error {one['additive_db']:.1f} dB, "
-        f"{one['proportional_db']:.1f} dB where noise grows with the signal"
-        for one in facts["schedules"]
+    return [
+        *lines,
+        f"duration    {hours(facts['duration_s'])}; started now it finishes {finish:%a %d %b %H:%M}",
+        f"bank        {facts['bank_bytes'] / 1e6:.0f} MB; {facts['disk_free_bytes'] / 1e9:.1f} GB free here",
+        *(f"instrument  {instrument}" for instrument in facts["instruments"]),
+        f"plan        {facts['plan_sha256'][:16]}; within all limits",
     ]
-    lines.append(
-        f"            at {ASSUMED_SNR_DB:g} dB signal-to-noise ratio of one actuator; another one moves all alike"
-    )
-    return lines + [f"instrument  {instrument}" for instrument in facts["instruments"]]
 
 
 def _needed_by_scenes(files: Sequence[Path], blueprint: Blueprint) -> Collection[int]:
@@ -133,22 +107,3 @@ def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:
         ]
     with open_setup(rig, run) as setup:
         return list(names_of(setup.instruments))
-
-
-def compared(blueprint: Blueprint) -> list[Expectation]:
-    """What may be expected of sequential capture, of staggered capture and of groups, the run's own values kept."""
-    configuration = blueprint.configuration
-    actuators = blueprint.plan.actuators
-    wanted: list[dict[str, object]] = [{"excitation": "sequential"}, {"excitation": "staggered", "groups": 1}]
-    groups = {-(-actuators // GROUP), configuration.run.capture.groups} - {1}
-    wanted += [{"excitation": "staggered", "groups": count} for count in sorted(groups)]
-    found = []
-    for changes in wanted:
-        capture = configuration.run.capture.model_copy(update=changes)
-        run = configuration.run.model_copy(update={"capture": capture})
-        try:
-            plan = blueprint_of(replace(configuration, run=run)).plan
-        except InputError:
-            continue
-        found.append(expect(plan, configuration.rig.recorder))
-    return found

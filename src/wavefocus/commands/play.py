@@ -20,7 +20,7 @@ from wavefocus.config.messages.codec import to_line
 from wavefocus.config.messages.operate import DrivePlaying
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
-from wavefocus.console import print_line, progress, say, working_on
+from wavefocus.console import print_line, progress, say, spinner
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.drives import naming
 from wavefocus.ending import ended_by_input, ending_at_once
@@ -136,9 +136,8 @@ def play_scene(
     failed, or ran dry because rendering did not keep up; it was muted.
     """
     with open_bank(bank) as view:
-        working_on("verifying the rows of the bank")
-        view.require_sound()
-        working_on("")
+        with spinner("verifying the rows of the bank"):
+            view.require_sound()
         if view.drive_unit not in PLAYED_UNITS:
             raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
         rig = rig_of(rig_file, view)
@@ -170,9 +169,8 @@ def _play(
     watched: bool,
 ) -> dict[str, object]:
     rate_hz = float(bank.sample_rate_hz)
-    working_on("preparing the scene: its interpolation and quiet places")
-    renderer = SceneRenderer(scene, bank, interface=interface_of(rig), gain=10.0 ** (gain_db / 20.0))
-    working_on("")
+    with spinner("preparing the scene: its interpolation and quiet places"):
+        renderer = SceneRenderer(scene, bank, interface=interface_of(rig), gain=10.0 ** (gain_db / 20.0))
     actuators, samples = renderer.shape
     begun_s = time.monotonic()
     with progress("render", samples) as report:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.console import progress, say, working_on
+from wavefocus.console import progress, say, spinner
 from wavefocus.drives import naming
 from wavefocus.input_files import input_files
 from wavefocus.options import RenderOptions
@@ -84,9 +84,8 @@ def render(
     require_outputs((out, wav, picture), input_files(scene_file, bank, rig_file), force=force)
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
-        working_on("verifying the rows of the bank")
-        view.require_sound()
-        working_on("")
+        with spinner("verifying the rows of the bank"):
+            view.require_sound()
         if wav is not None and view.drive_unit not in PLAYED_UNITS:
             raise InputError(
                 f"--wav {wav}: {bank} takes drives in {view.drive_unit}, and a WAV file's full scale is in volts"
@@ -113,20 +112,17 @@ def render(
 
 def _rendered(job: _Job, out: Path, *, force: bool) -> tuple[SceneRenderer, RenderReport]:
     """Write the drive file."""
-    working_on("preparing the scene: its interpolation and quiet places")
-    renderer = _renderer(job, job.scene, job.interface)
-    working_on("")
+    with spinner("preparing the scene: its interpolation and quiet places"):
+        renderer = _renderer(job, job.scene, job.interface)
     with progress("render", renderer.shape[1]) as report:
         return renderer, renderer.write(out, report, force=force)
 
 
 def _predicted(job: _Job, out: Path) -> tuple[float | None, tuple[QuietLevel, ...]]:
     """The response at the foci, and the levels at the quiet places."""
-    working_on("predicting the response at the foci")
-    drive = read_drive(out)
-    found = predicted_focus_peak(drive, job.bank), quiet_levels(drive, job.bank)
-    working_on("")
-    return found
+    with spinner("predicting the response at the foci"):
+        drive = read_drive(out)
+        return predicted_focus_peak(drive, job.bank), quiet_levels(drive, job.bank)
 
 
 def _renderer(job: _Job, scene: Scene, interface: Interface | None) -> SceneRenderer:

@@ -91,9 +91,7 @@ MEASURE = (
     Command(
         "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
         (
-            RUN, SCENES,
-            switch("--details", help="Also schedules with their expected errors, sentinel, instruments."),
-            JSON,
+            RUN, SCENES, JSON,
         ),
     ),
     Command(

@@ -14,7 +14,7 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.config.messages.codec import Message, tag
 from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from wavefocus.config.rig import RigConfig
-from wavefocus.console import progress, say, working_on
+from wavefocus.console import progress, say, spinner
 from wavefocus.ending import ending_at_once, interrupt
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, read_order
@@ -60,9 +60,8 @@ def trials(
             return _in_window(trials_file, bank, rig_file, participant, out, fast=fast)
     line = None if only_prepare else _Line(LinesOut())
     with open_bank(bank) as view, AnswersFile(out) as answers:
-        working_on("verifying the rows of the bank")
-        view.require_sound()
-        working_on("")
+        with spinner("verifying the rows of the bank"):
+            view.require_sound()
         rig = rig_of(rig_file, view)
         assert rig is not None  # one that is named is there
         if fast and not rig.is_virtual:

@@ -23,7 +23,7 @@ from wavefocus.campaign.verification_log import VerifyLog
 from wavefocus.config.messages.campaign import Event, Subscriber
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
-from wavefocus.console import Report, progress, say, working_on
+from wavefocus.console import Report, progress, say, spinner
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drives import naming, render_by_options
 from wavefocus.ending import ended_by_file, ending_at_once
@@ -124,9 +124,8 @@ def verify(
         require_output_folder(out, results, inputs, force=force, may_exist=working_files)
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
-        working_on("verifying the rows of the bank")
-        view.require_sound()
-        working_on("")
+        with spinner("verifying the rows of the bank"):
+            view.require_sound()
         configuration = bank_configuration(view)
         rig = _checked_rig(rig_file, configuration, view)
         rows = scan_rows(positions, scene, view.position_mm, scene_file)

@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.config.messages.live import LiveReady
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.console import progress, working_on
+from wavefocus.console import progress, spinner
 from wavefocus.drives import naming
 from wavefocus.live_session.session import LiveSession, Publish
 from wavefocus.options import LiveOptions
@@ -56,8 +56,8 @@ def open_session(
         regularisation = regularisation.model_copy(update={"independent": True})
     with ExitStack() as opened:
         view = opened.enter_context(open_bank(bank))
-        working_on("verifying the rows of the bank")
-        view.require_sound()
+        with spinner("verifying the rows of the bank"):
+            view.require_sound()
         if view.drive_unit not in PLAYED_UNITS:
             raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
         rig = rig_of(rig_file, view)
@@ -80,13 +80,11 @@ def open_session(
             )
             return engine, LiveLimiter(stricter(output, rig.player), interface.full_scale_v, interface.rate_hz)
 
-        working_on("modelling what lies between the bank's positions")
-        with naming(options.scene_file or bank, view):
+        with naming(options.scene_file or bank, view), spinner("modelling what lies between the bank's positions"):
             # Finer rows take seconds, and warm nothing up.
             warm = "nearest" if output.interpolation in ("kernel", "waves", "auto") else output.interpolation
             _warm_up(*engine_and_limiter(warm), view)
             engine, limiter = engine_and_limiter(output.interpolation)
-        working_on("opening the interface")
         with progress("reading the bank", 1):
             engine.preload()
         recording = None
@@ -126,7 +124,6 @@ def open_session(
             engine.y_mm,
             independent=regularisation.independent,
         )
-        working_on("")
         yield session, ready
 
 

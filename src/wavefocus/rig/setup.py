@@ -14,7 +14,7 @@ from wavefocus.config.calibration import calibrated
 from wavefocus.config.rig import BandSection, RigConfig, RoomSection
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import RunConfig
-from wavefocus.console import say, working_on
+from wavefocus.console import say, spinner
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Recorder
 from wavefocus.drivers.registry import VibrometerReading
@@ -43,12 +43,12 @@ def open_setup(
     Raises InstrumentError: an instrument cannot be opened, or could not be put to rest. Raises InputError: the recorder
     does not fit the bank.
     """
-    working_on("opening the instruments")
     virtual = None if run is None else run.virtual
     openers = openers_of(rig, virtual, realtime=realtime, outputs=outputs)
     rate_hz = None if run is None else run.capture.sample_rate_hz
-    with setup_in_use(open_rig(rig, openers), rig, rate_hz, bank) as setup:
-        working_on("")
+    with spinner("opening the instruments"):
+        opened = open_rig(rig, openers)
+    with setup_in_use(opened, rig, rate_hz, bank) as setup:
         if rig.calibration.measured is not None:
             say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
             for warning in calibration_warnings(rig, identities_of(setup.instruments)):

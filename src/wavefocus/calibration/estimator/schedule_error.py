@@ -1,4 +1,4 @@
-"""Error that a schedule will leave, and how long responses ring, before a campaign."""
+"""How long responses ring, and how many numbers describe one."""
 
 from __future__ import annotations
 
@@ -10,26 +10,6 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import Float64Array
 from wavefocus.storage.errors import InputError
-
-
-def expected_error_db(
-    snr_db: float, sounding_s: float, loudness: float, *, band_hz: tuple[float, float], sample_rate_hz: float, taps: int
-) -> float:
-    """Predict the relative L2 error in band that white noise leaves; within 1.5 dB of what the virtual rig measures.
-
-    A causal FIR of T seconds has about 2 W T + 2 ln(2 pi W T) degrees of freedom in a band of W Hz. White
-    noise leaves so many times its own energy per sample; the response has the energy of all samples in
-    which its sweep sounded.
-
-    snr_db: Response of one actuator by itself, while it sounds, over the noise from 0 to half the sample rate.
-    sounding_s: How long the sweep of each actuator sounds in all records of a position together, > 0.
-    loudness: By how much the energy of the noise grows when several actuators sound together, >= 1.
-    band_hz: Band of the sweep in Hz.
-    sample_rate_hz: Rate in Hz.
-    taps: Length L of the FIRs.
-    """
-    share = degrees_of_freedom(band_hz, taps / sample_rate_hz) / (sounding_s * sample_rate_hz)
-    return 10 * math.log10(loudness * share) - snr_db
 
 
 def degrees_of_freedom(band_hz: tuple[float, float], length_s: float) -> float:

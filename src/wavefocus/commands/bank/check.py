@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from wavefocus.calibration.check import check_file
-from wavefocus.console import answer, say, working_on
+from wavefocus.console import answer, say, spinner
 from wavefocus.exits import Exit
 
 # So many lines of a kind are read; the rest is for programs.
@@ -16,8 +16,8 @@ MAX_LINES = 10
 
 def check(file: Path, *, as_json: bool) -> Exit:
     """Report everything that is wrong with a file; errors make the exit code 1, warnings do not."""
-    working_on("verifying every row, and comparing it with its neighbours")
-    findings = check_file(file)
+    with spinner("verifying every row, and comparing it with its neighbours"):
+        findings = check_file(file)
     errors = sum(one.severity == "error" for one in findings)
     if as_json:
         print(json.dumps({"bank": str(file), "errors": errors, "findings": [asdict(one) for one in findings]}))

@@ -46,11 +46,6 @@ class VirtualRig:
         }
         self.instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
 
-    @property
-    def ringing_s(self) -> float:
-        """How long the plate's responses take to fall by 60 dB, if longer than a gel's."""
-        return self._synthesis.ringing_s
-
     def truth(self, x_mm: float, y_mm: float, taps: int, sample_rate_hz: float = 10_000.0) -> NDArray[np.float64]:
         """The plate's true Green's functions at one point, for tests and the demo's last line.
 

@@ -247,11 +247,6 @@ class Synthesis:
         spot_mm = self._settings.mirror.spot_mm(*aim_mrad)
         return spot_mm if bool(self._settings.outline.contains(spot_mm)) else None
 
-    @property
-    def ringing_s(self) -> float:
-        """How long the plate's responses take to fall by 60 dB, if longer than a gel's."""
-        return self._plate.ringing_s
-
     def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
         """FIRs from drive to surface velocity, see `wavefocus.mocks.virtual.rig.VirtualRig.truth`."""
         length = impulse_length(taps, sample_rate_hz, self._plate.ringing_s)
