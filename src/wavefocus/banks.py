@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from importlib import import_module
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 
-from wavefocus.storage.argument_types import Positions, checked, real_array
+from wavefocus.options import ExportOptions, ImportOptions
+from wavefocus.storage.argument_types import Positions, check_fields, checked
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
 OnProgress = Callable[[int, int], None]
+P = ParamSpec("P")
+R = TypeVar("R")
+Options = TypeVar("Options")
 LOG = logging.getLogger("wavefocus")
 
 
@@ -41,29 +46,57 @@ class Export:
     publication: Mapping[str, str]
 
 
+def taking(kind: type[Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Let a function take the fields of a class of `wavefocus.options` by name.
+
+    Its signature, and its docstring below ``options``, list them as the command line does.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        own = signature(function)
+        *former, _ = own.parameters.values()
+        parameters, sentences = [], []
+        for one in fields(kind):
+            default = {} if one.default is MISSING else one.default
+            parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, default=default, annotation=one.type))
+            sentences.append(f"{one.name}\n        {one.metadata['help']}")
+        vars(function)["__signature__"] = own.replace(parameters=[*former, *parameters])
+        listed = "\n    ".join(sentences)
+        function.__doc__ = (function.__doc__ or "").replace("options\n        As listed.", listed)
+        return function
+
+    return decorate
+
+
+def options_from(kind: type[Options], given: Mapping[str, Any]) -> Options:
+    """An object of options from keyword arguments; None stands for a default, and a path may be a text.
+
+    Raises InputError: a value is of another type, or out of its bounds.
+    """
+    known = {one.name: one for one in fields(kind)}  # type: ignore[arg-type]
+    values = {name: value for name, value in given.items() if value is not None}
+    for name, value in values.items():
+        if name in known and isinstance(value, str) and "Path" in str(known[name].type):
+            values[name] = Path(value)
+    made = kind(**values)
+    check_fields(made)
+    for name, value in values.items():
+        about = known[name].metadata
+        if isinstance(value, int | float) and not about["low"] <= value <= about["high"]:
+            raise InputError(f"{name} is {value:g}; {about['low']:g} to {about['high']:g} are allowed")
+    return made
+
+
+@taking(ImportOptions)
 @checked
 def import_bank(
     source: str | Path,
     bank: str | Path,
     kind: Literal["", "sofa", "uff", "mat", "npz", "npy", "netcdf", "wav"] = "",
     *,
-    places: str | Path | None = None,
-    unit: str = "",
-    length_unit: Literal["", "m", "cm", "mm", "um", "in", "ft"] = "",
-    to_velocity: bool = False,
-    band_hz: Sequence[float] | None = None,
-    taps: int | None = None,
-    sample_rate_hz: float | None = None,
-    frequencies: Sequence[float] | str | Path | None = None,
-    end: Literal["keep", "window", "damp"] = "keep",
-    direction: str = "",
-    columns: str = "",
-    axes: str = "",
-    names: Mapping[str, str] | None = None,
-    measurements: Literal["", "positions", "actuators", "pairs"] = "",
-    swap_roles: bool = False,
     force: bool = False,
     on_progress: OnProgress | None = None,
+    **options: Any,
 ) -> Bank:
     """Make a bank of responses that were measured elsewhere, as ``wavefocus import``.
 
@@ -78,41 +111,12 @@ def import_bank(
         Path of the bank to write.
     kind
         Format of the file; recognised by default.
-    places
-        CSV table of places: ``x_mm,y_mm``, ``x_m,y_m`` or ``azimuth_deg,elevation_deg,radius_m``, and ``role``.
-    unit
-        Unit of the values, response over drive, as ``"m/s/V"`` or ``"g/N"``.
-    length_unit
-        Unit of places that have none: ``"m"``, ``"cm"``, ``"mm"``, ``"um"``, ``"in"`` or ``"ft"``.
-    to_velocity
-        Whether displacement or acceleration becomes velocity in m/s.
-    band_hz
-        Lowest and highest frequency to use, in Hz.
-    taps
-        Length of the Green's functions in samples.
-    sample_rate_hz
-        Rate of the Green's functions in Hz.
-    frequencies
-        Frequencies of complex values where the file holds none: the first and the step in Hz, or a file with all.
-    end
-        Ends of the Green's functions: as they are, a half cosine over the last tenth, or damped to -60 dB.
-    direction
-        Response direction: x, y, z (uff), receiver (sofa) or index (arrays).
-    columns
-        Coordinates that become x and y of the bank, as ``"x,z"``; by default the positions' own plane.
-    axes
-        Order of an array's axes, as ``"actuator,position,sample"``.
-    names
-        Variables of the file by our names, as ``{"green": "H"}``.
-    measurements
-        What the measurements of a SOFA file count.
-    swap_roles
-        Whether positions are where it was driven, and actuators where it was measured: reciprocity, as with a roving
-        hammer.
     force
         Whether an older file of that name may be replaced; a bank never is.
     on_progress
         Called with the positions done and the positions in all.
+    options
+        As listed.
 
     Returns
     -------
@@ -137,31 +141,15 @@ def import_bank(
     (2, 400) m/s/V
     """
     from wavefocus.calibration.imports import bank as imports
-    from wavefocus.options import ImportOptions
 
-    options = ImportOptions(
-        places=None if places is None else Path(places),
-        unit=unit,
-        length_unit=length_unit,
-        direction=direction,
-        axes=axes,
-        names=names or {},
-        frequencies=(Path(frequencies) if isinstance(frequencies, str | Path) else _pair("frequencies", frequencies)),
-        sample_rate_hz=sample_rate_hz,
-        measurements=measurements,
-        swap_roles=swap_roles,
-        columns=columns,
-        taps=taps,
-        band_hz=_pair("band_hz", band_hz),
-        to_velocity=to_velocity,
-        end=end,
-    )
-    made = imports.import_bank(Path(source), Path(bank), options, kind, on_progress, force=force)
+    chosen = options_from(ImportOptions, options)
+    made = imports.import_bank(Path(source), Path(bank), chosen, kind, on_progress, force=force)
     for warning in made.facts["warnings"]:
         LOG.warning("%s: %s", source, warning)
     return open_bank(bank)
 
 
+@taking(ExportOptions)
 @checked
 def export_bank(
     bank: Bank | str | Path,
@@ -169,13 +157,9 @@ def export_bank(
     to: Literal["sofa", "uff", "wav", "mat", "npz", "netcdf", "csv"],
     *,
     positions: Positions | None = None,
-    missing: Literal["leave-out", "nan"] = "leave-out",
-    per: Literal["position", "actuator"] = "position",
-    binary: bool = False,
-    convention: Literal["GeneralFIR-E", "SingleRoomMIMOSRIR"] = "GeneralFIR-E",
-    publication: str | Path | None = None,
     force: bool = False,
     on_progress: OnProgress | None = None,
+    **options: Any,
 ) -> Export:
     """Write a bank in the format of another field, as ``wavefocus export``.
 
@@ -189,20 +173,12 @@ def export_bank(
         The format.
     positions
         Rows of the bank, in any order, or a mask of them; by default all.
-    missing
-        Positions that are not measured, failed or disabled are left out, or hold NaN.
-    per
-        What one file of ``"wav"`` holds.
-    binary
-        Whether universal files hold binary numbers.
-    convention
-        Convention of a SOFA file; that of a room's many loudspeakers is what room acoustics reads.
-    publication
-        TOML file whose table ``[publication]`` names title, people and licence; by default the bank's own run.
     force
         Whether older files of these names may be replaced; banks never are.
     on_progress
         Called with the positions done and the positions in all.
+    options
+        As listed.
 
     Returns
     -------
@@ -221,49 +197,64 @@ def export_bank(
     >>> wf.export_bank("plate.h5", "plate.mat", "mat", positions=[0, 7]).files
     ('plate.mat',)
     """
+    return export_by_options(
+        bank, Path(out), to, options_from(ExportOptions, options), positions, on_progress, force=force
+    )
+
+
+def export_by_options(
+    bank: Bank | str | Path,
+    out: Path,
+    to: str,
+    options: ExportOptions,
+    positions: Positions | None = None,
+    on_progress: OnProgress | None = None,
+    *,
+    force: bool = False,
+) -> Export:
+    """Write a bank as the options say; see `export_bank`."""
     from wavefocus.configuration import publication_of
     from wavefocus.storage.exchange import EXPORTS
     from wavefocus.storage.exchange.exported_rows import choose_rows
     from wavefocus.storage.output_files import require_outputs, require_replaceable_folder
     from wavefocus.storage.sidecar_files import clear_leftovers
 
-    folder, missing_as_nan = Path(out), missing == "nan"
-    form = EXPORTS[to]
+    missing_as_nan, form, publication = options.missing == "nan", EXPORTS[to], options.publication
     if missing_as_nan and not form.holds_nan:
         raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
-    if binary and to != "uff":
+    if options.binary and to != "uff":
         raise InputError(f"binary: is for uff; {to} files are always the same")
-    if convention != "GeneralFIR-E" and to != "sofa":
+    if options.convention != "GeneralFIR-E" and to != "sofa":
         raise InputError(f"convention: is for sofa; {to} files have none")
-    if folder.exists() and folder.is_dir() != form.folder:
-        raise InputError(f"{out} is a {'folder' if folder.is_dir() else 'file'}; --to {to} writes a "
+    if out.exists() and out.is_dir() != form.folder:
+        raise InputError(f"{out} is a {'folder' if out.is_dir() else 'file'}; --to {to} writes a "
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
     with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
-        inputs = [view.path, *([Path(publication)] if publication else [])]
-        beside = folder.with_name(folder.name + form.notes_ending) if form.notes_ending else None
-        if folder.parent.is_dir():
-            clear_leftovers(folder.parent)  # what an export that was killed all but finished
+        inputs = [view.path, *([publication] if publication else [])]
+        beside = out.with_name(out.name + form.notes_ending) if form.notes_ending else None
+        if out.parent.is_dir():
+            clear_leftovers(out.parent)  # what an export that was killed all but finished
         if not form.folder:
-            require_outputs((folder, beside), inputs, force=force)
+            require_outputs((out, beside), inputs, force=force)
         view.require_sound(positions)
-        texts = publication_of(view, Path(publication) if publication else None).texts
+        texts = publication_of(view, publication).texts
         if view.notes:
             texts["notes"] = "\n".join(map(str, view.notes))
         rows = choose_rows(
-            view, positions, missing_as_nan=missing_as_nan, per=per, binary=binary, convention=convention,
-            publication=texts,
+            view, positions, missing_as_nan=missing_as_nan, per=options.per, binary=options.binary,
+            convention=options.convention, publication=texts,
         )  # fmt: skip
         writer = import_module(form.module)
-        names = writer.file_names(rows) if form.folder else [folder.name]
+        names = writer.file_names(rows) if form.folder else [out.name]
         if beside is not None and view.notes:
             names.append(beside.name)
         if form.folder:
-            ours = writer.older_files(folder) | set(names)
-            require_replaceable_folder(folder, ours, inputs, by="export", force=force)
-        writer.write(folder, rows, on_progress or (lambda done, total: None))
-        per_value = 4 if binary else form.value_bytes
+            ours = writer.older_files(out) | set(names)
+            require_replaceable_folder(out, ours, inputs, by="export", force=force)
+        writer.write(out, rows, on_progress or (lambda done, total: None))
+        per_value = 4 if options.binary else form.value_bytes
         return Export(
-            out=folder,
+            out=out,
             format=to,
             positions=len(rows.row),
             left_out=rows.left_out,
@@ -289,13 +280,3 @@ def opened_bank(bank: GreenSource | str | Path) -> Iterator[GreenSource]:
         if isinstance(view, Bank):
             view.require_sound()
         yield view
-
-
-def _pair(name: str, value: Sequence[float] | None) -> tuple[float, float] | None:
-    """Two numbers of a public argument."""
-    if value is None:
-        return None
-    numbers = real_array(name, value)
-    if numbers.shape != (2,):
-        raise InputError(f"{name} has shape {numbers.shape}; two numbers are needed")
-    return float(numbers[0]), float(numbers[1])

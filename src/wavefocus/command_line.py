@@ -126,7 +126,7 @@ def _option(one: Field[Any], kind: Any) -> Argument:
     )
     match kinds:
         case [type() as plain] if plain is bool:
-            return switch(name, one.name, help=about["help"])
+            return switch(name, one.name, off=default, help=about["help"])
         case [type() as plain] if plain in (int, float):
             return number(name, about["low"], about["high"], whole=plain is int, **settings)
         case [type() as plain] if plain is Path:

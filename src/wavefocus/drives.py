@@ -6,11 +6,11 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike, DTypeLike
 
-from wavefocus.banks import OnProgress, opened_bank
+from wavefocus.banks import OnProgress, opened_bank, options_from, taking
 from wavefocus.options import RenderOptions
 from wavefocus.storage.argument_types import Positions, checked
 from wavefocus.storage.bank.reading import Bank
@@ -28,16 +28,14 @@ if TYPE_CHECKING:
     from wavefocus.rendering.scene.model import Scene
 
 
+@taking(RenderOptions)
 @checked
 def render(
     scene: Scene | str | Path,
     bank: GreenSource | str | Path,
     *,
-    method: Literal["sampled", "exact"] | None = None,
-    tolerance_db: float | None = None,
-    interpolation_tolerance: float | None = None,
-    device: Literal["cpu", "cuda"] = "cpu",
     on_progress: OnProgress | None = None,
+    **options: Any,
 ) -> Drive:
     """Render a scene into the drives of all actuators, as ``wavefocus render``.
 
@@ -49,18 +47,10 @@ def render(
         A scene, or the path of a scene file.
     bank
         An open bank, an array of Green's functions (`GreenArray`), or the path of a bank.
-    method
-        ``"sampled"`` (eq. 16) or ``"exact"`` (eq. 9); by default exact where an emission is continuous.
-    tolerance_db
-        Bound on the relative L2 error of the drives in dB, < 0, within which single precision may be used. By default
-        nothing is.
-    interpolation_tolerance
-        Largest relative error of the Green's functions between the bank's positions, > 0. By default an error above
-        0.05 is warned of.
-    device
-        ``"cuda"`` computes on a GPU, and needs CuPy.
     on_progress
         Called with the parts done and the parts in all.
+    options
+        As listed.
 
     Returns
     -------
@@ -88,11 +78,11 @@ def render(
     from wavefocus.rendering.report.render_report import RenderWarning
     from wavefocus.rendering.scene.model import load_scene
 
-    options = RenderOptions(method, tolerance_db, interpolation_tolerance, device)
+    chosen = options_from(RenderOptions, options)
     file = scene if isinstance(scene, str | Path) else None
     made = load_scene(scene) if isinstance(scene, str | Path) else scene
     with opened_bank(bank) as view, nullcontext() if file is None else naming(file, view):
-        drive, report = render_by_options(made, view, options, on_progress)
+        drive, report = render_by_options(made, view, chosen, on_progress)
     for text in report.warnings:
         warnings.warn(text, RenderWarning, stacklevel=3)
     return drive

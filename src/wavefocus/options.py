@@ -159,3 +159,45 @@ class ImportOptions:
         False,
         "Positions are where it was driven, actuators where it was measured: reciprocity, as with a roving hammer.",
     )
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Choices of an export."""
+
+    missing: Literal["leave-out", "nan"] = option("leave-out", "Positions that are not measured, failed or disabled.")
+    per: Literal["position", "actuator"] = option("position", "What one file of wav holds.")
+    binary: bool = option(False, "Whether universal files hold binary numbers.")
+    convention: Literal["GeneralFIR-E", "SingleRoomMIMOSRIR"] = option(
+        "GeneralFIR-E", "Of a SOFA file; that of a room's many loudspeakers is what room acoustics reads."
+    )
+    publication: Path | None = option(
+        None, "A run file, or another with a table [publication], in place of the bank's.", metavar="FILE.toml"
+    )
+
+
+def _as_lines() -> Any:
+    return option(False, "Findings, or orders and events, as JSON lines, for a window or script.", "--lines")
+
+
+@dataclass(frozen=True, slots=True)
+class DoctorOptions:
+    """What an examination of a rig does."""
+
+    as_json: bool = option(False, "Print JSON on standard output.", "--json")
+    play: bool = option(True, "Play nothing.", "--no-play")
+    reset_usb: str = option("", "Reset that instrument's USB device first.", metavar="ROLE")
+    test_message: bool = option(False, "Send a message to each address of the rig file.")
+    as_lines: bool = _as_lines()
+    record: Path | None = option(None, "Write every exchange with the instruments to a new file.", metavar="FILE.jsonl")
+
+
+@dataclass(frozen=True, slots=True)
+class TrialsOptions:
+    """How a session of trials is carried out."""
+
+    participant: str = option("", "Code of the participant; no name.", metavar="ID")
+    only_prepare: bool = option(False, "Only prepare the stimuli.", "--prepare")
+    as_lines: bool = _as_lines()
+    fast: bool = option(False, "Let a virtual rig's seconds take no time, for programs that answer.")
+    as_json: bool = option(False, "With --prepare: print JSON on standard output.", "--json")

@@ -41,7 +41,7 @@ def _conditions(sensor: Thermometer | None = None, **bands: AllowedRange) -> Con
         response_per_volt=0.125,
         reference_gain=0.5,
     )
-    watch = Watch(bands, {} if sensor is None else {"room": sensor})
+    watch = Watch(bands, {} if sensor is None else {"room": sensor.read})
     return Conditions(watch, setup, EXCITATION)
 
 

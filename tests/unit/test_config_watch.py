@@ -12,7 +12,7 @@ from wavefocus.acquisition.watch import Watch
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig, load_run
 from wavefocus.rig.instruments import openers_of
-from wavefocus.rig.setup import RoomSensor, band_of, open_rig
+from wavefocus.rig.setup import band_of, open_rig, room_c
 
 
 def _rig(tmp_path: Path, text: str) -> RigConfig:
@@ -53,7 +53,7 @@ def test_given_watched_conditions_then_a_bank_holds_them_and_the_plan_is_the_sam
 def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path: Path) -> None:
     rig = _rig(tmp_path, "[watch.room]\nleaves_below = 18\n[watch.light]\nleaves_below = 0.2")
     watch = watch_of(rig)
-    assert {name: sensor.read() for name, sensor in watch.sensors.items()} == {"room": 21.0, "light": 1.0}
+    assert {name: sensor() for name, sensor in watch.sensors.items()} == {"room": 21.0, "light": 1.0}
     assert watch_of(default_rig()).sensors == {}
 
 
@@ -64,4 +64,4 @@ def test_given_a_transmitter_then_its_volts_become_degrees(tmp_path: Path) -> No
 
     rig = _rig(tmp_path, '[watch.room]\nleaves_below = 18\ninput = "ai3"\ncelsius_per_v = 80.0\ncelsius_at_0_v = 1.5')
     assert rig.watch.room is not None
-    assert RoomSensor(Box(), rig.watch.room).read() == 21.5
+    assert room_c(Box(), rig.watch.room) == 21.5

@@ -15,7 +15,7 @@ from wavefocus.drivers.vibrometer.polytec import Polytec
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
-from wavefocus.rig.setup import LightSensor, RangeSensor, range_band
+from wavefocus.rig.setup import WatchedVibrometer, range_band
 
 ANSWER_S = 0.3
 
@@ -133,12 +133,13 @@ def test_range_that_is_changed_meanwhile_then_condition_is_left_until_it_is_set_
     device = PolytecDevice()
     with EmulatedSerial(device, wire(LOCAL, tmp_path), WireFaultPlan("vibrometer", ())) as far:
         section = VibrometerSection(driver="polytec-ofv5000", port=far.address)
-        light = LightSensor(section)
-        band, sensor = range_band(read(far).sensitivity_m_s_per_v), RangeSensor(section, light if with_light else None)
+        vibrometer = WatchedVibrometer(section)
+        band = range_band(read(far).sensitivity_m_s_per_v)
 
         def left():
-            light.read()
-            return band.left(sensor.read())
+            if with_light:
+                vibrometer.light()
+            return band.left(vibrometer.sensitivity())
 
         assert left() == ""
         for text, words in (("25mm/s/V", "is below"), ("1m/s/V", "is above"), ("125mm/s/V", "")):

@@ -52,7 +52,7 @@ class Conditions:
         self.silent_sensors.clear()
         for name, sensor in self.watch.sensors.items():
             try:
-                values[name] = sensor.read()
+                values[name] = sensor()
             except InstrumentError as failure:
                 self.silent_sensors[name] = failure
         return values

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
-
-class Sensor(Protocol):
-    """Something that can be asked for a value between two records."""
-
-    def read(self) -> float:
-        """The value now, in the unit of its range. Raises InstrumentError."""
-        ...
+Sensor = Callable[[], float]
+"""Returns a value between two records, in the unit of its range, or raises InstrumentError."""
 
 
 @dataclass(frozen=True, slots=True)

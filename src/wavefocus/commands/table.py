@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,14 @@ from wavefocus.command_line import (
 )
 from wavefocus.options import (
     CalibrationOptions,
+    DoctorOptions,
+    ExportOptions,
     ImportOptions,
     LiveOptions,
     MovieOptions,
     RenderOptions,
     SessionOptions,
+    TrialsOptions,
 )
 from wavefocus.storage.exchange import EXPORTS, IMPORTS
 
@@ -44,7 +48,6 @@ CLUSTER = argument(
     "--cluster", default="", metavar="ADDRESS",
     help="A dask scheduler, tcp://HOST:8786, or local, local:N: processes here.",
 )  # fmt: skip
-LINES = switch("--lines", "as_lines", help="Findings, or orders and events, as JSON lines, for a window or script.")
 LARGE = switch("--allow-large", help="Allow scenes of over an hour, 8 GiB of drives or a million path points.")
 (JSON_LINES,) = options_of(SessionOptions, "as_json")
 
@@ -66,7 +69,7 @@ def _order(word: Any) -> Callable[..., int]:
     return order
 
 
-VARIANTS: Mapping[str, tuple[str, dict[str, object]]] = {
+VARIANTS: Mapping[str, tuple[str, dict[str, Any]]] = {
     "sofa-room": ("sofa", {"convention": "SingleRoomMIMOSRIR"}),
     "uff-binary": ("uff", {"binary": True}),
     "wav-actuator": ("wav", {"per": "actuator"}),
@@ -74,9 +77,9 @@ VARIANTS: Mapping[str, tuple[str, dict[str, object]]] = {
 """Formats of exports with other settings: what room acoustics reads, a fifth of the size, a file per actuator."""
 
 
-def _export(to: str, **rest: Any) -> None:
+def _export(to: str, options: ExportOptions, **rest: Any) -> None:
     kind, settings = VARIANTS.get(to, (to, {}))
-    found("bank.export:export")(to=kind, **settings, **rest)
+    found("bank.export:export")(to=kind, options=replace(options, **settings), **rest)
 
 
 MEASURE = (
@@ -249,13 +252,10 @@ USE = (
         (
             file("trials_file", metavar="TRIALS.toml", help="The trials file."),
             FROM_BANK, ON_RIG,
-            argument("--participant", default="", metavar="ID", help="Code of the participant; no name."),
             _out("FOLDER", "Folder for stimuli and answers, of all participants."),
-            switch("--prepare", "only_prepare", help="Only prepare the stimuli."),
-            LINES,
-            switch("--fast", help="Let a virtual rig's seconds take no time, for programs that answer."),
-            switch("--json", "as_json", help="With --prepare: print JSON on standard output."),
+            *options_of(TrialsOptions),
         ),
+        TrialsOptions,
     ),
     Command(
         "analyse", "analyse:analyse",
@@ -273,13 +273,9 @@ RIG_AND_DATA = (
     Command(
         "doctor", "rig.doctor:doctor", "Check every instrument, and say what to do about each fault.",
         (
-            RIG, JSON,
-            switch("--no-play", "play", off=True, help="Play nothing."),
-            argument("--reset-usb", default="", metavar="ROLE", help="Reset that instrument's USB device first."),
-            switch("--test-message", help="Send a message to each address of the rig file."),
-            LINES,
-            file("--record", metavar="FILE.jsonl", help="Write every exchange with the instruments to a new file."),
+            RIG, *options_of(DoctorOptions),
         ),
+        DoctorOptions,
     ),
     Command(
         "calibrate", "rig.calibrate:calibrate",
@@ -342,12 +338,9 @@ RIG_AND_DATA = (
             argument("--to", choices=(*EXPORTS, *VARIANTS), required=True, metavar="FORMAT",
                      help=f"{', '.join(one.title for one in EXPORTS.values())}; or a variant: {', '.join(VARIANTS)}."),
             POSITIONS,
-            argument("--missing", choices=("leave-out", "nan"), default="leave-out",
-                     help="Positions that are not measured, failed or disabled."),
-            file("--publication", metavar="FILE.toml",
-                 help="A run file, or another with a table [publication], in place of the bank's."),
-            FORCE, JSON,
+            *options_of(ExportOptions, "missing", "publication"), FORCE, JSON,
         ),
+        ExportOptions,
     ),
     Command(
         "bench", "bench:bench", "Measure error against run time, ours and peers.",
@@ -386,8 +379,8 @@ GENERAL = {
     for one in (
         FORCE,
         LARGE,
-        LINES,
         CLUSTER,
+        *options_of(DoctorOptions, "as_lines"),
         *options_of(SessionOptions, "accept_drift", "accept_calibration"),
         *options_of(RenderOptions, "device"),
         *options_of(LiveOptions, "gain_db"),

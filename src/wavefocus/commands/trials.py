@@ -18,6 +18,7 @@ from wavefocus.console import progress, say, spinner
 from wavefocus.ending import ending_at_once, interrupt
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, read_order
+from wavefocus.options import TrialsOptions
 from wavefocus.rig.limits import interface_of, rig_of, stricter
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -33,18 +34,7 @@ from wavefocus.trials.stimuli import Prepared, prepare
 _LOOKS_EVERY_S = 1.0
 
 
-def trials(
-    trials_file: Path,
-    bank: Path,
-    rig_file: Path,
-    participant: str,
-    out: Path,
-    *,
-    only_prepare: bool,
-    as_lines: bool,
-    fast: bool,
-    as_json: bool,
-) -> int:
+def trials(trials_file: Path, bank: Path, rig_file: Path, out: Path, options: TrialsOptions) -> int:
     """Carry out the trials of one participant, in a window or by JSON lines; or only prepare the stimuli.
 
     Exit code 0 when the participant is complete, 130 when the session was ended before; the same command resumes it.
@@ -53,12 +43,12 @@ def trials(
     another experiment. BankBusyError: another process stores answers in the folder. InstrumentError: an instrument
     failed for good; all answers are stored.
     """
-    design = load_trials(trials_file)
-    if not only_prepare:
+    design, participant, fast = load_trials(trials_file), options.participant, options.fast
+    if not options.only_prepare:
         check_participant(participant)
-        if not as_lines:
+        if not options.as_lines:
             return _in_window(trials_file, bank, rig_file, participant, out, fast=fast)
-    line = None if only_prepare else _Line(LinesOut())
+    line = None if options.only_prepare else _Line(LinesOut())
     with open_bank(bank) as view, AnswersFile(out) as answers:
         with spinner("verifying the rows of the bank"):
             view.require_sound()
@@ -77,7 +67,7 @@ def trials(
         experiment = Experiment(design, prepared.sha256, prepared.bank_sha256)
         if line is None:
             say(f"{out}: {len(design.stimuli)} stimuli are ready")
-            if as_json:
+            if options.as_json:
                 print(json.dumps({"bank_sha256": prepared.bank_sha256, "stimuli": dict(prepared.sha256)}))
             return Exit.DONE
         resume_sequence(experiment, participant, answers.rows)

@@ -235,7 +235,7 @@ class Operation:
         if self._light is not None and time.monotonic() >= self._light_due_s:
             self._light_due_s = time.monotonic() + _LIGHT_EVERY_S
             try:
-                self._level = self._light.read()
+                self._level = self._light()
             except InstrumentError:  # it is no instrument of the level; the level goes on without it
                 self._level = None
         return self._level

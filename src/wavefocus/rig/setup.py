@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Protocol
+from functools import partial
+from typing import Any
 
 from wavefocus.acquisition.setup import Openers, Setup, identities_of, try_all, wired
 from wavefocus.acquisition.watch import AllowedRange, Sensor, Watch
@@ -129,54 +130,31 @@ def shut_down(close: Callable[[], None]) -> Iterator[None]:
         raise InstrumentError("rig", "putting the instruments to rest", causes, "check them by hand") from group
 
 
-class ReadsInput(Protocol):
-    """A recorder whose other inputs can be read between two records."""
-
-    def read_input_v(self, name: str) -> float:
-        """Volts at an input, the mean of a moment. Raises InstrumentError."""
-        ...
+def room_c(recorder: Any, section: RoomSection) -> float:
+    """Room temperature in degrees Celsius, from a transmitter at an input of the recorder's box."""
+    return section.celsius_at_0_v + section.celsius_per_v * float(recorder.read_input_v(section.input))
 
 
-class RoomSensor:
-    """Room temperature from a transmitter at an input of the recorder's box."""
-
-    def __init__(self, recorder: ReadsInput, section: RoomSection) -> None:
-        self._recorder = recorder
-        self._section = section
-
-    def read(self) -> float:
-        """Degrees Celsius."""
-        volts = self._recorder.read_input_v(self._section.input)
-        return self._section.celsius_at_0_v + self._section.celsius_per_v * volts
-
-
-class LightSensor:
-    """The signal level of a Polytec controller, 0 to 1."""
+class WatchedVibrometer:
+    """Signal level and sensitivity of a Polytec controller; where both are watched, from the same answers."""
 
     def __init__(self, section: VibrometerSection) -> None:
         self._section = section
-        self.reading: VibrometerReading | None = None
+        self._reading: VibrometerReading | None = None
 
-    def read(self) -> float:
-        """Share of full signal level."""
-        self.reading = None
-        self.reading = reading = read_vibrometer(self._section, any_level=True)
+    def light(self) -> float:
+        """Share of full signal level, 0 to 1."""
+        self._reading = None
+        self._reading = reading = read_vibrometer(self._section, any_level=True)
         if reading.signal_level is None:
             raise InstrumentError(
                 reading.identity, "asking the signal level", "it has none", "leave watch.light out of the rig file"
             )
         return reading.signal_level
 
-
-class RangeSensor:
-    """The sensitivity that a vibrometer is set to; of one that is asked for its light, from the same answers."""
-
-    def __init__(self, section: VibrometerSection, light: LightSensor | None) -> None:
-        self._section, self._light = section, light
-
-    def read(self) -> float:
-        """Metres per second per volt."""
-        reading = None if self._light is None else self._light.reading
+    def sensitivity(self) -> float:
+        """Metres per second per volt that it is set to."""
+        reading, self._reading = self._reading, None
         return (reading or read_vibrometer(self._section, any_level=True)).sensitivity_m_s_per_v
 
 
@@ -187,17 +165,9 @@ def range_band(sensitivity_m_s_per_v: float) -> AllowedRange:
     return AllowedRange(words, "m/s per V", least, most, least, most)
 
 
-class BoundedSensor:
+def in_time_or_failed(name: str, sensor: Sensor, limit_s: float) -> Sensor:
     """A sensor that answers in time or counts as one that does not answer."""
-
-    def __init__(self, name: str, sensor: Sensor, limit_s: float) -> None:
-        self._name = name
-        self._sensor = sensor
-        self._limit_s = limit_s
-
-    def read(self) -> float:
-        """The value now."""
-        return in_time(f"sensor {self._name}", "reading", self._sensor.read, self._limit_s)
+    return partial(in_time, f"sensor {name}", "reading", sensor, limit_s)
 
 
 def band_of(section: BandSection, words: str, unit: str) -> AllowedRange:
@@ -217,7 +187,7 @@ def watch_of(
     rig: RigConfig, recorder: Recorder, vibrometer: VibrometerReading, virtual_sensors: Mapping[str, Sensor]
 ) -> Watch:
     """What a rig's configuration says is to be watched, with the sensors for it."""
-    section = rig.watch
+    section, watched = rig.watch, WatchedVibrometer(rig.vibrometer)
     bands: dict[str, AllowedRange] = {}
     sensors: dict[str, Sensor] = {}
     for name, of_name, words, unit in (
@@ -232,12 +202,11 @@ def watch_of(
         if rig.is_virtual:
             sensors[name] = virtual_sensors[name]
         elif name == "light":
-            sensors[name] = LightSensor(rig.vibrometer)
+            sensors[name] = watched.light
         elif section.room is not None:
-            sensors[name] = RoomSensor(recorder, section.room)  # type: ignore[arg-type]
+            sensors[name] = partial(room_c, recorder, section.room)
     if rig.vibrometer.port is not None and not rig.is_virtual:
-        light = sensors.get("light")
         bands["range"] = range_band(vibrometer.sensitivity_m_s_per_v)
-        sensors["range"] = RangeSensor(rig.vibrometer, light if isinstance(light, LightSensor) else None)
-    bounded = {name: BoundedSensor(name, one, rig.recovery.hung_after_s) for name, one in sensors.items()}
+        sensors["range"] = watched.sensitivity
+    bounded = {name: in_time_or_failed(name, one, rig.recovery.hung_after_s) for name, one in sensors.items()}
     return Watch(bands, bounded, section.probe_every_s, section.give_up_after_s)

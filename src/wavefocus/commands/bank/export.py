@@ -5,26 +5,26 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from wavefocus.banks import export_bank
+from wavefocus.banks import export_by_options
 from wavefocus.console import progress, say
 from wavefocus.input_files import parse_positions
+from wavefocus.options import ExportOptions
 from wavefocus.storage.bank.reading import open_bank
 
 _NOT_IN_JSON = ("sample_rate_hz", "response_unit", "files", "bytes", "publication")
 
 
-def export(bank: Path, out: Path, to: Any, *, positions: str, as_json: bool, **options: Any) -> None:
+def export(
+    bank: Path, out: Path, to: str, *, positions: str, options: ExportOptions, force: bool, as_json: bool
+) -> None:
     """Write a bank, or some rows of it, in another format.
-
-    options: As of `wavefocus.export_bank`.
 
     Raises InputError: the bank cannot be read or does not fit the format, or a file to be written must stay.
     """
     with open_bank(bank) as view, progress("export", 1) as report:
         wanted = parse_positions(positions, view.positions) if positions else None
-        made = export_bank(view, out, to, positions=wanted, on_progress=report, **options)
+        made = export_by_options(view, out, to, options, wanted, report, force=force)
     for count, fate in ((made.left_out, "left out"), (made.nan, "NaN")):
         if count:
             say(f"{count} positions are not measured, failed or disabled and are {fate}")

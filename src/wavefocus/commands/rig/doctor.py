@@ -26,6 +26,7 @@ from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, SHUTTERS, VIBROMETERS
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
+from wavefocus.options import DoctorOptions
 from wavefocus.rig.alive import alive_findings
 from wavefocus.rig.awake import awake_finding
 from wavefocus.rig.calibration_validity import calibration_warnings
@@ -38,26 +39,16 @@ from wavefocus.storage.errors import InputError
 STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
 
 
-def doctor(
-    rig_file: Path,
-    *,
-    as_json: bool,
-    play: bool,
-    reset_usb: str = "",
-    test_message: bool = False,
-    as_lines: bool = False,
-    record: Path | None = None,
-) -> Exit:
+def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
     """Examine a rig; exit code 1 when something is not good enough, whatever it is.
 
-    record: A new file that receives every exchange with the instruments.
-
-    `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked. With `as_lines`
-    each finding is one JSON line as soon as it is made, before the object that holds all.
+    A USB device is reset only where its role is named: the last resort, and never done unasked. As lines, each finding
+    is one JSON line as soon as it is made, before the object that holds all.
     """
+    record = options.record
     rig = load_rig(rig_file)
-    if reset_usb:
-        _reset(rig, rig_file, reset_usb)
+    if options.reset_usb:
+        _reset(rig, rig_file, options.reset_usb)
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
     openers = openers_of(rig) if record is None else _noting(openers_of(rig))
@@ -68,32 +59,32 @@ def doctor(
             if finding.verdict == "fail" and finding.act is None and finding.instrument in resettable:
                 finding = replace(finding, act=Act("reset-usb", finding.instrument))
             findings.append(finding)
-            if as_lines:
+            if options.as_lines:
                 print_line(to_line(FindingMade(finding)))
             if status is not None:
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
         with ending_at_once():
-            identities = examine(rig, openers, publish, play=play)
+            identities = examine(rig, openers, publish, play=options.play)
             for finding in shutter_findings(rig):
                 publish(finding)
         check_surroundings(rig, folder, identities, publish)
-        for finding in message_findings(rig, rig_file.name, send=test_message):
+        for finding in message_findings(rig, rig_file.name, send=options.test_message):
             publish(finding)
-        for finding in alive_findings(rig.messages) if test_message else ():
+        for finding in alive_findings(rig.messages) if options.test_message else ():
             publish(finding)
         publish(awake_finding())
         if exchanges is not None:
             publish(_recorded(exchanges, str(record)))
     failed = sum(one.verdict == "fail" for one in findings)
-    if as_json or as_lines:
+    if options.as_json or options.as_lines:
         counts = {word: sum(one.verdict == word for one in findings) for word in STYLES}
         print_line(to_line(Examination(str(rig_file), rig.rig.name, failed == 0, counts, tuple(findings), versions())))
     else:
         _show(findings)
         answer(", ".join(f"{package} {number}" for package, number in versions().items()))
     warned = sum(one.verdict == "warn" for one in findings)
-    line = say if as_json or as_lines else answer
+    line = say if options.as_json or options.as_lines else answer
     line(f"{rig_file}: {failed} not good enough, {warned} to look at, {len(findings)} findings")
     return Exit.NOT_GOOD_ENOUGH if failed else Exit.DONE
 

@@ -21,7 +21,7 @@ from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
 from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
-from wavefocus.rig.setup import BoundedSensor, LightSensor, open_rig, setup_in_use
+from wavefocus.rig.setup import WatchedVibrometer, in_time_or_failed, open_rig, setup_in_use
 from wavefocus.storage.errors import InputError
 
 # A wait without an end cannot be broken off by Ctrl-C on Windows.
@@ -125,5 +125,5 @@ def _done(content: Mapping[str, object]) -> Done:
 def _light(rig: RigConfig, virtual_sensors: Mapping[str, Sensor]) -> Sensor | None:
     sensor = virtual_sensors.get("light")
     if sensor is None and rig.vibrometer.port and hasattr(rig.vibrometer.make_driver(), "least_signal_level"):
-        sensor = LightSensor(rig.vibrometer)
-    return None if sensor is None else BoundedSensor("light", sensor, rig.recovery.hung_after_s)
+        sensor = WatchedVibrometer(rig.vibrometer).light
+    return None if sensor is None else in_time_or_failed("light", sensor, rig.recovery.hung_after_s)

@@ -7,7 +7,7 @@ import re
 import struct
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -63,19 +63,13 @@ class VirtualClock:
             time.sleep(ahead_ns / NANOSECONDS)
 
 
-class VirtualSensor:
-    """Reads a course on the rig's clock.
+def sensor_of(clock: VirtualClock, course: tuple[tuple[float, float], ...]) -> Callable[[], float]:
+    """A sensor that reads a course on the rig's clock.
 
     course: Instants in s, rising, and the values then; in between it changes evenly, before and after it stays.
     """
-
-    def __init__(self, clock: VirtualClock, course: tuple[tuple[float, float], ...]) -> None:
-        self._clock = clock
-        self._instants, self._values = np.array(course, dtype=np.float64).T
-
-    def read(self) -> float:
-        """The value now."""
-        return float(np.interp(self._clock.now_s(), self._instants, self._values))
+    instants, values = np.array(course, dtype=np.float64).T
+    return lambda: float(np.interp(clock.now_s(), instants, values))
 
 
 VIBROMETER, SUM, BOTH = "vibrometer", "sum", "both"

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavefocus.drivers.protocols import Instruments
 from wavefocus.mocks.virtual.faults import RigFault
-from wavefocus.mocks.virtual.laboratory import PatchBay, VirtualClock, VirtualSensor
+from wavefocus.mocks.virtual.laboratory import PatchBay, VirtualClock, sensor_of
 from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.recorder import VirtualRecorder
@@ -41,8 +41,8 @@ class VirtualRig:
         recorder = VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
         player.follow(recorder.label_under_way)
         self.sensors = {
-            "room": VirtualSensor(clock, self.settings.room_c),
-            "light": VirtualSensor(clock, self.settings.light),
+            "room": sensor_of(clock, self.settings.room_c),
+            "light": sensor_of(clock, self.settings.light),
         }
         self.instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
 
