@@ -58,7 +58,6 @@ ATTRIBUTES: dict[str, tuple[str, dict[str, Any]]] = {
     "offset alone": ("i2", {"add_offset": 0.5}),
     "scale and offset": ("i2", {"scale_factor": 1e-3, "add_offset": np.float32(-0.5)}),
     "bytes": ("i1", {"scale_factor": 0.01}),
-    "unsigned": ("i2", {"scale_factor": 1e-3, "_Unsigned": "true"}),
     "scaled floats": ("f4", {"scale_factor": 2.0}),
     "plain floats": ("f4", {}),
     "plain doubles": ("f8", {}),
@@ -69,11 +68,8 @@ MASKS: dict[str, tuple[str, dict[str, Any]]] = {
     "_FillValue of floats": ("f4", {"_FillValue": np.float32(-999.9)}),
     "missing_value": ("i2", {"missing_value": np.int16(7), "scale_factor": 1e-3, "add_offset": 1.0}),
     "several missing values": ("f4", {"missing_value": np.float32([7.0, 8.0])}),
-    "valid_range": ("i2", {"valid_range": np.int16([0, 1200]), "scale_factor": 1e-3}),
-    "valid_max": ("f4", {"valid_max": np.float32(1e4)}),
-    "valid_min": ("f8", {"valid_min": -5.0}),
 }
-OUTSIDE = {"valid_range": -30, "valid_max": 2e4, "valid_min": -1e3, "_FillValue of floats": np.float32(-999.9)}
+OUTSIDE = {"_FillValue of floats": np.float32(-999.9)}
 
 
 @pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF4"])
@@ -107,6 +103,24 @@ def test_masked_rows_then_are_not_measured(tmp_path: Path, case: str, form: str)
         file.set_auto_maskandscale(False)
         file["green"][3, 1, 4] = OUTSIDE.get(case, 7)
     assert run(["import", str(tmp_path / "a.nc"), "--bank", str(tmp_path / "partly.h5")]) == 2
+
+
+@pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF4"])
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"valid_range": np.int16([0, 1200])},
+        {"valid_max": np.int16(99)},
+        {"valid_min": np.int16(5)},
+        {"_Unsigned": "true"},
+    ],
+)
+def test_packing_that_is_not_read_then_is_refused_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], attributes: dict[str, Any], form: str
+) -> None:
+    write(tmp_path / "a.nc", "i2", form, attributes)
+    assert run(["import", str(tmp_path / "a.nc"), "--bank", str(tmp_path / "a.h5")]) == 2
+    assert f"green has the attribute {next(iter(attributes))}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF4", "NETCDF4_CLASSIC"])

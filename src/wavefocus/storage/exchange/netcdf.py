@@ -25,7 +25,7 @@ from wavefocus.storage.exchange.measured import Measured
 from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 from wavefocus.storage.hdf5_writing import attach, created, dimension_scale, filled, reserved, set_long_names
 from wavefocus.storage.output_files import EXPORT_MARK, replacement
-from wavefocus.storage.packing import DEFAULT_FILL, KEYS, UnpackedArray, packing
+from wavefocus.storage.packing import DEFAULT_FILL, KEYS, UNREAD, UnpackedArray, packing
 
 LONG_NAMES = {
     "green": "Green's functions: FIR filters from drive to response, tap 0 at the drive sample",
@@ -144,7 +144,7 @@ def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measu
             stored = np.array(variable.data)
             if stored.dtype.kind == "S":
                 return b"".join(stored.reshape(-1).tolist()).decode("utf-8", "replace").strip("\0 ")
-            attributes = {key: getattr(variable, key) for key in KEYS if hasattr(variable, key)}
+            attributes = {key: getattr(variable, key) for key in KEYS + UNREAD if hasattr(variable, key)}
             fill = DEFAULT_FILL.get(stored.dtype.str[1:])
             return UnpackedArray(stored, packing(attributes, stored.dtype, f"{path}: {name}", fill))
         value = getattr(file, name, None) if name in _ATTRIBUTES else None
