@@ -1,4 +1,4 @@
-"""Estimators side by side, a staggered campaign, and recordings streamed into a bank.
+"""Estimators side by side, and the hours of a campaign.
 
 Estimators: error of the Green's functions against run time, in one process.
 
@@ -49,7 +49,7 @@ class Workload:
 
 
 def run(out: Path, *, quick: bool = False) -> Findings:
-    """Time every estimator in turns on one thread; then nights, streams and audio rates."""
+    """Time every estimator in turns on one thread; then the hours of campaigns."""
     work = make_workload(records=8 if quick else 20)
     records, sweep = len(work.truth), work.excitation
     estimator = SequentialEstimator(sweep, TAPS)
@@ -82,8 +82,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
             else (),
         )
         points.append(point.against(found[PYFAR]) if PYFAR in found else point)
-    for more in (nights.measuring_times, nights.stream_recordings, nights.estimate_audio):
-        points += more(quick=quick)
+    points += nights.measuring_times(quick=quick)
     return Findings(points, "the plate's true Green's functions, relative L2 in band", notes)
 
 

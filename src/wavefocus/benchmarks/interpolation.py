@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.grid import surface_grid
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure
 from wavefocus.benchmarks.rig_bank import MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.config.outline import Outline
@@ -41,9 +40,6 @@ MARKS = {(None, 250.0): 0.005, (None, 450.0): 0.07, (-60.0, 250.0): 0.01, (-60.0
 POINTS = 300
 QUICK_MM = 36.0
 """A quick run keeps to a square of so many millimetres each way."""
-SPACINGS_MM = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-HOURS_A_POSITION = 31.0 / 1500
-"""Of sequential capture, three sweeps of 1 s by 20 actuators."""
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> Findings:
@@ -56,7 +52,6 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     truth = _transfer(true_bank(rig, points_mm, None), range(len(points_mm)))
     banks = {error_db: true_bank(rig, position_mm, error_db) for error_db in (None, -60.0)}
     points = [point for error_db, bank in banks.items() for point in errors_of(bank, error_db, points_mm, truth)]
-    points += spacings(rig, points_mm, truth, quick=quick)
     points += render_times(banks[-60.0])
     return Findings(points, "the plate's true transfer functions")
 
@@ -99,41 +94,6 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
                 )
             )
     return points
-
-
-def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *, quick: bool) -> list[Entry]:
-    """Error at the highest frequency of the table against the hours that a grid costs, for grids of several spacings.
-
-    The time on the wall is that of finding all points' rows and weights and adding the rows up.
-    """
-    points = []
-    for spacing_mm in SPACINGS_MM[1::2] if quick else SPACINGS_MM:
-        position_mm = surface_grid(rig.settings.outline, MARGIN_MM, spacing_mm)
-        if quick:
-            position_mm = position_mm[(np.abs(position_mm) < QUICK_MM).all(axis=1)]
-        bank = true_bank(rig, position_mm, -60.0)
-        for name in METHODS:
-            usable = np.ones(len(points_mm), dtype=bool)
-            made = interpolation_method(name).over(bank, points_mm)
-            if isinstance(made, Bilinear):
-                usable = np.array([_in_a_cell(made, one) for one in points_mm])
-            places = points_mm[usable]
-            timing = measure({name: partial(_interpolated, name, bank, places)}, 3, memory=True)[name]
-            found, right = timing.result[:, -1], truth[usable, -1]
-            error = np.linalg.norm(found - right, axis=1) / np.linalg.norm(right, axis=1)
-            points.append(
-                Entry(
-                    work=f"responses between positions at {FREQUENCIES_HZ[-1]:g} Hz", method=name,
-                    parameters={"spacing_mm": spacing_mm}, error=float(np.median(error)), timing=timing,
-                    figures={"positions": bank.positions, "hours": bank.positions * HOURS_A_POSITION},
-                )
-            )  # fmt: skip
-    return sorted(points, key=lambda one: list(METHODS).index(one.method))
-
-
-def _interpolated(name: str, bank: GreenArray, points_mm: Float64Array) -> Complex128Array:
-    kind = interpolation_method(name).over(bank, points_mm)
-    return _summed(kind, kind.nodes(points_mm), bank)
 
 
 def _summed(kind: Interpolation, nodes: Nodes, bank: GreenArray) -> Complex128Array:

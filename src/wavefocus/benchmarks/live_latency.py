@@ -1,4 +1,4 @@
-"""Live sources: latency, processor time of a block, and how quiet independent sources are.
+"""Live sources: latency, and how quiet independent sources are.
 
 ``wavefocus live`` runs in a process of its own on the virtual rig's bank, and takes positions of sources on a circle as
 JSON lines, 100 a second of each: on the virtual player, whose clock is the wall's, and on a real audio server with a
@@ -6,10 +6,9 @@ dummy driver. Latency is the time from a position's arrival to the first drive s
 message has that of all positions at the 99.9th percentile. A stall of the machine that is longer than what waits to be
 played makes an underrun whatever the session does: the longest that the process that sends has met is stated.
 
-The time of a block is the processor time of orders, block and limiter, without a player. The level of independent
-sources is the energy of the response where a source of amplitude 0 is over that where one sounds, the largest of three,
-all four moving: at the measured position nearest to each, and at its true place between them, on the plate itself, for
-which the mark is.
+The level of independent sources is the energy of the response where a source of amplitude 0 is over that where one
+sounds, the largest of three, all four moving: at the measured position nearest to each, and at its true place between
+them, on the plate itself, for which the mark is.
 """
 
 from __future__ import annotations
@@ -40,15 +39,12 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.config.scene import Regularisation
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.live.engine import LiveEngine
-from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.bank.reading import Bank, open_bank
 
 DURATION_S, QUICK_S = 600.0, 3.0
-BLOCKS_S = 10.0
 SETTLED = 0.1
 """Memory is compared from this share of the duration on."""
 MARK_GROWTH_MB, MARK_DEGRADED = 10.0, 0.01
@@ -83,7 +79,7 @@ ONE = (LatencyCase("virtual", 1, 20.0), LatencyCase("emulated", 1, 20.0))
 
 
 def run(out: Path | None = None, *, quick: bool = False, seconds: float | None = None) -> Findings:
-    """Measure times of blocks, levels, and latencies on both players.
+    """Measure levels, and latencies on both players.
 
     seconds: Only ten sources and independent ones, on the virtual player, each for so long.
     """
@@ -93,8 +89,7 @@ def run(out: Path | None = None, *, quick: bool = False, seconds: float | None =
         folder = Path(name)
         path = write_bank(folder / "plate.h5", quick=quick)
         with open_bank(path) as bank, one_blas_thread():
-            points = [_time_of_blocks(bank, case, QUICK_S if quick else BLOCKS_S) for case in (TEN, INDEPENDENT)]
-            points += [_level(bank, radius_mm) for radius_mm in LEVEL_RADII_MM[: 1 if quick else None]]
+            points = [_level(bank, radius_mm) for radius_mm in LEVEL_RADII_MM[: 1 if quick else None]]
         points += [_latency(path, folder, case, lasts_s) for case in cases]
     notes = [
         f"Blocks of {1e3 * BLOCK_S:g} ms, 20 actuators, {POSITIONS_HZ:g} positions a second of each source, which move"
@@ -110,32 +105,14 @@ def _places_mm(time_s: float, sources: int, radius_mm: float = RADIUS_MM) -> lis
     return [(radius_mm * math.cos(angle), radius_mm * math.sin(angle)) for angle in angles]
 
 
-def _engine(bank: Bank, *, independent: bool, frame_rate_hz: float | None = None, **options: Any) -> LiveEngine:
+def _engine(bank: Bank, *, independent: bool, **options: Any) -> LiveEngine:
     engine = LiveEngine(
         bank, block_samples=round(BLOCK_S * RATE_HZ), look_ahead_samples=round(LOOK_AHEAD_S * RATE_HZ),
-        frame_rate_hz=frame_rate_hz, regularisation=Regularisation(independent=independent),
+        regularisation=Regularisation(independent=independent),
         interpolation="kernel" if independent else "nearest", **options,
     )  # fmt: skip
     engine.preload()
     return engine
-
-
-def _time_of_blocks(bank: Bank, case: LatencyCase, seconds: float) -> Entry:
-    engine = _engine(bank, independent=case.independent, frame_rate_hz=INTERFACE_HZ)
-    limiter = LiveLimiter(DriveLimits(1.0), np.full(bank.actuators, 5.0), INTERFACE_HZ)
-    every, taken_s = round(1.0 / POSITIONS_HZ / BLOCK_S), []
-    for block in range(round(seconds / BLOCK_S)):
-        begun_s = time.thread_time()
-        if block % every == 0:
-            for source, at_mm in enumerate(_places_mm(block * BLOCK_S, case.sources)):
-                engine.move(f"{source}", at_mm, AMPLITUDE)
-        limiter.limit(engine.next_block())
-        taken_s.append(time.thread_time() - begun_s)
-    mean_ms, p999_ms = 1e3 * float(np.mean(taken_s)), 1e3 * float(np.percentile(taken_s, 99.9))
-    return Entry(
-        work="processor time of a block of 5 ms", method="live", parameters=case.parameters,
-        figures={"mean_ms": mean_ms, "p999_ms": p999_ms},
-    )  # fmt: skip
 
 
 def _level(bank: Bank, radius_mm: float) -> Entry:

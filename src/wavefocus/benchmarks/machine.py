@@ -7,7 +7,6 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from importlib import import_module
@@ -92,9 +91,9 @@ class CommandRun:
     peak_bytes: float
 
 
-def run_command(*arguments: object, preload: Sequence[str] = ()) -> CommandRun:
-    """Run ``wavefocus`` with arguments; loading the modules of `preload` does not count as processor time."""
-    child = [sys.executable, "-m", "wavefocus.benchmarks.machine", ",".join(preload), *map(str, arguments)]
+def run_command(*arguments: object) -> CommandRun:
+    """Run ``wavefocus`` with arguments."""
+    child = [sys.executable, "-m", "wavefocus.benchmarks.machine", *map(str, arguments)]
     began = time.monotonic()
     done = subprocess.run(child, capture_output=True, text=True, check=False)
     wall_s = time.monotonic() - began
@@ -130,15 +129,12 @@ def _usage(*, children: bool = False) -> tuple[float, int]:
     return used.ru_utime + used.ru_stime, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def _main(preload: str, arguments: list[str]) -> int:
-    for module in filter(None, preload.split(",")):
-        import_module(module)
-    from_s = _usage()[0] if preload else 0.0
+def _main(arguments: list[str]) -> int:
     code: int = import_module("wavefocus.__main__").run(arguments)
     workers_s, workers_bytes = _usage(children=True)
-    print(_usage()[0] - from_s + workers_s, max(_peak_bytes(), workers_bytes))
+    print(_usage()[0] + workers_s, max(_peak_bytes(), workers_bytes))
     return code
 
 
 if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1], sys.argv[2:]))
+    sys.exit(_main(sys.argv[1:]))

@@ -6,9 +6,7 @@ positions 4 mm apart. Figures:
 - plain: level at the loudest quiet place with plain time reversal, energy over that at the focus;
 - level: the same with quiet places, by the prediction of the whole drive;
 - energy, peak: of the drives, over plain time reversal's; of random layouts also what 90 % of them keep to;
-- truth: the level by the plate's own Green's functions at the very place, off the grid;
-- error, corrected: of the response at focus and quiet places, before and after two corrections by scans with noise at
-  -40 dB, on a plate that has changed since its bank was measured; energy then over the uncorrected drive's.
+- truth: the level by the plate's own Green's functions at the very place, off the grid.
 
 Each level is asked for to within 10 times the energy; what that cannot buy is what the level falls short by.
 """
@@ -26,10 +24,8 @@ from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure
 from wavefocus.benchmarks.plate import RIGS
 from wavefocus.benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
 from wavefocus.config.scene import Output
-from wavefocus.mocks.plates import REFERENCE_C
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.field.quiet_levels import quiet_levels
@@ -37,10 +33,7 @@ from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import QuietPlace, Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Point
 from wavefocus.rendering.scene.signals import Noise
-from wavefocus.rendering.verify.correction import control_rows, correct_drive
-from wavefocus.rendering.verify.scan import Scan
 from wavefocus.storage.drive_file import Drive
-from wavefocus.storage.point_status import Status
 
 PLATES = ("soft", "stadium", "thin", "solid")
 AREA_MM = 50.0
@@ -67,7 +60,6 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     points += [off_grid(name, rig, bank) for name, (rig, bank) in banks.items()]
     speeds_mm_s = (100.0,) if quick else (25.0, 100.0, 400.0)
     points += [moving(name, banks[name][1], speed) for name in PLATES[:1] for speed in speeds_mm_s]
-    points += [correction(name, *banks[name], case) for name in PLATES[:2] for case in CHANGES]
     points += [one for name in PLATES[:1] for one in run_times(banks[name][1], 1 if quick else 3)]
     return Findings(
         points, notes=[f"Levels are in dB; at most {CAP:g} times the energy of plain time reversal is spent."]
@@ -158,53 +150,6 @@ def moving(plate: str, bank: GreenArray, speed_mm_s: float) -> Entry:
         work="four points that move on a circle of 24 mm, -26 dB", method=plate, parameters={"speed_mm_s": speed_mm_s},
         timing=timing, figures=_figures(bank, scene, timing.result[0]),
         marks=marks if speed_mm_s == 100.0 else (),
-    )  # fmt: skip
-
-
-CHANGES: dict[str, dict[str, object]] = {
-    "finger of 0.1 g on the focus": {"finger": 1e-4},
-    "finger of 2 g on the focus": {"finger": 2e-3},
-    "2 K warmer, waves 0.5 % slower per K": {"warmer_k": 2.0},
-    "a coil of half the strength": {"weak": 3},
-}
-CORRECTIONS = 2
-
-
-def correction(plate: str, rig: VirtualRig, bank: GreenArray, case: str) -> Entry:
-    """A drive with four quiet places at 24 mm, corrected on a plate that is not as its bank any more."""
-    drive, _ = render_with_report(_about(bank, CROSS), bank)
-    rows = control_rows(drive, bank.position_mm)
-    places_mm, change = bank.position_mm[rows], CHANGES[case]
-    settings = rig.settings
-    if mass_kg := change.get("finger"):
-        keys = {"place_mm": tuple(_on_grid(bank, (0.0, 0.0)).tolist()), "mass_kg": mass_kg}
-        rest = {"damping_n_s_m": 0.0, "stiffness_n_m": 0.0}
-        settings = replace(settings, plate_keys=(*settings.plate_keys, ("finger", keys | rest)))
-    if warmer_k := change.get("warmer_k"):
-        slower = (*settings.plate_keys, ("speed_per_k", -0.005))
-        settings = replace(settings, plate_keys=slower, room_c=((0.0, REFERENCE_C + float(str(warmer_k))),))
-    plate_now = true_bank(VirtualRig(settings), places_mm, None).values.copy()
-    if (weak := change.get("weak")) is not None:
-        plate_now[:, int(str(weak))] *= 0.5
-    now = GreenArray(plate_now, places_mm, bank.sample_rate_hz, band_hz=bank.band_hz)
-    rng = np.random.default_rng(2)
-
-    def measure_scan(played: Drive) -> Scan:
-        field = predict(played, now).field
-        noise_rms = 0.01 * float(np.sqrt(np.mean(np.square(field[np.argmax(np.abs(field).max(axis=1))]))))
-        scanned = field + noise_rms * rng.standard_normal(field.shape)
-        ones = np.ones(len(rows))
-        return Scan(
-            scanned.astype(np.float32), rows, played.sample_rate_hz, played.start_s, "m/s",
-            np.full(len(rows), Status.VALID, np.uint8), ones.astype(np.int64), noise_rms * ones, ones, ones,
-        )  # fmt: skip
-
-    _, found = correct_drive(drive, bank, rows, measure_scan, CORRECTIONS, limits=DriveLimits())
-    before, best = found.rounds[0], found.rounds[found.best or 0]
-    return Entry(
-        work="corrected by scans", method=f"{plate}: {case}",
-        figures={"error": before.error, "corrected": best.error, "energy": best.energy},
-        marks=(Mark("corrected", before.error / 4, at_most=True), Mark("energy", 5.0, at_most=True)),
     )  # fmt: skip
 
 
