@@ -70,12 +70,11 @@ print(f"error within the band: {100 * error:.2f} %")
 #
 # Each position has a status: 1 is valid. Where the signal was poor, the plate rang longer than the taps, or a
 # neighbour contradicts, it is not, and the bank says so. `residual_db` is what a fitted Green's function leaves
-# unexplained of the recording; it needs no truth. As an xarray dataset the bank has labelled dimensions, and its rows
-# are read when they are used.
+# unexplained of the recording; it needs no truth.
 
 # %%
 print(f"valid: {np.count_nonzero(bank.status == 1)} of {bank.positions}")
-quality = bank.to_xarray()["residual_db"].max("actuator")
+quality = bank.quality["residual_db"].max(axis=1)
 figure, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")
 drawn = axes.scatter(position_mm[:, 0], position_mm[:, 1], c=quality, s=60)
 axes.set(xlabel="x in mm", ylabel="y in mm", aspect="equal", title="Largest residual over the actuators")

@@ -151,7 +151,7 @@ def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(
 
 @pytest.mark.parametrize(
     ("green", "drive", "response", "peak"),
-    [("Pa/mV", "mV", "Pa", " mV"), ("1", "1", "1", ""), ("m s-1 V-1", "V", "m s-1", " V")],
+    [("Pa/mV", "mV", "Pa", " mV"), ("1", "1", "1", ""), ("m s-1 V-1", "V", "m/s", " V")],
 )
 def test_a_bank_of_other_units_then_gives_drives_and_fields_their_units(
     tmp_path: Path, bank: Path, capsys: pytest.CaptureFixture[str], green: str, drive: str, response: str, peak: str

@@ -315,23 +315,14 @@ def test_records_back_to_back_then_a_late_answer_within_its_deadline_is_no_fault
             check_tone(take_one(recorder))
 
 
-@pytest.mark.parametrize(
-    ("kind", "operation"),
-    [("exhausted", "StartTask"), ("exhausted", "GetDeviceAttributeString"), ("internal", "GetDeviceAttributeString")],
-)
-def test_given_a_server_that_refuses_a_call_for_now_then_it_is_made_again(kind, operation):
-    with daq_bench(faults=fault(kind, operation, at_call=1, count=2)) as bench:
-        check_tone(take_one(bench.recorder()))
-
-
-@pytest.mark.parametrize(("kind", "calls"), [("exhausted", 4), ("internal", 1)])
-def test_server_that_goes_on_refusing_then_attempt_fails_and_next_one_works(kind, calls):
-    with daq_bench(faults=fault(kind, "StartTask", at_call=1, count=calls)) as bench:
+@pytest.mark.parametrize("kind", ["exhausted", "internal"])
+def test_server_that_refuses_a_call_for_now_then_attempt_fails_and_next_one_works(kind):
+    with daq_bench(faults=fault(kind, "StartTask", at_call=1)) as bench:
         recorder = bench.recorder()
         with pytest.raises(TransientInstrumentError, match="could not serve the call this time"):
             recorder.start(ask())
         # What may have been carried out is not ordered twice.
-        assert bench.calls("StartTask") == calls
+        assert bench.calls("StartTask") == 1
         check_tone(take_one(recorder))
 
 

@@ -51,13 +51,7 @@ UNNUMBERED = (SerialPort("/dev/ttyUSB9", "00AB12"), SerialPort("/dev/ttyUSB10", 
     ("number", "present", "device"),
     [
         ("01a2b3c4", (SerialPort("COM9", "01A2B3C4"),), "COM9"),
-        # Windows shows FTDI's number with a letter; a label, Linux and FT_Prog without.
-        ("FT3BNM1O", (SerialPort("COM9", "FT3BNM1OA"), SerialPort("COM4", "0002")), "COM9"),
-        ("ft3bnm1o", (SerialPort("COM9", "FT3BNM1OA"),), "COM9"),
         ("FT3BNM1OA", FTDI_PAIR, "COM9"),
-        ("FT3BNM1O:1", FTDI_PAIR, "COM10"),
-        # A number of its own comes before one with a letter behind.
-        ("FT3BNM1O", (SerialPort("COM1", "FT3BNM1OA"), SerialPort("COM2", "FT3BNM1O")), "COM2"),
         ("00AB12:0", CP2105, "/dev/ttyUSB0"),
         ("00ab12:1", CP2105, "/dev/ttyUSB1"),
         ("00AB12:1", UNNUMBERED, "/dev/ttyUSB10"),
@@ -70,7 +64,7 @@ def test_given_a_serial_number_as_another_system_writes_it_then_its_port_is_foun
     assert find_port(f"serial-number:{number}", "mirror", present) == device
 
 
-@pytest.mark.parametrize(("number", "present"), [("FT3BNM1O", FTDI_PAIR), ("00AB12", CP2105), ("00AB12", UNNUMBERED)])
+@pytest.mark.parametrize(("number", "present"), [("00AB12", CP2105), ("00AB12", UNNUMBERED)])
 def test_given_an_adapter_with_several_ports_then_the_remedy_names_what_finds_each(number, present):
     with pytest.raises(InstrumentLostError) as caught:
         find_port(f"serial-number:{number}", "mirror", present)

@@ -27,11 +27,8 @@ from wavefocus.calibration.excitation import PlayedExcitation
 
 TAPS = 2000
 OFFSET = 200
-POST_ROLL = 1000
 RESPONSE_SNR_DB = 40.0
 REFERENCE_SNR_DB = 60.0
-MARK_SPEED = 6.0
-MARK_ERROR_DB = -65.0
 PYFAR = "pyfar deconvolve, whole records"
 
 Method = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[Any]]
@@ -77,9 +74,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
                 "median_db": float(np.median(error_db)),
                 "worst_db": float(error_db.max()),
             },
-            marks=(Mark("times", MARK_SPEED), Mark("median_db", MARK_ERROR_DB, at_most=True))
-            if name == "wavefocus"
-            else (),
+            marks=(Mark("times", 6.0), Mark("median_db", -65.0, at_most=True)) if name == "wavefocus" else (),
         )
         points.append(point.against(found[PYFAR]) if PYFAR in found else point)
     points += nights.measuring_times(quick=quick)
@@ -97,7 +92,7 @@ def make_workload(records: int, seed: int = 0) -> Workload:
             decay = np.exp(-time_s * draw.uniform(25, 60))
             truth[record] += draw.standard_normal() * decay * np.sin(2 * np.pi * hertz * time_s)
     signal = excitation.signal_v()
-    samples = OFFSET + signal.size + POST_ROLL
+    samples = OFFSET + signal.size + 1000
     length = scipy.fft.next_fast_len(samples + TAPS, real=True)
     placed = np.zeros(samples)
     placed[OFFSET : OFFSET + signal.size] = signal

@@ -37,7 +37,6 @@ METHODS = ("nearest", "bilinear", "kernel")
 FREQUENCIES_HZ = (100.0, 250.0, 450.0)
 MARKS = {(None, 250.0): 0.005, (None, 450.0): 0.07, (-60.0, 250.0): 0.01, (-60.0, 450.0): 0.08}
 """Largest median error wanted of the kernel, by noise of the bank in dB and frequency."""
-POINTS = 300
 QUICK_MM = 36.0
 """A quick run keeps to a square of so many millimetres each way."""
 
@@ -45,7 +44,7 @@ QUICK_MM = 36.0
 def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     """Measure errors and times."""
     rig = VirtualRig()
-    position_mm, points_mm = default_grid(rig), random_points(POINTS)
+    position_mm, points_mm = default_grid(rig), random_points(300)
     if quick:
         position_mm = position_mm[(np.abs(position_mm) < QUICK_MM).all(axis=1)]
         points_mm = points_mm[(np.abs(points_mm) < QUICK_MM - 4.0).all(axis=1)]

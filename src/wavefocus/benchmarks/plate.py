@@ -43,7 +43,6 @@ GLASS_MODE = (2, 1)
 PERIODS = 2.625
 """Not at a turning point, where errors of frequency do not show."""
 GRIDS_MM = (4.0, 8.0, 16.0)
-NEWMARK_STEPS_S = (1e-4, 2e-5)
 BANK_POSITIONS, BANK_BINS, BANK_STEP_HZ = 100, 1000, 1.0
 HIGH_QUALITY, STEP_S, DRIVEN_STEPS = 1e4, 1e-4, 5000
 MODES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
@@ -161,7 +160,7 @@ def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Entry]:
         **{("leapfrog at its limit", size): partial(stepped, leapfrog, size) for size in grids_mm},
         **{
             (f"Newmark, steps of {1e3 * step_s:g} ms", size): partial(stepped, partial(newmark, step_s), size)
-            for step_s in NEWMARK_STEPS_S
+            for step_s in (1e-4, 2e-5)
             for size in grids_mm
         },
     }

@@ -39,7 +39,6 @@ PLATES = ("soft", "stadium", "thin", "solid")
 AREA_MM = 50.0
 """Banks keep to a square of so many millimetres each way."""
 NOISE = Noise((50.0, 450.0), 0.5, 1)
-LAYOUTS = 10
 FINGERS = ((1, 12.0), (1, 24.0), (4, 12.0), (4, 24.0), (4, 40.0), (9, 30.0))
 MARKS = {(4, 24.0): 3.0, (1, 12.0): 2.5}
 """Energy that nine of ten random layouts are to keep to, on the gels."""
@@ -54,7 +53,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         rig = VirtualRig(RIGS[name])
         position_mm = default_grid(rig)
         banks[name] = rig, true_bank(rig, position_mm[(np.abs(position_mm) < AREA_MM).all(axis=1)], QUICK_ERROR_DB)
-    points = [one for name, (_, bank) in banks.items() for one in random_layouts(name, bank, 4 if quick else LAYOUTS)]
+    points = [one for name, (_, bank) in banks.items() for one in random_layouts(name, bank, 4 if quick else 10)]
     points += [cross(name, bank) for name, (_, bank) in banks.items()]
     points += [disc(name, bank, places) for name, (_, bank) in banks.items() for places in (CROSS[:1], CROSS)]
     points += [off_grid(name, rig, bank) for name, (rig, bank) in banks.items()]
@@ -205,7 +204,7 @@ def _figures(bank: GreenArray, scene: Scene, drive: Drive | None = None) -> dict
     """Levels of the loudest place, energy and peak of the drives."""
     plain, _ = render_with_report(Scene(scene.name, scene.sources), bank)
     made = drive if drive is not None else render_with_report(scene, bank)[0]
-    before = quiet_levels(replace(plain, quiet=made.quiet, known_finite=True), bank)
+    before = quiet_levels(replace(plain, quiet=made.quiet), bank)
     return {
         "plain_db": max(one.reached_db for one in before),
         "level_db": max(one.reached_db for one in quiet_levels(made, bank)),

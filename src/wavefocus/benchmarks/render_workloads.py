@@ -34,8 +34,6 @@ RATE_HZ = 10_000.0
 TAPS = 2000
 ACTUATORS = 20
 SPACING_MM = 4.0
-FEW_ROWS = 200
-WAVE_SPEED_MM_S = 5000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +85,7 @@ def smooth_bank(columns: int, rows: int) -> GreenArray:
     actuator_mm = 1.2 * np.abs(position_mm).max() * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     frequency_hz = np.fft.rfftfreq(2 * TAPS, 1.0 / RATE_HZ)
     band = np.exp(-(((frequency_hz - 250.0) / 120.0) ** 2))
-    k = 2.0 * np.pi * frequency_hz / WAVE_SPEED_MM_S * (1.0 - 0.05j)
+    k = 2.0 * np.pi * frequency_hz / 5000.0 * (1.0 - 0.05j)
     values = np.empty((len(position_mm), ACTUATORS, TAPS), dtype=np.float32)
     used = band > 1e-8
     for row, at_mm in zip(values, position_mm, strict=True):
@@ -106,7 +104,7 @@ def workloads(bank: GreenArray, *, quick: bool) -> list[RenderWorkload]:
         circle("path, M = 500, dt = 2 ms", bank, 500, 0.2),
         replace(circle(f"path, M = {many}, dt = 2 ms", bank, many, 0.2), kind="path"),
         circle(f"path, M = {many}, dt = 25 ms", bank, many, 2.5),
-        replace(jumping(bank, min(FEW_ROWS, bank.positions), many), kind="random rows"),
+        replace(jumping(bank, min(200, bank.positions), many), kind="random rows"),
         jumping(bank, bank.positions, many),
     ]
 

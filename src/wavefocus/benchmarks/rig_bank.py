@@ -34,7 +34,6 @@ MARGIN_MM, SPACING_MM = 14.3, 4.0
 QUICK_ERROR_DB = -58.0
 """Error of a campaign on the virtual rig (README)."""
 CHUNK = 64
-STAGGER_S = 0.24
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +92,7 @@ def sweep_plan(
     """The default campaign at some positions: three sweeps of 1 s per actuator, or one period of staggered ones."""
     actuator_mm = np.asarray(rig.settings.actuator_mm, dtype=np.float64)
     sweep = PlayedExcitation(RATE_HZ, *BAND_HZ, sweep_s, TAPS / RATE_HZ, 1.0, averages)
-    stagger = round(STAGGER_S * RATE_HZ)
+    stagger = round(0.24 * RATE_HZ)
     signal = StaggeredSignal(sweep, rig.settings.actuators, TAPS, stagger, 1, periods) if staggered else None
     # Scattered positions of a grid would all be measured twice, which the whole grid is not.
     quality = QualityLimits(second_look="never")

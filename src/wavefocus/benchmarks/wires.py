@@ -37,10 +37,6 @@ from wavefocus.drivers.protocols import Float64Array, Instruments, RecordLabel, 
 from wavefocus.drivers.serial_mirror import SerialMirror
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
-MARK_OVERHEAD_S = 0.150
-MARK_WALL_OVER_SOUNDING = 1.03
-MARK_RATIO_PPM = 0.1
-MARK_OFFSET_SAMPLES = 0.01
 ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
 SWEEP_V = 1.0
 # 60 dB below the rms of a sweep of 1 V peak.
@@ -49,9 +45,6 @@ INTERFACE_RATE_HZ = 48_000
 FULL_SCALE_V = 5.0
 PERIOD_FRAMES = 4096
 """Of the audio server: the emulated interface never runs dry on a busy machine, and answers late."""
-QUICK_PERIOD_FRAMES = 1024
-POST_ROLL_S = 0.4
-QUICK_POST_ROLL_S = 0.1
 
 
 def settings() -> VirtualSettings:
@@ -121,7 +114,7 @@ class EmulatedInstruments:
 
 
 @contextmanager
-def opened(sides: EmulatedInstruments, post_roll_s: float = POST_ROLL_S) -> Iterator[Setup]:
+def opened(sides: EmulatedInstruments, post_roll_s: float = 0.4) -> Iterator[Setup]:
     """Production drivers on the emulated instruments."""
     virtual, clock = settings(), WallClock()
     mirror = SerialMirror(
@@ -210,15 +203,15 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         beyond_s = position_s - len(ACTUATOR_MM) * samples / RATE_HZ
         ratio_ppm, offset = clock_errors(setup, sides, records, sweep)
     # The interface answers within four periods, so a record needs no long post-roll.
-    with closing(EmulatedInstruments(QUICK_PERIOD_FRAMES)) as sides, opened(sides, QUICK_POST_ROLL_S) as setup:
+    with closing(EmulatedInstruments(1024)) as sides, opened(sides, 0.1) as setup:
         position_s, _ = positions_s(setup, 3 if quick else 5, sweep)
     sounding = position_s / (len(ACTUATOR_MM) * sweep.averages * sweep.period_samples / RATE_HZ)
     return Findings(
         [
-            _point("a position beyond its records", "median_s", beyond_s, MARK_OVERHEAD_S),
-            _point("wall time over that of sweeps and decay", "median", sounding, MARK_WALL_OVER_SOUNDING),
-            _point("clock ratio, reference at 60 dB", "rms_ppm", ratio_ppm, MARK_RATIO_PPM),
-            _point("start offset, reference at 60 dB", "rms_samples", offset, MARK_OFFSET_SAMPLES),
+            _point("a position beyond its records", "median_s", beyond_s, 0.150),
+            _point("wall time over that of sweeps and decay", "median", sounding, 1.03),
+            _point("clock ratio, reference at 60 dB", "rms_ppm", ratio_ppm, 0.1),
+            _point("start offset, reference at 60 dB", "rms_samples", offset, 0.01),
         ],
         "the clocks of the emulated instruments",
         [

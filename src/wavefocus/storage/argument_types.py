@@ -146,18 +146,14 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def check_fields(made: Any, **init_only: object) -> None:
-    """Refuse fields of a dataclass that are not as their annotations say; for `__post_init__`. Raises InputError.
-
-    init_only: Its `InitVar` parameters.
-    """
+def check_fields(made: Any) -> None:
+    """Refuse fields of a dataclass that are not as their annotations say; for `__post_init__`. Raises InputError."""
     kind = type(made)
     if kind not in _FIELDS:
         hints = _hints(kind)
         _FIELDS[kind] = {field.name: hints[field.name] for field in fields(kind) if field.init}
-        _FIELDS[kind] |= {name: hints[name].type for name in init_only}
     for name, hint in _FIELDS[kind].items():
-        if not _fits(value := init_only.get(name, getattr(made, name, None)), hint):
+        if not _fits(value := getattr(made, name), hint):
             raise _refused(name, value, _words(hint))
 
 

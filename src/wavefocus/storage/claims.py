@@ -17,15 +17,14 @@ from wavefocus.storage.text_file import permission_words
 
 _LOOKS_EVERY_S = 0.05
 # Whoever asks for the holder has the lock for microseconds.
-_MIN_WAIT_S = 0.2
+_WAIT_S = 0.2
 
 
 @contextmanager
-def claimed(name: str, *, wait_s: float = 0.0) -> Iterator[None]:
+def claimed(name: str) -> Iterator[None]:
     """Hold a name while the block runs; the lock is the system's, so a process that is killed releases it.
 
     name: What is held, as messages state it, with full names of files.
-    wait_s: Longest wait for another process to release it, in seconds.
 
     Raises BankBusyError: another process holds it; the message names host and process id.
     """
@@ -38,7 +37,7 @@ def claimed(name: str, *, wait_s: float = 0.0) -> Iterator[None]:
     except PermissionError:
         raise InputError(f"{name}: its lock {path} may not be opened{permission_words(path)}") from None
     with lock as file:
-        given_up_s = time.monotonic() + max(wait_s, _MIN_WAIT_S)
+        given_up_s = time.monotonic() + _WAIT_S
         while not file.try_lock():
             if time.monotonic() >= given_up_s:
                 holder = claim_holder(name) or owner.Owner("this computer", 0)

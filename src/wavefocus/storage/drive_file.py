@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import InitVar, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -25,12 +25,8 @@ from wavefocus.storage.hdf5_writing import (
     sample_times,
     set_long_names,
 )
-from wavefocus.storage.labelled import labelled_dataset
 from wavefocus.storage.output_files import replacement, require_outputs
 from wavefocus.storage.units import drive_of
-
-if TYPE_CHECKING:
-    from xarray import Dataset
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -112,7 +108,6 @@ class Drive:
     verified: Whether the file that it was read from carries checksums of all its values.
     quiet: Places at which it is quiet.
     focus_mm, float64 (K, 2): Place of each focus; None: those of the rows `focus_position`.
-    known_finite: Whether the check that the volts are finite is skipped, because the caller made it.
     """
 
     drive_v: Float64Array
@@ -128,14 +123,13 @@ class Drive:
     verified: bool = True
     quiet: tuple[QuietTrack, ...] = ()
     focus_mm: Float64Array | None = None
-    known_finite: InitVar[bool] = False
 
-    def __post_init__(self, known_finite: bool) -> None:
-        check_fields(self, known_finite=known_finite)
+    def __post_init__(self) -> None:
+        check_fields(self)
         object.__setattr__(self, "drive_v", np.ascontiguousarray(real_array("drive_v", self.drive_v)))
         if self.drive_v.ndim != 2 or not self.drive_v.size:
             raise InputError(f"/drive has shape {self.drive_v.shape}; (actuator, sample), each 1 or more, is needed")
-        if not known_finite and not _finite(self.drive_v):
+        if not np.isfinite(self.drive_v).all():
             actuator = int(np.flatnonzero(~np.isfinite(self.drive_v).all(axis=1))[0])
             raise InputError(f"/drive of actuator {actuator} holds NaN or infinities; finite volts are needed")
         require_times(self.sample_rate_hz, self.start_s)
@@ -160,20 +154,6 @@ class Drive:
             f"Drive({actuators} actuators, {samples} samples at {self.sample_rate_hz:g} Hz from {self.start_s:g} s, "
             f"{len(self.focus_sample)} foci, {self.method}, {self.drive_unit})"
         )
-
-    def to_xarray(self) -> Dataset:
-        """The drive as an `xarray.Dataset`: ``drive`` (actuator, time_s), and each focus.
-
-        Raises InputError: xarray is not installed.
-        """
-        actuators, samples = self.drive_v.shape
-        data = {"drive": (("actuator", "time_s"), self.drive_v, {"units": self.drive_unit})} | {
-            name: ("focus", getattr(self, name)) for name in ("focus_sample", "focus_position", "focus_source")
-        }
-        times_s = sample_times(samples, self.sample_rate_hz, self.start_s)
-        coordinates = {"actuator": np.arange(actuators), "time_s": ("time_s", times_s, {"units": "s"})}
-        names = ("sample_rate_hz", "start_s", "method", "scale", "omitted_bound")
-        return labelled_dataset(data, coordinates, {name: getattr(self, name) for name in names})
 
 
 @checked
@@ -348,7 +328,7 @@ def read_drive(path: str | Path) -> Drive:
         verified = hdf5_digest.require_all(file, apart="/drive")
         if hdf5_digest.VALUES in dataset.attrs:
             hdf5_digest.require_values(dataset, hdf5_digest.values_sha256(values))
-    return drive if verified else replace(drive, verified=False, known_finite=True)
+    return drive if verified else replace(drive, verified=False)
 
 
 def _drive_unit(file: h5py.File, dataset: h5py.Dataset, path: Path) -> str:
@@ -380,9 +360,3 @@ def _focus_mm(file: h5py.File, foci: int) -> Float64Array | None:
     if not all(hdf5_reading.has(file, f"/focus/{axis}") for axis in _FOCUS_AXES):
         return None
     return np.stack([hdf5_reading.read_floats(file, f"/focus/{axis}", (foci,)) for axis in _FOCUS_AXES], axis=1)
-
-
-def _finite(values: Float64Array) -> bool:
-    with np.errstate(over="ignore", invalid="ignore"):
-        # What is not finite shows in the sum, which is read once and leaves nothing behind.
-        return bool(np.isfinite(values.sum()) or np.isfinite(values).all())

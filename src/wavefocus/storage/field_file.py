@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import InitVar, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -25,11 +25,7 @@ from wavefocus.storage.hdf5_writing import (
     sample_times,
     set_long_names,
 )
-from wavefocus.storage.labelled import labelled_dataset
 from wavefocus.storage.output_files import replacement, require_outputs
-
-if TYPE_CHECKING:
-    from xarray import Dataset
 
 FieldArray = NDArray[np.float32] | NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -73,7 +69,6 @@ class Field:
     response_unit: Unit of the response, ``"m/s"`` for a vibrometer.
     low_pass: That it is at a fraction of the bank's rate; None where nothing was low-passed.
     verified: Whether the file that it was read from carries checksums of all its values.
-    known_finite: Whether the check that the responses are finite is skipped, because the caller made it.
     """
 
     field: FieldArray
@@ -83,10 +78,9 @@ class Field:
     response_unit: str
     low_pass: LowPass | None = None
     verified: bool = True
-    known_finite: InitVar[bool] = False
 
-    def __post_init__(self, known_finite: bool) -> None:
-        check_fields(self, known_finite=known_finite)
+    def __post_init__(self) -> None:
+        check_fields(self)
         values: NDArray[Any] = reals("field", self.field)
         if values.dtype not in (np.float32, np.float64):
             values = values.astype(np.float64)
@@ -94,8 +88,7 @@ class Field:
             raise InputError(f"/field has shape {values.shape}; (position, sample), each 1 or more, is needed")
         object.__setattr__(self, "field", values)
         object.__setattr__(self, "position_index", _indices(self.position_index, len(values)))
-        if not known_finite:
-            _require_finite(values, self.position_index)
+        _require_finite(values, self.position_index)
         require_times(self.sample_rate_hz, self.start_s)
 
     def __repr__(self) -> str:
@@ -105,17 +98,6 @@ class Field:
             f"Field({positions} positions, {samples} samples at {self.sample_rate_hz:g} Hz from {self.start_s:g} s, "
             f"{self.response_unit})"
         )
-
-    def to_xarray(self) -> Dataset:
-        """The field as an `xarray.Dataset`: ``field`` (position, time_s), each position by its row of the bank.
-
-        Raises InputError: xarray is not installed.
-        """
-        times_s = sample_times(self.field.shape[1], self.sample_rate_hz, self.start_s)
-        data = {"field": (("position", "time_s"), self.field, {"units": self.response_unit})}
-        coordinates = {"position": self.position_index, "time_s": ("time_s", times_s, {"units": "s"})}
-        names = ("sample_rate_hz", "start_s", "response_unit")
-        return labelled_dataset(data, coordinates, {name: getattr(self, name) for name in names})
 
 
 def _require_finite(values: NDArray[Any], position_index: Int64Array) -> None:
@@ -319,7 +301,7 @@ class FieldRowReader(Closing):
             values[first : first + len(block)] = block
         return Field(
             values, self.position_index, self.sample_rate_hz, self.start_s, self.response_unit, self.low_pass,
-            verified=self.verified, known_finite=True,
+            verified=self.verified,
         )  # fmt: skip
 
 

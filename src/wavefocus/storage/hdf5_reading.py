@@ -24,7 +24,6 @@ _HOLLOW = 100
 # What filters may add to a chunk that does not get smaller.
 _FILTER_BYTES = 4096
 _MAX_VARIABLE = "WAVEFOCUS_MOST_GIB"
-_DEFAULT_MOST_GIB = 8.0
 # What rounding may put between two ways of counting samples.
 _ROUNDING_SAMPLES = 1e-2
 
@@ -33,7 +32,7 @@ def most_bytes() -> int:
     """Largest number of bytes that is read at once, or declared without being held: 8 GiB unless raised."""
     words = os.environ.get(_MAX_VARIABLE, "")
     try:
-        gib = float(words) if words else _DEFAULT_MOST_GIB
+        gib = float(words) if words else 8.0
         if not 0 < gib < 1e9:
             raise ValueError
     except ValueError:

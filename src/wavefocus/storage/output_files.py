@@ -34,17 +34,16 @@ _KINDS = (
 
 
 @contextmanager
-def replacement(path: Path, *, new: bool = False, grown: bool = False) -> Iterator[Path]:
+def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
     """Write a file whole: yields a path that does not exist yet and gets the name `path` when the block ends well.
 
     path: The file; an older one of that name is replaced at the end, but never a bank, raw recordings or a link.
     new: Whether an older one stays, and FileExistsError is raised.
-    grown: Whether the new file holds all that the older one does, which then may be a bank or raw recordings, too.
 
     Raises InputError: it must stay, or cannot be written; an older file of that name is there as before.
     """
     with _named_failures(path):
-        if not new and not grown:
+        if not new:
             _require_replaceable(path, ())
         clear_leftovers(path.parent)
         with staging_dir(path) as place:

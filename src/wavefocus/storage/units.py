@@ -16,7 +16,6 @@ LENGTH_WORDS = {
 
 PLAYED_UNITS = ("V", "1")
 """Units of drives that are played as volts; 1 is that of a bank without a unit."""
-_VOLTS = ("V", "volt", "volts")
 _ONE = ("", "1")
 _NAMES = {"volt": "V", "volts": "V", "Volt": "V", "Volts": "V", "newton": "N", "newtons": "N", "ampere": "A",
           "amperes": "A", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "second": "s", "seconds": "s",
@@ -34,23 +33,6 @@ def response_unit(green_unit: str, drive_unit: str = "V") -> str:
     drive_unit: Unit of the drive.
     """
     unit, drive = green_unit.strip(), drive_unit.strip()
-    for name in _VOLTS if drive in _VOLTS else (drive,):
-        if name in _ONE:
-            continue
-        for ending in (
-            f"/{name}",
-            f"/ {name}",
-            f"/({name})",
-            f" per {name}",
-            *(f"{name}{power}" for power in ("-1", "^-1", "⁻¹")),
-        ):
-            if unit.endswith(ending):
-                rest = unit.removesuffix(ending)
-                if ending[0] == name[0] and rest and rest[-1] not in " ·*.":
-                    continue  # the end of a longer word
-                rest = rest.rstrip(" ·*.")
-                bare = rest[1:-1] if rest.startswith("(") and rest.endswith(")") else rest
-                return bare.strip() or "1"
     factors = _factors(unit)
     if (found := (_NAMES.get(drive, drive), -1)) in factors:
         return _text(factor for factor in factors if factor != found)

@@ -53,7 +53,6 @@ SOLVED_STEP_HZ = 26.0
 """Distance of the frequencies that are solved for; they go on to a quarter beyond the band."""
 MIN_NORM = 1e-10
 """Directions of the projected space below this share of the strongest are dropped."""
-SMOOTHINGS = 8
 SMOOTH_FROM = 1.5
 """Frequency in units of the slowest decay."""
 
@@ -356,7 +355,7 @@ def triangulate(outline: Outline, spacing: float) -> Triangles:
         kept = (np.abs(area) > 1e-3 * spacing**2) & (outline.depth_mm((a + b + c) / 3) > 0)
         return np.asarray(corners[kept], dtype=np.int64)
 
-    for _ in range(SMOOTHINGS):
+    for _ in range(8):
         corners = within()
         first, second = corners[:, [0, 1, 2]].ravel(), corners[:, [1, 2, 0]].ravel()
         both = np.concatenate([first, second]), np.concatenate([second, first])

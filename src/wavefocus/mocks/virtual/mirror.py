@@ -14,7 +14,6 @@ from wavefocus.mocks.virtual.faults import VirtualDevice
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
-KEPT_MOVES = 4096
 # What rounding to a device's own units may add to an angle at the limit.
 ROUNDING_MRAD = 0.1
 
@@ -59,7 +58,7 @@ class MirrorMotion:
         self._settle_ns = round(settle_s * NANOSECONDS)
         self._slew_mrad_s = slew_mrad_s
         self._now_ns = now_ns
-        self._moves = deque([_Move(0, 0, 0, park_mrad, park_mrad)], maxlen=KEPT_MOVES)
+        self._moves = deque([_Move(0, 0, 0, park_mrad, park_mrad)], maxlen=4096)
         self._lock = threading.Lock()
 
     def start(self, x_mrad: float, y_mrad: float) -> None:

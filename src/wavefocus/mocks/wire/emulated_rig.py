@@ -32,7 +32,6 @@ from wavefocus.mocks.wire.vibrometer import vibrometer_device
 PARTING_S = 0.01
 # What a converter cannot put out is silence: -160 dB of full scale.
 SILENCE = 1e-8
-KEPT_ONSETS = 1000
 
 
 class WireBench:
@@ -68,7 +67,7 @@ class WireBench:
         self._full_scale_v = full_scale_v
         self._inputs = (reference_input, response_input)
         self.patch_bay = PatchBay(settings.channel_of_actuator, settings.channel_of_loopback)
-        self.onsets: deque[float] = deque(maxlen=KEPT_ONSETS)
+        self.onsets: deque[float] = deque(maxlen=1000)
         # What the vibrometer puts out over what it would in the range of `settings`.
         self.output_scale: Callable[[], float] = lambda: 1.0
         self._store = SignalStore(max(full_scale_v))

@@ -24,7 +24,6 @@ from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 
 IDLE_S = 0.5
 TICK_S = 0.01
-KEPT_COMMANDS = 1000
 CHUNK = 4096
 
 
@@ -105,7 +104,7 @@ class EmulatedSerial:
         self._plug_at_s: float | None = None
         self._read_again_s = 0.0
         self._input = b""
-        self._commands: deque[str] = deque(maxlen=KEPT_COMMANDS)
+        self._commands: deque[str] = deque(maxlen=1000)
 
     @property
     def address(self) -> str:

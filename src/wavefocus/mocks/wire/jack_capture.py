@@ -28,7 +28,6 @@ HEADER = np.dtype(
         ("written", "<i8"),  # frames so far; moved on when they are in the ring
         ("silent", "<i8"),  # 1 while the audio server is down or frozen
         ("revision", "<i8"),  # moved on when frames and time were found to be related otherwise than was thought
-        ("server_process", "<i8"),  # process id
         ("cycle", "<i8"),  # how many cycles; the newest is at cycle % CYCLES - 1
     ]
 )

@@ -69,7 +69,6 @@ START_S = 20.0
 STOP_S = 5.0
 TERMINATE_S = 1.0
 """jackd takes five seconds over a client that died; that is not waited for."""
-SETTLING_CYCLES = 4
 
 
 class JackInterface:
@@ -128,7 +127,7 @@ class JackInterface:
                 self._orders.put((fault.kind, fault.seconds))
 
         client.set_process_callback(record)
-        enough = self._ring["cycle"] + SETTLING_CYCLES
+        enough = self._ring["cycle"] + 4
         self._recording.note_return()
         client.activate()
         while self._ring["cycle"] < enough:
@@ -148,7 +147,6 @@ class JackInterface:
             self._server = subprocess.Popen(
                 server, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log, env=environment
             )
-            self._ring["server_process"] = self._server.pid
         try:
             return self._jack.Client(DEVICE, use_exact_name=True, no_start_server=True)
         except self._jack.JackOpenError:

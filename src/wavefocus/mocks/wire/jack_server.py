@@ -82,11 +82,6 @@ class JackServer:
         """The process that is the interface."""
         return self._process.pid
 
-    @property
-    def server_process_id(self) -> int:
-        """The audio server."""
-        return self._ring["server_process"]
-
     def kill(self) -> None:
         """Pull the plug: the server ends without notice."""
         self._order("kill")

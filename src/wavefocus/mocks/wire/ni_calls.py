@@ -17,7 +17,6 @@ Answer = dict[str, Any]
 Handler = Callable[[Any, Alive], Answer]
 """Takes the request and a function that returns whether the caller still waits."""
 
-DRIVER_VERSION = (24, 5, 0)
 TERMINALS = {10106: DIFFERENTIAL, 10083: RSE, 10078: NRSE, -1: DIFFERENTIAL}  # nidaqmx.constants.TerminalConfiguration
 TERMINAL_BITS = {RSE: 1, NRSE: 2, DIFFERENTIAL: 4}  # nidaqmx.constants._TermCfg
 FINITE = 10178  # nidaqmx.constants.AcquisitionType
@@ -88,7 +87,7 @@ class NiCalls:
     # -- system and device ---------------------------------------------------------------------
 
     def _system_number(self, request: Any, alive: Alive) -> Answer:
-        major, minor, update = DRIVER_VERSION
+        major, minor, update = (24, 5, 0)
         return {"value": _found({0x1272: major, 0x1923: minor, 0x2F22: update}, request.attribute_raw)}
 
     def _system_text(self, request: Any, alive: Alive) -> Answer:

@@ -134,11 +134,11 @@ class SceneRenderer:
             ) from error
         if self._gain * report.scale != 1.0:
             drive_v *= self._gain * report.scale
-        sampled, finite = self.sampled, bool(np.isfinite(self._levels.norms).all())
+        sampled = self.sampled
         return Drive(
             drive_v, self._rate_hz, sampled.start_s, sampled.method, report.scale, report.omitted_bound, *sampled.foci,
             drive_unit=drive_unit(self._bank), quiet=report.quiet_tracks,
-            focus_mm=sampled.focus_mm, known_finite=finite,
+            focus_mm=sampled.focus_mm,
         )  # fmt: skip
 
     def write(self, path: Path, on_progress: OnProgress | None = None, *, force: bool = False) -> RenderReport:
@@ -195,10 +195,10 @@ class SceneRenderer:
 
     def _drive(self, drive_v: Float64Array) -> Drive:
         """The drive that was made, for the levels at its quiet places."""
-        sampled, finite = self.sampled, bool(np.isfinite(self._levels.norms).all())
+        sampled = self.sampled
         return Drive(
             drive_v, self._rate_hz, sampled.start_s, sampled.method, 1.0, 0.0, *sampled.foci,
-            focus_mm=sampled.focus_mm, known_finite=finite,
+            focus_mm=sampled.focus_mm,
         )  # fmt: skip
 
     def _new_accumulator(self) -> BlockAccumulator:

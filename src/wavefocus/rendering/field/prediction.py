@@ -104,7 +104,7 @@ class Prediction:
             whole[first : first + len(responses)] = responses
         return Field(
             whole, self.position_index, self.sample_rate_hz, self.start_s, field_unit(self._bank),
-            low_pass=self.low_pass, known_finite=True,
+            low_pass=self.low_pass,
         )  # fmt: skip
 
     def parts(self) -> list[range]:

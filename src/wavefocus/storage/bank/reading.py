@@ -6,7 +6,7 @@ import json
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -16,17 +16,13 @@ from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
 from wavefocus.storage.bank.foreign import ForeignRows, read_foreign
 from wavefocus.storage.bank.layout import BankHeader, read_header, read_layout
-from wavefocus.storage.bank.ledger import BANK, QUALITY, QUALITY_NAMES, LedgerFigures, figures_of
+from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, LedgerFigures, figures_of
 from wavefocus.storage.bank.notes import Note, read_notes
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import sample_times
-from wavefocus.storage.labelled import labelled_dataset, rows_on_demand
 from wavefocus.storage.ledger.layout import JOURNAL, LEDGER, LedgerLayout, has_ledger
 from wavefocus.storage.ledger.reader import DamagedError, LedgerReader, damage_of
-
-if TYPE_CHECKING:
-    from xarray import Dataset
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -169,31 +165,6 @@ class Bank(Closing):
         if len(broken):
             more = f" ({len(broken)} positions are)" if len(broken) > 1 else ""
             raise InputError(damage_of(self.path, BANK, int(broken[0]), more))
-
-    def to_xarray(self) -> Dataset:
-        """The bank as an `xarray.Dataset`, named as in the file; rows of ``green`` are read when they are used.
-
-        Dimensions ``position``, ``actuator``, ``time_s`` and ``axis``; the figures of quality are variables of their
-        own. The bank must stay open while rows are read. Raises InputError: xarray is not installed, or, when a row is
-        read, its checksum does not hold.
-        """
-        pair = ("position", "actuator")
-        green = rows_on_demand((self.positions, self.actuators, self.taps), self.rows.dtype, self.rows.read)
-        data = {
-            "green": ((*pair, "time_s"), green, {"units": self.response_unit}),
-            "rms": (pair, self.rms, {"units": self.response_unit}),
-        } | {name: (pair[: part.ndim], part, {"units": QUALITY[name][0]}) for name, part in self.quality.items()}
-        coordinates = {
-            "position": np.arange(self.positions),
-            "actuator": np.arange(self.actuators),
-            "time_s": ("time_s", self.time_s, {"units": "s"}),
-            "axis": ["x", "y"],
-            "position_mm": (("position", "axis"), self.position_mm, {"units": "mm"}),
-            "actuator_mm": (("actuator", "axis"), self.actuator_mm, {"units": "mm"}),
-            "status": ("position", self.status),
-        }
-        names = ("sample_rate_hz", "response_unit", "drive_unit", "band_hz", "software")
-        return labelled_dataset(data, coordinates, {name: getattr(self, name) for name in names})
 
     def verify(self) -> tuple[int, ...]:
         """Check every checksum; return the damaged positions (a foreign bank has none)."""

@@ -27,7 +27,6 @@ Interval = tuple[float | None, float | None]
 MAX_LAPSES = 0.12
 _LAPSES = np.linspace(0.0, MAX_LAPSES, 7)
 _DROP = chi2.ppf(0.95, 1) / 2.0
-_POINTS = 241
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +99,7 @@ class _Likelihood:
         ]
 
     def fit(self, levels: tuple[float, ...], sign: float) -> PsychometricFit:
-        axes = [np.linspace(*bounds, _POINTS) for bounds in self._bounds[:2]]
+        axes = [np.linspace(*bounds, 241) for bounds in self._bounds[:2]]
         thresholds, log_slopes = np.meshgrid(*axes, indexing="ij")
         bare = np.stack([self._plain(thresholds, log_slopes, lapse) for lapse in _LAPSES]).max(axis=0)
         surface = bare + self._penalty(thresholds, log_slopes)

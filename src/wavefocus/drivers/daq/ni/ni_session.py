@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,8 +15,6 @@ from wavefocus.drivers.protocols import DeviceIdentity
 
 # Resetting and testing a device takes seconds.
 SLOW_CALLS = {"ResetDevice": 30.0, "SelfTestDevice": 30.0}
-# Pauses before a call is made again that the server refused for now.
-PAUSES_S = (0.05, 0.2, 0.5)
 
 
 class TlsFiles(NamedTuple):
@@ -75,11 +72,6 @@ def open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> 
                 details.compression,
             )
             outcome = continuation(bounded, request)
-            for pause_s in PAUSES_S:
-                if not _can_be_made_again(name, outcome.code()):
-                    break
-                time.sleep(pause_s)
-                outcome = continuation(bounded, request)
             if outcome.code() is grpc.StatusCode.DEADLINE_EXCEEDED:
                 self._silence = f"{name} got no answer within {deadline_s:g} s"
                 raise ServerSilentError(self._silence)
@@ -102,13 +94,6 @@ def open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> 
         )
         channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(root, key, certificate), options)
     return grpc.intercept_channel(channel, Deadlines())
-
-
-def _can_be_made_again(name: str, code: Any) -> bool:
-    """Whether a call was refused before it was carried out, or only asks and changes nothing."""
-    import grpc
-
-    return code is grpc.StatusCode.RESOURCE_EXHAUSTED or (code is grpc.StatusCode.INTERNAL and name.startswith("Get"))
 
 
 def asked_s(request: Any) -> float:
