@@ -83,39 +83,6 @@ def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
     assert "player" in told.splitlines()[-1]
 
 
-def test_a_record_that_cannot_be_silenced_connects_the_player_afresh(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with_faults(
-        lab,
-        'role = "recorder"\noperation = "read"\nkind = "short_read"\nposition = 2\nrecord = 0\nattempt = 1',
-        'role = "player"\noperation = "mute"\nkind = "timeout"\nat_call = 1',
-        'role = "recorder"\noperation = "reconnect"\nkind = "lost"\nat_call = 1',
-    )
-    # The short read strikes each time that attempt 1 is taken: after the player is back, as a fault of its own.
-    assert capture(lab, lab / "plate.h5") == 0
-    back = [one["role"] for one in events_of(capsys.readouterr().out, "reconnect_tried")]
-    assert back == ["player"]
-
-
-def test_given_passing_faults_at_the_sentinel_then_it_is_measured_again(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    lost = 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"'
-    sentinel = 'role = "recorder"\noperation = "read"\npurpose = "sentinel"\nattempt = 1\nrecord = 1\n'
-    with_faults(lab, lost, f'{sentinel}kind = "unplugged"\ntries = 2', f'{sentinel}kind = "short_read"')
-    bank = lab / "plate.h5"
-    assert capture(lab, bank) == 3
-    capsys.readouterr()
-    # The lost recorder strikes again, but not before the sentinel has been measured.
-    assert run(["resume", str(bank), "--json"]) == 3
-    told = capsys.readouterr().out
-    assert [one["connected"] for one in events_of(told, "reconnect_tried")][:3] == [False, False, True]
-    assert [one["verdict"] for one in events_of(told, "drift")] == ["steady"]
-    faults = [one["operation"] for one in events_of(told, "fault")]
-    assert faults[:2] == [f"recording sentinel of position 0, attempt 1, record {1}"] * 2
-
-
 def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_which(lab: Path) -> None:
     with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "unplugged"\nposition = 2\nrecord = 0\ntries = 2')
     bank = lab / "plate.h5"

@@ -43,7 +43,7 @@ def _of_kind(events: list[dict[str, object]], kind: str) -> list[dict[str, objec
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("level_db", [-0.3, -1.0, -3.0, -20.0, 6.0])
+@pytest.mark.parametrize("level_db", [-0.3, 6.0])
 def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(
     lab: Path, capsys: pytest.CaptureFixture[str], schedule: str, level_db: float
 ) -> None:

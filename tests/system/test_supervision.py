@@ -122,16 +122,6 @@ def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab: Path, asked
     orders.answers()
 
 
-@pytest.mark.parametrize("word", ["pause", "stop"])
-def test_given_an_order_to_a_bank_that_nobody_owns_then_it_says_so(
-    lab: Path, word: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bank = empty_bank(lab, "plate.h5")
-    assert run([word, str(bank)]) == 2
-    assert "no process owns the bank" in capsys.readouterr().err
-    assert not (lab / "plate.h5.orders").exists()
-
-
 HOLDER = """
 import sys
 from wavefocus.storage.bank.writer import BankWriter

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -79,36 +76,17 @@ def sound(measured_lab: Path) -> Iterator[Bank]:
         yield bank
 
 
-@contextmanager
-def other_bank(sound: Bank, folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> Iterator[Bank]:
-    """A copy of the bank as another program would write it, its contents changed."""
-    with h5py.File(sound.path, "r") as file:
-        held = {key: file[key][:] for key in ("green", "position_mm", "actuator_mm", "status")}
-        attributes = {key: file.attrs[key] for key in ("sample_rate_hz", "rig", "run", "band_hz")}
-    change(held)
-    with h5py.File(folder / "other.h5", "w") as file:
-        for key, values in held.items():
-            file[key] = values
-        file.attrs.update(attributes)
-    shutil.copy2(sound.path.with_name("scene.toml"), folder)
-    with open_bank(folder / "other.h5") as bank:
-        yield bank
-
-
 @pytest.mark.parametrize(
     ("emulation", "code", "actuators", "value"),
     [
-        ("reversed_actuators = [2]", "polarity", (2,), 0.0),
         ("dead_actuators = [1]", "silent", (1,), None),
         ("swapped_outputs = [[0, 3]]", "swapped", (0, 3), None),
         ("output_gains_db = [0, 1]", "level", (1,), 1.0),
-        ("output_gains_db = [-1, -1, -1, -1]", "level", (), -1.0),
-        ("output_delays_s = [0, 0, 0, 2e-4]", "delay", (3,), 0.2),
         ("output_delays_s = [2e-4, 2e-4, 2e-4, 2e-4]", "delay", (), 0.2),
         ("room_c = 22", "speed", (), 2.0),
         ("mirror_map = [[1e-3, 0, 4e-3], [0, 1e-3, 0], [0, 0, 1]]", "mirror", (), (4.0, 0.0, 0.0)),
     ],
-    ids=["polarity", "silent", "swapped", "louder", "all quieter", "later", "all later", "faster", "mirror"],
+    ids=["silent", "swapped", "louder", "all later", "faster", "mirror"],
 )
 def test_given_a_changed_rig_then_its_symptom_is_named(
     sound: Bank, emulation: str, code: str, actuators: tuple[int, ...], value: object
@@ -121,39 +99,6 @@ def test_given_a_changed_rig_then_its_symptom_is_named(
     assert symptom.certain
     assert 0.95 <= symptom.explained <= 1.0
     assert found.summary.startswith(sentence(symptom))
-
-
-def test_given_some_positions_then_the_symptom_is_named_from_them(sound: Bank) -> None:
-    (symptom,) = verified(sound, "output_gains_db = [1]", [0, 6, 12, 18, 24]).symptoms
-    assert (symptom.code, symptom.actuators) == ("level", (0,))
-
-
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
-        (lambda held: held["position_mm"][5:10, 0].__iadd__(4.0), "a grid row at other places"),
-        (lambda held: held["green"].__imul__(np.array([1.3, 0.75, 1.4, 0.8], np.float32)[:, None]), "four levels"),
-    ],
-    ids=["a row at other places", "four different levels"],
-)
-def test_given_more_than_three_causes_then_none_is_named(
-    sound: Bank, tmp_path: Path, change: Callable[[dict[str, np.ndarray]], object], what: str
-) -> None:
-    with other_bank(sound, tmp_path, change) as wrong:
-        found = verified(wrong, "")
-    assert not found.passed, what
-    assert [(symptom.code, symptom.certain) for symptom in found.symptoms] == [("unexplained", False)]
-
-
-@pytest.mark.filterwarnings("ignore:the last tenth of the Green")  # the render of a bank that is made wrong
-def test_given_the_bank_of_another_plate_then_the_bank_is_called_wrong(sound: Bank, tmp_path: Path) -> None:
-    def change(held: dict[str, np.ndarray]) -> None:
-        held["green"] = np.roll(held["green"][:, :, ::-1], 300, axis=2)
-
-    with other_bank(sound, tmp_path, change) as wrong:
-        (symptom,) = verified(wrong, "").symptoms
-    assert (symptom.code, symptom.certain) == ("wrong_bank", False)
-    assert symptom.explained >= 0.7
 
 
 @pytest.mark.parametrize(("rows", "again"), [(None, True), ([0, 4, 12, 13, 20], True), ([6, 7, 11, 12], False)])

@@ -34,20 +34,9 @@ def _not_hdf5(path: Path) -> None:
     path.write_bytes(b"position;actuator;volts\n" * 1000)
 
 
-def _empty(path: Path) -> None:
-    path.write_bytes(b"")
-
-
 def _future(path: Path) -> None:
     with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = 2
-
-
-def _foreign_schema(path: Path) -> None:
-    path.unlink()
-    with h5py.File(path, "w") as file:
-        file.attrs["format"] = "somebody-elses-format"
-        file["data"] = np.zeros(10)
 
 
 def _external_link(path: Path) -> None:
@@ -58,26 +47,11 @@ def _external_link(path: Path) -> None:
         file["green"] = h5py.ExternalLink("outside.h5", "/green")
 
 
-def _soft_link(path: Path) -> None:
-    with h5py.File(path, "r+") as file:
-        file.move("green", "elsewhere")
-        file["green"] = h5py.SoftLink("/elsewhere")
-
-
-def _no_green(path: Path) -> None:
-    with h5py.File(path, "r+") as file:
-        del file["green"]
-
-
 BROKEN: dict[str, Callable[[Path], None]] = {
     "truncated": _truncate,
     "not-hdf5": _not_hdf5,
-    "empty": _empty,
     "future-version": _future,
-    "foreign-schema": _foreign_schema,
     "external-link": _external_link,
-    "soft-link": _soft_link,
-    "no-green": _no_green,
 }
 
 

@@ -93,7 +93,6 @@ def relative_error(found, expected):
 MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
 REPEATING = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 0.05, 4), 0.2, 100.0, 3.0, 1.5, "per_point")
 STANDING = Source(Point((3, 3)), Sine(70, 0.3), 0.3)
-LONG_PER_POINT = Source(Line((-10, 0), (10, 0)), Noise((50, 400), 4.6, 5), 0.0, 100.0, 5.0, 1.0, "per_point")
 
 
 @pytest.mark.parametrize("method", ["sampled", "exact"])
@@ -109,13 +108,6 @@ def test_a_scene_renders_to_the_direct_evaluation_of_the_equations(sources, thre
     expected = direct(scene, bank, method, threshold or np.inf)
     assert relative_error(drive.drive_v, expected) < 1e-12
     assert drive.omitted_bound == 0.0
-
-
-def test_a_long_signal_emitted_anew_at_every_point_renders_to_the_direct_evaluation():
-    bank = make_bank()
-    scene = Scene("s", (LONG_PER_POINT,), output=NEAREST)
-    drive, _ = render_with_report(scene, bank)
-    assert relative_error(drive.drive_v, direct(scene, bank, "sampled")) < 1e-12
 
 
 @given(
@@ -157,27 +149,12 @@ def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus(position, a
     assert drive.focus_position.tolist() == [position]
 
 
-def test_drive_starts_lead_in_before_time_zero_even_if_every_source_starts_later():
-    bank = make_bank()
-    drive, _ = render_with_report(Scene("s", (Source(Point((0, 0)), Impulse(), 0.5),), output=NEAREST), bank)
-    assert drive.start_s == -(bank.taps - 1) / RATE_HZ
-    assert drive.drive_v.shape == (3, 500 + 1 + bank.taps - 1)
-    assert not drive.drive_v[:, :500].any()
-
-
 def test_a_continuous_emission_lasts_until_the_next_focus_would_come():
     drive, _ = render_with_report(
         Scene("s", (Source(Line((-8, 0), (8, 0)), Sine(50, 0.01), 0.0, 80.0, 4.0),), output=NEAREST), make_bank()
     )
     assert drive.drive_v.shape[1] == 250 + 60 - 1
     assert drive.focus_sample.tolist() == [0, 50, 100, 150, 200]
-
-
-def test_foci_are_listed_source_by_source():
-    drive, _ = render_with_report(Scene("s", (REPEATING, STANDING), output=NEAREST), make_bank())
-    assert drive.focus_source.tolist() == [0] * 13 + [1]
-    assert drive.focus_sample[-1] == 300
-    assert (np.diff(drive.focus_sample[:13]) == 30).all()
 
 
 def test_the_method_is_sampled_only_where_every_source_emits_per_point():
@@ -198,17 +175,6 @@ def test_a_drive_that_does_not_fit_into_float64_is_refused():
     tiny = GreenArray(bank.values * 1e-90, bank.position_mm, RATE_HZ)
     with pytest.raises(InputError, match="does not fit into float64"):
         render(Scene("s", (source,), output=NEAREST), tiny)
-
-
-def test_progress_ends_at_its_total():
-    told = []
-    render_with_report(
-        Scene("s", (MOVING, REPEATING), output=NEAREST),
-        make_bank(),
-        on_progress=lambda done, total: told.append((done, total)),
-    )
-    assert told[-1][0] == told[-1][1]
-    assert told == sorted(told)
 
 
 def banded_bank(seed, taps, leak):

@@ -50,31 +50,6 @@ def test_writes_at_offsets_then_are_read_back_where_they_were_put(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_read_past_the_end_then_is_an_error(tmp_path: Path, kind: Callable[..., PositionedFile]) -> None:
-    (tmp_path / "file").write_bytes(b"abc")
-    file = kind(tmp_path / "file")
-    with pytest.raises(OSError, match="the file ends"):
-        file.read_into(1, memoryview(bytearray(3)))
-    file.close()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_file_opened_for_reading_then_cannot_be_written(tmp_path: Path, kind: Callable[..., PositionedFile]) -> None:
-    (tmp_path / "file").write_bytes(b"abc")
-    file = kind(tmp_path / "file")
-    with pytest.raises(OSError, match=r"(?i)bad file descriptor|not open for writing"):
-        file.write(0, b"x")
-    file.close()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_missing_file_then_is_not_created(tmp_path: Path, kind: Callable[..., PositionedFile]) -> None:
-    with pytest.raises(FileNotFoundError):
-        kind(tmp_path / "file", write=True)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("kind", KINDS)
 def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(
     tmp_path: Path, kind: Callable[..., PositionedFile]
 ) -> None:

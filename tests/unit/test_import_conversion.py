@@ -13,7 +13,6 @@ import pytest
 import scipy.io
 
 from wavefocus.calibration.imports.bank import Imported, import_bank
-from wavefocus.calibration.imports.projection import choose_projection
 from wavefocus.cli import parser
 from wavefocus.command_line import UsageError
 from wavefocus.options import ImportOptions
@@ -206,26 +205,6 @@ def test_given_fewer_taps_or_a_window_then_the_energy_that_is_lost_is_stated(gre
     assert np.abs(faded[..., -1]).max() < 0.1 * np.abs(found[..., -1]).max()
     damped, _, _ = imported(green, sample_rate_hz=RATE_HZ, end="damp")
     assert np.allclose(damped[..., 150], green[..., 150] * 10**-1.5, rtol=1e-5)
-
-
-def test_a_tilted_plane_then_distances_stay_and_two_columns_do_for_places_in_space() -> None:
-    random = np.random.default_rng(5)
-    flat = np.column_stack([random.uniform(-0.1, 0.1, (20, 2)), np.zeros(20)])
-    tilt = np.linalg.qr(random.standard_normal((3, 3)))[0]
-    tilted = choose_projection(flat @ tilt.T + 0.3, "")
-    assert tilted.is_flat
-    between = np.linalg.norm(flat[:, None] - flat[None], axis=2) * 1e3
-    seen = tilted.on_surface_mm(flat @ tilt.T + 0.3)
-    assert np.allclose(np.linalg.norm(seen[:, None] - seen[None], axis=2), between, atol=1e-9)
-    assert np.allclose(choose_projection(flat[:, [2, 0, 1]], "").on_surface_mm(flat[:, [2, 0, 1]]), flat[:, :2] * 1e3)
-    places = random.uniform(-0.1, 0.1, (20, 3))
-    with pytest.raises(InputError, match="--columns"):
-        choose_projection(places, "")
-    chosen = choose_projection(places, "z,x")
-    assert not chosen.is_flat
-    assert np.allclose(chosen.on_surface_mm(places), places[:, [2, 0]] * 1e3)
-    with pytest.raises(InputError, match="--columns"):
-        choose_projection(places, "x,x")
 
 
 def test_given_spherical_coordinates_then_azimuth_runs_from_x_to_y_and_elevation_up() -> None:

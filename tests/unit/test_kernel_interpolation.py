@@ -12,7 +12,7 @@ from wavefocus.rendering.greens.interpolation.base import OffGridError
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.paths import Circle, Line, Polyline, Strokes
+from wavefocus.rendering.scene.paths import Polyline, Strokes
 from wavefocus.storage.errors import InputError
 
 POINTS_MM = np.random.default_rng(1).uniform(-22.0, 22.0, (60, 2))
@@ -91,21 +91,6 @@ def test_error_found_by_leaving_positions_out_is_error_within_factor_of_two(grid
         assert worst[band] > 0.4 * true.max()
 
 
-@pytest.mark.parametrize("name", ["nearest", "bilinear"])
-def test_the_error_of_other_kinds_is_found_too(name):
-    from wavefocus.rendering.greens.interpolation.base import interpolation_method
-    from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-
-    bank, kernel = kernel_on("square", -60.0)
-    method = interpolation_method(name)(PositionGrid(bank.position_mm))
-    nodes, frequency_hz = method.nodes(POINTS_MM), kernel.waves.frequency_hz
-    median = np.median(kernel.estimate(bank, POINTS_MM, frequency_hz, method).relative, axis=1)
-    greens = np.einsum("pn,pnat->pat", nodes.weights, bank.values[nodes.rows])
-    for band in np.flatnonzero((frequency_hz >= 90.0) & (frequency_hz <= 460.0)):
-        true = np.median(errors_at(frequency_hz[band], greens, POINTS_MM))
-        assert median[band] == pytest.approx(true, rel=0.15)
-
-
 def test_repeated_positions_are_merged():
     bank, _ = kernel_on()
     twice = GreenArray(
@@ -163,18 +148,6 @@ def interpolated(nodes, values, along):
 
 def wave(points_mm, k=0.6, direction=0.4):
     return np.exp(-1j * k * (points_mm @ [np.cos(direction), np.sin(direction)]))
-
-
-@pytest.mark.parametrize("error", [1e-2, 1e-3, 1e-4])
-@pytest.mark.parametrize("path", [Line((0.0, 0.0), (50.0, 0.0)), Circle((3.0, -2.0), 30.0, 1.7, 10.0)])
-def test_a_wave_along_the_path_comes_back_with_the_error_asked_for(path, error):
-    k = 0.6
-    nodes = PathNodes(path, node_spacing_mm(k, error))
-    along = np.linspace(0.0, path.length_mm, 3001)
-    values = wave(path.point_at(nodes.arc_length_mm), k, 0.0)
-    found = interpolated(nodes, values, along)
-    rms = np.sqrt(np.mean(np.abs(found - wave(path.point_at(along), k, 0.0)) ** 2))
-    assert 0.2 * error < rms < 1.3 * error
 
 
 def test_corners_and_gaps_are_not_interpolated_across():

@@ -53,20 +53,6 @@ def test_given_marks_met_with_an_error_then_the_map_errs_no_more_than_they_do(se
     assert np.sqrt(np.mean(error_mm(fit.mirror_map, MAP) ** 2)) < 4 * sigma_mm
 
 
-def test_given_many_errors_then_residuals_are_as_large_as_eight_unknowns_leave_them() -> None:
-    rng, sigma_mm = np.random.default_rng(5), 0.2
-    energy = [
-        fit_mirror_map(MARKS, angles(MAP, MARKS + rng.normal(0, sigma_mm, MARKS.shape))).residual_mm @ np.ones(8)
-        for _ in range(3)
-    ]
-    squares = [
-        np.sum(fit_mirror_map(MARKS, angles(MAP, MARKS + rng.normal(0, sigma_mm, MARKS.shape))).residual_mm ** 2)
-        for _ in range(300)
-    ]
-    assert min(energy) > 0
-    assert np.mean(squares) / sigma_mm**2 == pytest.approx(2 * len(MARKS) - 8, rel=0.1)
-
-
 def test_given_one_mark_off_then_refinement_beats_the_direct_solution_on_the_surface() -> None:
     met = MARKS.copy()
     met[6] += (3.0, -2.0)
@@ -77,11 +63,6 @@ def test_given_one_mark_off_then_refinement_beats_the_direct_solution_on_the_sur
         near = MirrorMap(tuple(tuple(row) for row in matrix.tolist()))
         missed = np.column_stack(near.surface_mm(*angles(MAP, met).T)) - MARKS
         assert np.sum(missed**2) >= np.sum(fit.residual_mm**2) - 1e-9
-
-
-def test_given_four_marks_then_the_map_goes_through_them() -> None:
-    met = MARKS[1:5] + np.random.default_rng(1).normal(0, 2, (4, 2))
-    assert fit_mirror_map(MARKS[1:5], angles(MAP, met)).residual_mm.max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -99,19 +80,9 @@ def test_given_marks_that_decide_nothing_then_they_are_refused(marks: np.ndarray
         fit_mirror_map(marks, angles(MAP, marks[:, :2]) if marks.shape[1] == 2 else marks)
 
 
-def test_given_the_same_mark_over_and_over_then_it_is_refused() -> None:
-    with pytest.raises(InputError, match="the same places"):
-        fit_mirror_map(np.full((8, 2), 3.0), angles(MAP, MARKS))
-
-
 def test_given_a_place_that_is_none_then_it_is_refused() -> None:
     with pytest.raises(InputError, match="not finite"):
         fit_mirror_map(np.where(MARKS == 45, np.nan, MARKS), angles(MAP, MARKS))
-
-
-def test_given_a_mirror_that_never_moved_then_its_marks_are_refused() -> None:
-    with pytest.raises(InputError, match="the same angles"):
-        fit_mirror_map(MARKS, np.zeros_like(MARKS))
 
 
 def test_given_two_marks_confused_then_they_are_refused_or_stick_out() -> None:

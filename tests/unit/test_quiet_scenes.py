@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS, plate_bank, plate_greens
+from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS, plate_bank, plate_greens
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
+from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.source import GreenArray
@@ -124,18 +124,6 @@ def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, 
     expected = gain * np.stack([np.convolve(signal, one) for one in filters])
     assert drive.drive_v.shape == expected.shape
     assert np.linalg.norm(drive.drive_v - expected) < 1e-9 * np.linalg.norm(expected)
-
-
-def test_a_file_and_single_precision_give_the_same_drive(bank, tmp_path):
-    scene = scene_of((16.0, 8.0))
-    whole, _ = render_with_report(scene, bank)
-    report = SceneRenderer(scene, bank).write(tmp_path / "drive.h5")
-    written = read_drive(tmp_path / "drive.h5")
-    assert [track.rendered_db for track in written.quiet] == [track.rendered_db for track in report.quiet_tracks]
-    np.testing.assert_allclose(written.drive_v, whole.drive_v, rtol=0, atol=1e-12 * np.abs(whole.drive_v).max())
-    single, _ = render_with_report(scene, bank, tolerance_db=-60.0)
-    off = np.linalg.norm(single.drive_v - whole.drive_v) / np.linalg.norm(whole.drive_v)
-    assert 0 < off <= single.omitted_bound < 1e-3
 
 
 def test_limits_hold_and_the_level_stays(bank):
@@ -345,22 +333,8 @@ def test_stiff_scenes_are_finite_within_the_energy_and_say_what_is_not_reached(b
         assert any("source 0 is at quiet[0]" in text for text in report.warnings)
 
 
-def test_opposite_sources_at_one_place_are_not_kept_apart(bank):
-    sources = (Source(Point(FOCUS), NOISE), Source(Point(FOCUS), NOISE, amplitude=-1.0))
-    drive, report = render_with_report(Scene("opposite", sources, Regularisation(independent=True)), bank)
-    assert np.abs(drive.drive_v).max() < 1e-9
-    assert any("source 0 is at source 1" in text for text in report.warnings)
-
-
-def small_bank(values, **keys):
-    return GreenArray(values, plate_bank().position_mm, RATE_HZ, band_hz=BAND_HZ, **keys)
-
-
 BANKS = {
-    "one actuator": lambda: small_bank(plate_bank().values[:, :1]),
-    "float32": lambda: small_bank(plate_bank().values.astype(np.float32), actuator_mm=ACTUATOR_MM),
-    "tiny": lambda: small_bank(1e-12 * plate_bank().values),
-    "huge": lambda: small_bank(1e12 * plate_bank().values),
+    "one actuator": lambda: GreenArray(plate_bank().values[:, :1], plate_bank().position_mm, RATE_HZ, band_hz=BAND_HZ),
     "one line": lambda: GreenArray(
         plate_greens(SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1)),
         SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1), RATE_HZ, band_hz=BAND_HZ),

@@ -14,9 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from wavefocus.config.scene import Regularisation, SceneConfig
+from wavefocus.config.scene import SceneConfig
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
-from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.scene_picture import scene_picture
 from wavefocus.rendering.scene.model import build_scene, read_scene
@@ -189,12 +188,6 @@ def test_any_numbers_of_path_data_give_finite_points_or_one_sentence(
     assert all(np.isfinite(stroke).all() for stroke in strokes)
 
 
-def test_long_path_data_and_long_transforms_are_read_once(tmp_path: Path) -> None:
-    lines, shifts = "L1 1L0 0" * 50_000, "translate(1,1)translate(-1,-1)" * 5_000
-    (tmp_path / "a.svg").write_text(f'<svg><path transform="{shifts}" d="M0 0{lines}"/></svg>', encoding="utf-8")
-    assert SvgPath(tmp_path / "a.svg").length_mm == pytest.approx(100_000 * 2**0.5)
-
-
 def test_twenty_thousand_unknown_keys_are_one_short_line() -> None:
     keys = "".join(f"unknown_{index} = {index}\n" for index in range(20_000))
     with pytest.raises(InputError) as refused:
@@ -274,24 +267,6 @@ def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables: dict)
             return
     assert np.isfinite(drive.drive_v).all()
     assert 0 <= drive.scale <= 1
-
-
-@settings(max_examples=200, deadline=None)
-@given(ABOVE_ZERO, st.floats(1e-300, 1e300), st.booleans())
-def test_any_saturation_threshold_gives_a_finite_weight_or_one_sentence(
-    threshold: float, scale: float, normalise: bool
-) -> None:
-    values = np.random.default_rng(0).standard_normal((1, 3, 8)) * scale
-    regularisation = Regularisation(saturation_absolute=threshold, normalise=normalise)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            rows = BankRows(GreenArray(values, np.zeros((1, 2)), 1000.0), regularisation)
-            gain, _ = rows.weigh(np.zeros(1, dtype=np.int64))
-        except InputError:
-            return
-    sigma = rows.sigma(0)
-    assert np.isfinite([*gain, *(() if sigma is None else sigma)]).all()
 
 
 @pytest.mark.parametrize("name", ["costs $x_{$", "$", "\N{GRINNING FACE} \N{CJK UNIFIED IDEOGRAPH-6CE2}", "a\tb"])

@@ -26,16 +26,6 @@ def test_given_the_same_plate_then_steady() -> None:
     assert figures.correlation > 0.999
 
 
-def test_given_noise_outside_of_the_measured_band_then_steady() -> None:
-    random = np.random.default_rng(4)
-    spectrum = np.fft.rfft(random.standard_normal((2, 4, 400)))
-    spectrum[..., :120] = 0.0
-    beyond = (np.fft.irfft(spectrum) * np.abs(_responses()).max()).astype(np.float32)
-    figures = compare_sentinel(_responses() + beyond[0], _responses() + beyond[1], band_hz=(0.0, 0.25))
-    assert figures.verdict(DriftLimits()) == "steady"
-    assert compare_sentinel(_responses() + beyond[0], _responses() + beyond[1]).verdict(DriftLimits()) == "stop"
-
-
 def test_given_a_louder_plate_then_the_level_is_told() -> None:
     figures = compare_sentinel(_responses(), _responses() * np.float32(1.1))
     assert figures.level_db == pytest.approx(20 * np.log10(1.1), abs=1e-4)
@@ -46,11 +36,6 @@ def test_given_a_delayed_response_then_the_delay_is_told_with_its_sign() -> None
     then = _responses()
     assert compare_sentinel(then, np.roll(then, 3, axis=1)).delay_samples == pytest.approx(3.0, abs=0.2)
     assert compare_sentinel(np.roll(then, 3, axis=1), then).delay_samples == pytest.approx(-3.0, abs=0.2)
-
-
-def test_given_another_plate_then_stop() -> None:
-    figures = compare_sentinel(_responses(1), _responses(5))
-    assert figures.verdict(DriftLimits()) == "stop"
 
 
 @pytest.mark.parametrize("silent", ["then", "now"])

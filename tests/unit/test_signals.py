@@ -12,16 +12,6 @@ from wavefocus.rendering.scene.signals import Noise, Sine, SoundFile
 from wavefocus.storage.errors import InputError
 
 
-def test_a_sine_starts_at_zero_with_amplitude_one_and_no_fade():
-    found = Sine(100.0, 0.0204).samples(10_000.0)
-    np.testing.assert_allclose(found, np.sin(2 * np.pi * 100 * np.arange(204) / 10_000), atol=1e-15)
-
-
-def test_durations_are_rounded_to_whole_samples():
-    assert len(Sine(100.0, 0.01006).samples(10_000.0)) == 101
-    assert len(Noise((10, 400), 0.10004).samples(10_000.0)) == 1000
-
-
 @given(
     seed=st.integers(0, 2**63),
     low=st.floats(0, 2000),

@@ -60,6 +60,14 @@ def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_ma
     assert [symptom.code for symptom in found.symptoms] in ([], ["unexplained"])
 
 
+def test_given_four_causes_at_once_then_none_is_named() -> None:
+    levels = np.ones(ACTUATORS)
+    levels[:4] = 1.3, 0.75, 1.4, 0.8
+    found = verified("gel", Case("four levels", frozenset(), levels[:, None] * green("gel")), chance())
+    assert not found.passed
+    assert [(symptom.code, symptom.certain) for symptom in found.symptoms] == [("unexplained", False)]
+
+
 def test_given_a_scene_played_quieter_then_distortion_is_named_by_it_alone() -> None:
     case = Case("cubic", frozenset(), green("gel"), lambda response: response + 0.6 * response**3)
     assert certain(verified("gel", case, chance(), quiet_db=QUIETER_DB)) == {("nonlinear", ())}

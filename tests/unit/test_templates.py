@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from tools import key_tables
 from wavefocus.benchmarks.rig_bank import true_bank
 from wavefocus.commands.init import write_templates
-from wavefocus.config.fields import fields_of, with_explanations
+from wavefocus.config.fields import fields_of
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import RunConfig, Virtual, default_run
 from wavefocus.config.scene import SceneConfig
@@ -191,14 +191,3 @@ def test_a_table_of_keys_states_marks_drivers_defaults_and_what_is_allowed() -> 
 def test_every_kind_of_fault_is_in_the_reference_page_of_the_run_file() -> None:
     page = (Path(__file__).parents[2] / "docs" / "reference" / "run-file.md").read_text(encoding="utf-8")
     assert all(f'"{kind}"' in page for kind in (*ANYWHERE, *CORRUPTING))
-
-
-def test_given_a_key_without_a_comment_then_it_is_explained_and_others_stay() -> None:
-    text = "a = 1\n[sweep]\nstart_hz = 20.0\n# duration_s = 0.5\nduration_s = 1  # mine\n"
-    assert with_explanations(text, RunConfig).splitlines() == [
-        "a = 1",
-        "[sweep]",
-        "start_hz = 20.0                # Start of the sweep (Hz, above 0)",
-        "# duration_s = 0.5             # Duration of one sweep (s, 0.05 to 3600)",
-        "duration_s = 1  # mine",
-    ]

@@ -15,7 +15,7 @@ from wavefocus.trials.analysis.psychometric_fit import MAX_LAPSES, fit_psychomet
 from wavefocus.trials.analysis.report import build_report
 from wavefocus.trials.analysis.results import analysis_of, psychometric_of
 from wavefocus.trials.analysis.sensitivity import d_prime, sensitivities_of
-from wavefocus.trials.analysis.shares import RIGHT, combinations_of, factors_of, groups, shares_of, table_of
+from wavefocus.trials.analysis.shares import RIGHT, combinations_of, shares_of, table_of
 from wavefocus.trials.answers import Row
 from wavefocus.trials.psychometric import share_right
 
@@ -81,15 +81,6 @@ def test_given_the_paper_s_answers_then_its_accuracies_come_out():
               if not one.participant and tuple(one.factors) == ("speed_mm_s",)}  # fmt: skip
     assert speeds == {"40": 100.0, "100": 99.4, "250": 100.0, "500": 96.7}
     assert sum(one.count for one in shares if one.participant and not one.factors) == 713
-
-
-def test_levels_sort_numbers_before_texts_and_of_equal_factors_the_first_counts():
-    levels = [(250.0, "b"), (None, "x"), (40.0, "10"), (100.0, "9")]
-    rows = [row(n, speed=speed, path=path, amplitude=0.5) for n, (speed, path) in enumerate(levels)]
-    assert factors_of(table_of(rows)) == ("speed_mm_s",)
-    assert [named["path"] for named, _ in groups(table_of(rows), ("path",))] == ["9", "10", "b", "x"]
-    shares = [share.factors["speed_mm_s"] for share in shares_of(table_of(rows)) if share.factors]
-    assert shares[:4] == ["40", "100", "250", ""]
 
 
 def test_given_hits_and_false_alarms_then_d_prime_and_criterion_follow_the_text_book():

@@ -27,7 +27,7 @@ from wavefocus.trials.answers import AnswersFile, read_answers
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.presentation import Onset
 from wavefocus.trials.resuming import Experiment
-from wavefocus.trials.session import SessionStep, TrialsSession
+from wavefocus.trials.session import TrialsSession
 
 TRIALS = f"""
 [trials]
@@ -222,13 +222,6 @@ def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(
             break
     assert [(row.stimulus, row.track) for row in read_answers(tmp_path / "parts")] == whole
     assert len(set(whole)) > 2
-
-
-def test_given_the_states_then_all_are_reached_and_one_is_the_last() -> None:
-    reached = set().union(*TrialsSession.FOLLOWS.values()) | {SessionStep.WELCOME}
-    assert reached == set(SessionStep) == set(TrialsSession.FOLLOWS)
-    assert [state for state, follows in TrialsSession.FOLLOWS.items() if not follows] == [SessionStep.DONE]
-    assert {state.value[1] for state in SessionStep} == {"go_on", "answer", "playing", "nothing"}
 
 
 def test_given_presentations_then_each_is_reported_with_its_onset(experiment: Experiment, tmp_path: Path) -> None:

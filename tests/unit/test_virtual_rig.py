@@ -155,30 +155,6 @@ def test_given_the_same_take_then_the_bytes_are_the_same_whatever_came_before():
     assert len(set(forward.values())) == 3
 
 
-@pytest.mark.parametrize(
-    "other",
-    [RecordLabel(1, 1, 0), RecordLabel(0, 2, 0), RecordLabel(0, 1, 1), RecordLabel(0, 1, 0, "sentinel")],
-    ids=str,
-)
-def test_given_another_take_then_noise_and_latency_are_others(other):
-    rig = VirtualRig(changed(VirtualSettings(), dropout_probability=0.0))
-    one, two = record(rig, drive()), record(rig, drive(), other)
-    assert np.abs(one.volts[1] - two.volts[1]).max() > 1e-4
-    edges = [int(np.argmax(np.abs(heard.volts[0]) > 0.05)) for heard in (one, two)]
-    assert edges[0] != edges[1]
-
-
-def test_given_nothing_played_then_the_record_is_noise_of_the_stated_strength():
-    rig = VirtualRig(changed(noise_v=2e-3, reference_noise_v=1e-3))
-    point(rig)
-    rig.instruments.recorder.start(RecordRequest(40_000, RATE_HZ, (1.0, 1.0), RecordLabel(0, 1, 0)))
-    volts = rig.instruments.recorder.read(10.0).volts.astype(np.float64)
-    assert volts.std(axis=1) == pytest.approx([1e-3, 2e-3], rel=0.03)
-    assert abs(np.mean(volts[1] ** 4) / np.mean(volts[1] ** 2) ** 2 - 3) < 0.15
-    assert abs(np.corrcoef(volts)[0, 1]) < 0.03
-    assert abs(np.corrcoef(volts[1, 1:], volts[1, :-1])[0, 1]) < 0.03
-
-
 def test_given_a_play_that_began_before_then_its_rest_is_recorded():
     rig, drive_v = VirtualRig(QUIET), drive(3000)
     point(rig)

@@ -174,17 +174,6 @@ def test_a_scene_with_auto_states_what_was_chosen_and_its_error(coarse):
     assert 1e-3 < errors.overall < 0.15
 
 
-def test_a_quiet_place_between_positions_of_a_coarse_grid_is_quiet_in_truth(coarse):
-    focus_mm, place_mm = coarse.position_mm[coarse.positions // 2], (-13.0, 6.0)
-    source = Source(Point(tuple(focus_mm)), Noise((170.0, 380.0), 0.5, 1))
-    scene = Scene("quiet", (source,), quiet=(QuietPlace(Point(place_mm), level_db=-20.0),))
-    drive, report = render_with_report(scene, coarse)
-    points_mm = np.array([place_mm, focus_mm])
-    power = np.square(predict(drive, GreenArray(responses(points_mm), points_mm, RATE_HZ)).field).sum(axis=1)
-    assert 10 * np.log10(power[0] / power[1]) == pytest.approx(-20, abs=2.0)
-    assert report.quiet_tracks[0].interpolation == "waves"
-
-
 def test_response_and_levels_are_stated_at_the_focus_not_the_nearest_position(coarse, tmp_path):
     focus_mm, place_mm = (4.8, 5.6), (-13.0, 6.0)
     source = Source(Point(focus_mm), Noise((170.0, 380.0), 0.5, 1))
