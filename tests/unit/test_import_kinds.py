@@ -53,12 +53,6 @@ def test_a_string_object_that_nobody_needs_then_is_passed_over(tmp_path: Path, n
     assert np.allclose(imported(matlab(tmp_path / "a.mat", NEEDED, string_object(name))), GREEN)
 
 
-def test_other_variables_that_nobody_needs_then_are_passed_over(tmp_path: Path) -> None:
-    others = {"notes": np.array(["a", 1.0, [2.0]], object), "mask": scipy.sparse.eye(3), "emoji": "speaker \U0001f50a",
-              "runs": np.array([(1.0,), (2.0,)], [("gain", "O")]), "on": True}  # fmt: skip
-    assert np.allclose(imported(matlab(tmp_path / "a.mat", others | NEEDED, compressed=True)), GREEN)
-
-
 @pytest.mark.parametrize(
     ("value", "kind"),
     [
@@ -91,20 +85,6 @@ def test_fields_of_a_struct_then_are_named_with_dots(tmp_path: Path, version: st
     path.with_suffix(".bank.h5").unlink()
     with pytest.raises(InputError, match=r"'meas\.h'"):
         imported(path)
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (struct.pack("<5i", 0, 1, 1, 0, 2) + b"a\0" + bytes(200), "level 4"),
-        (b"Octave-1-L" + bytes(200), "Octave's own binary format"),
-        (b"# Created by Octave 8.4.0\n# name: x\n" + bytes(200), "Octave's own text format"),
-    ],
-)
-def test_a_mat_file_of_another_kind_then_is_named(tmp_path: Path, content: bytes, words: str) -> None:
-    (tmp_path / "a.mat").write_bytes(content)
-    with pytest.raises(InputError, match=words):
-        imported(tmp_path / "a.mat")
 
 
 @pytest.mark.parametrize(

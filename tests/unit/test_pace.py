@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wavefocus.acquisition.plan import LATEST, CampaignPace
+from wavefocus.acquisition.plan import CampaignPace
 
 
 def _measured(pace: CampaignPace, start_s: float, attempt_s: list[float]) -> float:
@@ -15,23 +15,10 @@ def _measured(pace: CampaignPace, start_s: float, attempt_s: list[float]) -> flo
     return start_s
 
 
-def test_given_even_positions_then_what_is_left_takes_as_long_each() -> None:
-    pace = CampaignPace(0.0)
-    _measured(pace, 0.0, [10.0] * 5)
-    assert pace.position_s == 10.0
-    assert pace.remaining_s(7, 0) == 70.0
-
-
 def test_given_one_position_that_stumbled_then_the_finish_does_not_move() -> None:
     pace = CampaignPace(0.0)
     _measured(pace, 0.0, [10.0] * 5 + [500.0] + [10.0] * 3)
     assert pace.remaining_s(100, 0) == 1000.0
-
-
-def test_given_a_rig_that_slows_down_then_the_latest_positions_count() -> None:
-    pace = CampaignPace(0.0)
-    _measured(pace, 0.0, [10.0] * 200 + [20.0] * LATEST)
-    assert pace.position_s == 20.0
 
 
 def test_given_repeats_then_their_time_is_expected_of_the_others_too() -> None:
@@ -60,7 +47,3 @@ def test_given_a_position_under_way_then_what_it_still_takes_counts() -> None:
     now_s = _measured(pace, 0.0, [10.0] * 3)
     assert pace.remaining_s(2, 0, now_s + 4.0) == 26.0
     assert pace.remaining_s(2, 0, now_s + 40.0) == 20.0
-
-
-def test_given_nothing_measured_yet_then_nothing_is_promised() -> None:
-    assert CampaignPace(5.0).remaining_s(10, 1) == 0.0

@@ -12,9 +12,7 @@ import pytest
 from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.errors import DaqError, DaqWarning, RpcError
 
-from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.timing import fit_clock
+from tests.wire.daq_bench import RANGE_V, TAKE, Tone, ask, check_tone, daq_bench, take_one
 from wavefocus.drivers.daq.ni.ni_failures import MEANINGS, explain
 from wavefocus.drivers.daq.ni.ni_session import TlsFiles
 from wavefocus.drivers.errors import (
@@ -146,26 +144,6 @@ def test_a_fault_while_the_device_opens_or_makes_a_task_leaves_nothing_behind(ki
         assert caught.value.remedy
         if kind != "server_dead":
             check_tone(take_one(bench.recorder()))
-
-
-class Sweep:
-    """A sweep in the middle of every record."""
-
-    sweep_v = 0.5 * np.sin(2 * np.pi * np.cumsum(np.linspace(100, 900, 1000)) / RATE_HZ)
-
-    def record(self, start_ns, samples, rate_hz, inputs, channel_delay_s):
-        volts = np.zeros((len(inputs), samples))
-        volts[:, 500:1500] = self.sweep_v
-        return volts
-
-
-def test_given_a_missing_reference_then_the_clock_fit_refuses_the_record():
-    # The recorder cannot know whether anything was played; the estimator can, and the engine rejects the take.
-    with daq_bench(Sweep(), faults=fault("missing_reference", "ReadAnalogF64")) as bench:
-        recorder = bench.recorder()
-        assert fit_clock(take_one(recorder, 2000).volts[0], Sweep.sweep_v).gain == pytest.approx(1, rel=1e-3)
-        with pytest.raises(ReferenceMissingError):
-            fit_clock(take_one(recorder, 2000).volts[0], Sweep.sweep_v)
 
 
 def test_given_an_overloaded_input_then_the_flag_of_that_channel_is_up():
