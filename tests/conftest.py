@@ -21,10 +21,14 @@ CI = os.environ.get("CI") == "true"
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
-# No deadlines: speed is measured by benchmarks, and a busy machine is no defect. The same cases are tried each time;
+# Cases may be slow to make, and share a test's folder.
+SLOW_OR_SHARED = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+# No deadlines: benchmarks measure speed, and a busy machine is no defect. The same few cases are tried each time;
 # `make test-nightly` looks for new ones.
-for name, seeded in (("wavefocus", True), ("nightly", False)):
-    settings.register_profile(name, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=seeded)
+for name, seeded, examples in (("wavefocus", True, 25), ("nightly", False, 100)):
+    settings.register_profile(
+        name, deadline=None, suppress_health_check=SLOW_OR_SHARED, derandomize=seeded, max_examples=examples
+    )
 settings.load_profile("wavefocus")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QTextDocument
@@ -409,7 +409,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(draft=DRAFTS)
 def test_any_draft_is_written_as_the_same_scene_and_read_as_the_same_draft(draft: SceneConfig, folder: Path) -> None:
     file = folder / "scene.toml"

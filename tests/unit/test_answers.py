@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.config.messages.codec import tag
@@ -183,7 +183,6 @@ def test_given_a_link_or_a_second_process_then_nothing_is_written(tmp_path: Path
         AnswersFile(tmp_path / "folder")
 
 
-@settings(max_examples=25)
 @given(
     text=st.text(st.characters(exclude_categories=["C", "Z"]), max_size=20),
     number=st.floats(allow_nan=False, allow_infinity=False),

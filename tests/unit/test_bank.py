@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.storage.bank.layout import BankHeader
@@ -106,7 +106,6 @@ def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_pat
 # --- banks of other programs ----------------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     dtype=st.sampled_from(["<f2", "<f4", "<f8", ">f4", ">f8", "<i2", ">i2", "u1"]),
     options=st.sampled_from([{}, {"chunks": (2, 1, 3)}, {"compression": "gzip"}, {"shuffle": True, "chunks": True}]),

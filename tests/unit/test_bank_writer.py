@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.calibration.check import check_bank
@@ -136,7 +136,7 @@ def test_a_bank_measured_in_another_order_then_holds_the_same_bytes(tmp_path: Pa
     assert digest(tmp_path / "bank.h5") == digest(measured(tmp_path / "other.h5"))
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12)
 @given(
     positions=st.integers(1, 5),
     actuators=st.sampled_from([1, 2, 20, 300]),  # 300: a ledger row of two pages

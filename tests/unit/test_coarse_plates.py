@@ -23,6 +23,7 @@ CASES = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CASES)
 def test_waves_hold_on_other_shapes_and_beneath_a_finger_and_their_bounds_say_so(name):
     kind, outline, keys = CASES[name]

@@ -37,7 +37,7 @@ def make_bank(scale: float = 1.0, seed: int = 0, taps: int = 60) -> GreenArray:
     return GreenArray(values * scale, position_mm, RATE_HZ, band_hz=(50.0, 400.0))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     sources=st.lists(st.sampled_from([MOVING, REPEATING, STANDING]), min_size=1, max_size=3),
     saturation=st.sampled_from([None, 0.7]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import soundfile
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output, Regularisation
@@ -119,7 +119,6 @@ def test_a_scene_renders_to_the_direct_evaluation_of_the_equations(sources, thre
     emission=st.sampled_from(["continuous", "per_point"]),
     method=st.sampled_from(["sampled", "exact"]),
 )
-@settings(max_examples=25, deadline=None)
 def test_any_scene_renders_to_the_direct_evaluation(seed, taps, start_s, speed_mm_s, step_mm, emission, method):
     bank = make_bank(taps, 2, seed)
     end = tuple(np.random.default_rng(seed).uniform(-12, 12, 2))
@@ -132,7 +131,6 @@ def test_any_scene_renders_to_the_direct_evaluation(seed, taps, start_s, speed_m
 
 
 @given(position=st.integers(0, ROWS * COLUMNS - 1), amplitude=st.floats(0.01, 100), start_s=st.floats(0, 0.2))
-@settings(max_examples=15, deadline=None)
 def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus(position, amplitude, start_s):
     bank = make_bank()
     at_mm = tuple(bank.position_mm[position])
@@ -197,7 +195,6 @@ def banded_bank(seed, taps, leak):
     threshold=st.sampled_from([None, 0.5]),
     interpolation=st.sampled_from(["nearest", "bilinear"]),
 )
-@settings(max_examples=40, deadline=None)
 def test_the_bound_is_never_smaller_than_the_error_of_what_was_left_out(
     seed, leak, tolerance_db, speed_mm_s, emission, threshold, interpolation
 ):
@@ -231,7 +228,6 @@ def test_within_a_tolerance_single_precision_is_used_and_stated():
     tolerance_db=st.floats(-75, -10),
     threshold=st.sampled_from([None, 0.5]),
 )
-@settings(max_examples=40, deadline=None)
 def test_the_bound_holds_with_weak_actuators_short_responses_and_quiet_stretches(
     tmp_path_factory, seed, weak, decay, quiet, tolerance_db, threshold
 ):

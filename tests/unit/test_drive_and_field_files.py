@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
@@ -58,7 +58,7 @@ def a_field(path: Path, seed: int = 0, **options: bool) -> None:
     write_field(path, field(seed=seed), **options)
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10)
 @given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 4), st.integers(0, 2**32 - 1))
 def test_a_drive_or_field_written_then_comes_back_bit_for_bit(
     tmp_path: Path, rows: int, samples: int, foci: int, seed: int

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.storage.durable import (
@@ -29,7 +29,6 @@ KINDS = [PositionedFile] if os.name == "nt" else [PosixFile, PositionedFile]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(writes=st.lists(st.tuples(st.integers(0, 5000), st.binary(min_size=1, max_size=6000)), max_size=6))
 def test_writes_at_offsets_then_are_read_back_where_they_were_put(
     tmp_path: Path, kind: Callable[..., PositionedFile], writes: list[tuple[int, bytes]]

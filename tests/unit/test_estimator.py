@@ -130,7 +130,7 @@ def limit_db(records: Records, truth: Float64Array, excitation: PlayedExcitation
     return np.asarray(10 * np.log10(records.noise_v**2 * variance / energy))
 
 
-@pytest.mark.parametrize("ppm", [0.0, 30.0, -100.0, 200.0])
+@pytest.mark.parametrize("ppm", [0.0, 200.0])
 @pytest.mark.parametrize("kind", ["modes", "random"])
 def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, ppm: float) -> None:
     truth = damped_modes(12, TAPS, SMALL) if kind == "modes" else random_filters(12, TAPS)
@@ -140,6 +140,7 @@ def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, p
     assert excess.max() < 3.0
 
 
+@pytest.mark.nightly
 def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> None:
     default = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
     estimator = SequentialEstimator(default, 2000)
@@ -151,7 +152,7 @@ def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> N
         assert np.abs(np.median(skewed) - np.median(still)) < 0.3
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.floats(0, 250), st.floats(-400, 400), st.integers(0, 99))
 def test_start_and_clock_ratio_are_found(offset: float, ppm: float, seed: int) -> None:
     estimate = records_of(damped_modes(2, TAPS, SMALL), offset=offset, ppm=ppm, seed=seed).estimate()

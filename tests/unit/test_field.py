@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.rendering.field.bank_spectra import BankSpectra
@@ -49,7 +49,6 @@ def relative_error(found, expected):
     scale=st.sampled_from([1.0, 2.0**-50, 2.0**50]),
     silent=st.booleans(),
 )
-@settings(max_examples=25, deadline=None)
 def test_a_field_is_the_full_convolution_in_any_unit(seed, positions, actuators, taps, samples, scale, silent):
     rng = np.random.default_rng(seed)
     bank = make_bank(rng.standard_normal((positions, actuators, taps)) * scale)

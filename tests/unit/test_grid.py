@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_grid
@@ -66,7 +66,6 @@ def test_grid_without_a_possible_position_names_key_and_value(margin_mm: float, 
         surface_grid(PLATE, margin_mm, spacing_mm)
 
 
-@settings(max_examples=40, deadline=None)
 @given(spacing_mm=st.floats(8.0, 40.0), margin_mm=st.floats(0.0, 30.0))
 def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stadium(spacing_mm, margin_mm) -> None:
     grid_mm = surface_grid(PLATE, margin_mm, spacing_mm, "hexagonal")

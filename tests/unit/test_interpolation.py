@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.rendering.greens.interpolation.base import OffGridError, interpolation_method
@@ -21,7 +21,6 @@ def brute(position_mm, points_mm):
 
 
 @given(seed=st.integers(0, 2**31), positions=st.integers(1, 60), step=st.sampled_from([0.01, 0.5, 30.0]))
-@settings(max_examples=40, deadline=None)
 def test_the_nearest_row_is_found_along_any_path(seed, positions, step):
     rng = np.random.default_rng(seed)
     position_mm = rng.uniform(-20, 20, (positions, 2))
@@ -32,7 +31,6 @@ def test_the_nearest_row_is_found_along_any_path(seed, positions, step):
 
 
 @given(seed=st.integers(0, 2**31))
-@settings(max_examples=20, deadline=None)
 def test_on_a_tie_the_lower_index_is_nearest(seed):
     rng = np.random.default_rng(seed)
     position_mm = rng.permutation(LATTICE)
@@ -50,7 +48,6 @@ def test_a_point_further_than_one_spacing_is_refused_with_place_and_distance():
 
 
 @given(seed=st.integers(0, 2**31))
-@settings(max_examples=20, deadline=None)
 def test_bilinear_weights_are_exact_for_a_bilinear_field(seed):
     rng = np.random.default_rng(seed)
     a, b, c, d = rng.standard_normal(4)

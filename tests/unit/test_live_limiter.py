@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.rendering.drive.coil_limits import DriveLimits, levels_of
@@ -28,7 +28,6 @@ def limited(drive_v: np.ndarray, limits: DriveLimits, look_ahead: int, sizes: li
     return np.concatenate(pieces, axis=1)[:, look_ahead:], min(least, limiter.gain_db)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     parts=st.lists(
         st.tuples(st.sampled_from(["sine", "noise", "step", "click"]), st.integers(1, 900), st.integers(-3, 9)),

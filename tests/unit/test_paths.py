@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline, Strokes, TextPath
@@ -40,7 +40,6 @@ def test_a_circle_turns_anticlockwise_when_its_turns_are_positive(turns, expecte
     points=st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), min_size=2, max_size=8),
     closed=st.booleans(),
 )
-@settings(max_examples=40, deadline=None)
 def test_neighbours_on_a_polyline_are_never_further_apart_than_along_it(points, closed):
     path = Polyline(points, closed)
     along = np.linspace(0, path.length_mm, 200)

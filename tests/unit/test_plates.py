@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import scipy.signal
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import hankel2
 
@@ -74,7 +74,6 @@ def _ring(k, s_mm):
     return (z * hankel2(1, z) - 2j / np.pi) / k**2
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.floats(0.0, 400.0))
 def test_given_any_distance_then_the_table_is_within_1e_minus_7(radius_mm):
     direct = SOFT_PLATE.velocity(FREQUENCY_HZ[1:], radius_mm)

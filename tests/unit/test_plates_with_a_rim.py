@@ -67,7 +67,7 @@ def _disk_response(k: complex, place_mm: np.ndarray, source_mm: np.ndarray, rim:
 
 
 @pytest.mark.parametrize("admittance", [0.0, 1.0])
-@pytest.mark.parametrize("frequency_hz", [50.0, 250.0, 450.0])
+@pytest.mark.parametrize("frequency_hz", [250.0, 450.0])
 def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(
     disk: Elements, frequency_hz: float, admittance: float
 ) -> None:
@@ -94,7 +94,7 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Pat
 
 
 @pytest.mark.parametrize("admittance", [0.0, 0.7])
-@pytest.mark.parametrize(("step_hz", "bins"), [(0.25, 4000), (1.5, 601), (0.1, 2000)])
+@pytest.mark.parametrize(("step_hz", "bins"), [(0.25, 4000)])
 def test_close_frequencies_then_what_is_interpolated_is_exact_to_single_precision(
     cache: Path, admittance: float, step_hz: float, bins: int
 ) -> None:

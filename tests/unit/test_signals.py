@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import soundfile
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.rendering.scene.signals import Noise, Sine, SoundFile
@@ -18,7 +18,6 @@ from wavefocus.storage.errors import InputError
     width=st.floats(100, 3000),
     duration_s=st.floats(0.02, 0.3),
 )
-@settings(max_examples=25, deadline=None)
 def test_noise_has_peak_one_and_nothing_outside_its_band(seed, low, width, duration_s):
     found = Noise((low, low + width), duration_s, seed).samples(10_000.0)
     assert np.abs(found).max() == 1.0

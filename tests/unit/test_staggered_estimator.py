@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.fft
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
@@ -81,7 +81,6 @@ def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
     return 10 * np.log10(noise_v**2 * least_noise() / (np.abs(in_band(true)) ** 2).sum(axis=1))
 
 
-@settings(max_examples=20, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     ppm=st.floats(-200, 200),

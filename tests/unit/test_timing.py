@@ -37,7 +37,7 @@ def played(signal: NDArray[np.float64], samples: int, offset: float, ratio: floa
     return out
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.floats(0, 1100), st.floats(-450, 450), st.sampled_from([0.3, -1.0]), st.integers(0, 99))
 def test_offset_ratio_and_gain_are_found_at_60_db(offset: float, ppm: float, gain: float, seed: int) -> None:
     noise = 1e-3 * abs(gain) * np.sqrt((KNOWN**2).mean())
@@ -99,7 +99,6 @@ def test_a_signal_partly_outside_the_record_is_refused(offset: float) -> None:
         fit_clock(played(KNOWN, SAMPLES, offset, 1.0), KNOWN)
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.floats(0.01, 0.8), st.floats(60, 140), st.floats(-500, 500), st.integers(0, 50), st.floats(-1, 1))
 def test_a_tone_is_resampled_to_100_db(share: float, offset: float, ppm: float, first: int, delay: float) -> None:
     fit = ClockFit(offset, 1 + 1e-6 * ppm, 1.0, -100.0)

@@ -154,7 +154,7 @@ def longest_run(levels: list[Any]) -> int:
     return max(len(list(same)) for _, same in itertools.groupby(levels))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=50)
 @given(
     counts=st.lists(st.integers(1, 7), min_size=1, max_size=5),
     each=st.integers(1, 4),

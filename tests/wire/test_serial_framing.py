@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import closing, contextmanager
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.wire.serial_bench import LOCAL, WIRES, mirror_bench
@@ -85,14 +85,12 @@ def checked(tmp_path_factory):
         yield all_
 
 
-@settings(max_examples=25)
 @given(garbage=st.binary(max_size=40))
 def test_arbitrary_bytes_for_an_answer_then_they_are_an_error_and_never_a_position(garbled, garbage):
     assert disturbed(garbled, lambda answer: garbage, SerialMirror.where_mrad) is None
     assert where(garbled[1]) == pytest.approx(TARGET_MRAD, abs=0.01)
 
 
-@settings(max_examples=30)
 @given(garbage=st.binary(max_size=40), before=st.booleans())
 def test_given_arbitrary_bytes_around_an_answer_then_it_is_right_or_an_error(garbled, garbage, before):
     found = disturbed(garbled, lambda answer: garbage + answer if before else answer + garbage, SerialMirror.where_mrad)
@@ -100,7 +98,6 @@ def test_given_arbitrary_bytes_around_an_answer_then_it_is_right_or_an_error(gar
     where(garbled[1])
 
 
-@settings(max_examples=30)
 @given(at=st.integers(0, 30), to=st.integers(0, 255))
 def test_given_a_changed_byte_then_a_line_with_a_checksum_is_right_or_an_error(checked, at, to):
     found = disturbed(checked, lambda answer: replaced(answer, at, to), SerialMirror.where_mrad)
@@ -108,7 +105,6 @@ def test_given_a_changed_byte_then_a_line_with_a_checksum_is_right_or_an_error(c
     where(checked[1])
 
 
-@settings(max_examples=25)
 @given(
     x_mrad=st.floats(-200, 200),
     at=st.integers(0, 30),
@@ -145,7 +141,6 @@ def wired():
 TEXT = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=30)
 
 
-@settings(max_examples=50)
 @given(
     texts=st.lists(TEXT, min_size=1, max_size=4),
     end=st.sampled_from([b"\n", b"\r\n"]),

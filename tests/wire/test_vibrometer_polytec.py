@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.wire.serial_bench import LOCAL, ImpatientClock, wire
@@ -121,7 +121,6 @@ def test_a_controller_is_asked_the_question_for_its_name_that_it_knows(silent, n
         assert read(far, answer_s=0.1).identity == f"{name}, VD-09"
 
 
-@settings(max_examples=15)
 @given(text=st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=12))
 def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, text):
     with controller(LOCAL, tmp_path_factory.mktemp("port"), range_text=text) as far, pytest.raises(InstrumentError):
