@@ -87,13 +87,6 @@ def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_foc
     assert colour_limit(np.zeros((2, 3), np.float32), None) == 1.0
 
 
-def test_given_an_instant_then_each_source_is_at_its_last_focus_as_long_as_it_lasts() -> None:
-    foci = Foci.of(drive())
-    assert [foci.at(time_s).tolist() for time_s in (0.05, 0.06, 0.11, 0.155, 0.175, 0.2)] == [
-        [], [4], [5], [6, 11], [6], [],
-    ]  # fmt: skip
-
-
 def test_given_a_movie_then_the_gif_has_its_frames(field_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "field.gif"
     with FieldRowReader(field_file) as field:

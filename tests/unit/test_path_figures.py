@@ -9,7 +9,7 @@ from scipy.special import j0
 from tests.unit.wave_travel import impulse_travel as travel_of_a_wave
 from wavefocus.config.scene import Regularisation
 from wavefocus.mocks.plates.soft import SOFT_PLATE, DampedWave
-from wavefocus.rendering.field.crosstalk import PathResponses, crosstalk_table
+from wavefocus.rendering.field.crosstalk import PathResponses
 from wavefocus.rendering.field.metrics import band_limited
 from wavefocus.rendering.field.wave_figures import correlation_over_distance, impulse_travel
 from wavefocus.rendering.greens.source import GreenArray
@@ -41,24 +41,6 @@ def test_crosstalk_of_equal_decaying_responses_is_their_sum_over_the_window(peri
         own += np.sum(parts[m] ** 2)
         others += np.sum((parts.sum(axis=0) - parts[m]) ** 2)
     assert found == pytest.approx(others / own, rel=1e-9)
-
-
-def test_crosstalk_grows_with_speed():
-    bank = decaying_bank(12, 0.8)
-    table = crosstalk_table(bank, range(12), 4.0, [100.0, 1000.0, 4000.0, 20_000.0], [1, 2, 3])
-    assert table.energy_ratio.shape == (4, 3)
-    assert (np.diff(table.energy_ratio, axis=0) > 0).all()
-    # Coarser points at the same speed are further apart in time.
-    assert (np.diff(table.energy_ratio[1:], axis=1) < 0).all()
-    assert table.energy_ratio[0].max() < 1e-12
-    np.testing.assert_allclose(table.step_mm, [4.0, 8.0, 12.0])
-
-
-def test_a_burst_is_convolved_with_each_focus():
-    bank, burst = decaying_bank(4, 0.7), RNG.standard_normal(30)
-    impulse, bursts = PathResponses(bank, range(4)), PathResponses(bank, range(4), burst)
-    expected = np.convolve(impulse.values[1, 2], burst)
-    np.testing.assert_allclose(bursts.values[1, 2][:700], expected[:700], atol=1e-9)
 
 
 def test_the_responses_are_those_of_the_equations_with_saturation():
