@@ -77,14 +77,6 @@ def outputs(probe: Probe, hands: Hands) -> tuple[OutputFigures, ...]:
     return measure_outputs(task, probe, hands, lambda done, total: None)
 
 
-def test_given_a_cable_forgotten_then_the_person_is_asked_and_the_second_try_counts() -> None:
-    rig, _, probe = bench()
-    hands = Hands(rig, forgets=("both",))
-    assert measure_inputs(probe, hands).late_s == pytest.approx(5e-6, abs=1e-7)
-    assert hands.plugged == ["both", "both"]
-    assert "at the response input" in hands.problems[0]
-
-
 @pytest.mark.parametrize("left", ["both", "sum", "output 2"])
 def test_given_another_cable_than_asked_for_then_the_person_is_asked_again(left: str) -> None:
     rig, _, probe = bench()
@@ -108,12 +100,6 @@ def test_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it
     else:
         assert len(measure_outputs(task, probe, hands, lambda done, total: None)) == 4
         assert hands.plugged == ["sum", "sum"]
-
-
-def test_given_a_person_who_gives_up_then_the_inputs_are_not_measured() -> None:
-    rig, _, probe = bench()
-    with pytest.raises(NotMeasuredError, match="needs the loopback on both inputs"):
-        measure_inputs(probe, Hands(rig, forgets=("both",), patience=1))
 
 
 def test_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused() -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from wavefocus.acquisition.engine.campaign import Campaign
-from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
+from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.campaign.sidecar_files import EventLines
 from wavefocus.config.messages.campaign import Event, State
@@ -32,24 +30,6 @@ class Fails:
     def __call__(self, event):
         self.calls += 1
         raise self.failure
-
-
-@pytest.mark.parametrize("failure", [BrokenPipeError(32, "Broken pipe"), ValueError("I/O operation on closed file")])
-def test_subscriber_that_fails_then_it_is_reported_once_and_others_get_every_event(failure):
-    failing, received, reports = Fails(failure), [], []
-    publish = EventPublisher({"the first": failing, "the second": received.append}, reports.append)
-    events = [Event(float(number)) for number in range(3)]
-    for event in events:
-        publish(event)
-    assert received == events
-    assert failing.calls == 3
-    assert len(reports) == 1
-    assert "the first failed" in reports[0]
-
-
-def test_given_ctrl_c_in_a_subscriber_then_it_passes_through():
-    with pytest.raises(KeyboardInterrupt):
-        EventPublisher({"it": Fails(KeyboardInterrupt())}, print)(Event(0.0))
 
 
 def test_given_a_closed_file_then_event_lines_end_and_say_so(tmp_path, capsys):
