@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.system.raw_script import RATE_HZ, Script, sweep
+from tests.system.raw_script import Sweep, echoes, swept, write
 from wavefocus import cluster
 from wavefocus.__main__ import run
 from wavefocus.cluster import field_parts, identity_of
@@ -83,8 +83,9 @@ def test_given_a_cluster_then_the_field_is_the_same_to_the_byte(lab: Path, addre
 def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(
     tmp_path: Path, request: pytest.FixtureRequest, where: str
 ) -> None:
-    script = Script(base=sweep(0.8), slots=[[(0, 0.0, 1.0)], [(1, 0.0, 0.5)]], samples=round(RATE_HZ))
-    raw = script.write(tmp_path / "a.raw.h5")
+    band_hz = (50.0, 1000.0)
+    records = [swept(Sweep(band_hz, 0.8), row[None], 5000.0, 40.0) for row in echoes(2, 200)]
+    raw = write(tmp_path / "a.raw.h5", records, 200, 5000.0, band_hz, positions=2)
     cluster = "local:2" if where == "local" else request.getfixturevalue("address")
     wavefocus("estimate", raw, "--bank", tmp_path / "here.h5")
     wavefocus("estimate", raw, "--bank", tmp_path / "there.h5", "--cluster", cluster)
