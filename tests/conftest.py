@@ -54,9 +54,7 @@ def failed_for_skipping(report: pytest.TestReport | pytest.CollectReport) -> Non
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(
-    item: pytest.Item,
-) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
     expected_failure = hasattr(report, "wasxfail")
     if CI and report.skipped and not expected_failure and item.get_closest_marker("may_skip") is None:

@@ -39,9 +39,7 @@ def test_given_too_little_address_space_then_capture_ends_at_once_with_one_line(
         assert "Traceback" not in done.stderr
 
 
-def test_without_a_new_thread_instruments_fall_silent_and_nothing_else_is_done(
-    tmp_path: Path,
-) -> None:
+def test_without_a_new_thread_instruments_fall_silent_and_nothing_else_is_done(tmp_path: Path) -> None:
     code = """
 from wavefocus.drivers.timeouts import bounded
 from wavefocus.drivers.errors import InstrumentError

@@ -108,9 +108,7 @@ def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(t
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
-def test_200_simulated_people_of_each_design_then_intervals_hold_truth_in_95_of_100(
-    tmp_path: Path,
-) -> None:
+def test_200_simulated_people_of_each_design_then_intervals_hold_truth_in_95_of_100(tmp_path: Path) -> None:
     for name, design in designs(tmp_path).items():
         found = coverage(design, PEOPLE, 0.02, tmp_path)
         least = 190 if name == CONSTANT else binom.ppf(0.01, PEOPLE, 0.95)

@@ -361,10 +361,7 @@ def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (
-            ("stale_after_days = 90", "stale_after_days = 1e-9"),
-            "warning: {file}: inputs measured 0 days ago",
-        ),
+        (("stale_after_days = 90", "stale_after_days = 1e-9"), "warning: {file}: inputs measured 0 days ago"),
         (
             ('product = "virtual recorder', 'product = "other recorder'),
             "measured on another device (wavefocus other recorder",

@@ -31,9 +31,7 @@ OPTIONS = [
     (PLAY, "--gain-db"),
 ]
 # What these take within their bounds, a person at the bench would be asked for.
-REFUSED = [
-    *((CALIBRATE, option) for option in ("--amplitude-v", "--limit-mm", "--summing-box")),
-]
+REFUSED = [*((CALIBRATE, option) for option in ("--amplitude-v", "--limit-mm", "--summing-box"))]
 
 
 @pytest.fixture(scope="module")
@@ -67,11 +65,7 @@ def told(lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize(("command", "option"), OPTIONS)
 def test_given_an_extreme_number_then_a_result_or_one_sentence(
-    lab: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    command: list[str],
-    option: str,
+    lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str], option: str
 ) -> None:
     for text in EXTREMES:
         code = told(lab, capsys, monkeypatch, [*command, f"{option}={text}"])
@@ -80,11 +74,7 @@ def test_given_an_extreme_number_then_a_result_or_one_sentence(
 
 @pytest.mark.parametrize(("command", "option"), REFUSED)
 def test_given_an_extreme_number_then_no_calibration_begins(
-    lab: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    command: list[str],
-    option: str,
+    lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str], option: str
 ) -> None:
     for text in EXTREMES:
         assert told(lab, capsys, monkeypatch, [*command, f"{option}={text}"]) == 2

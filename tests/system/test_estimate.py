@@ -93,10 +93,7 @@ def test_reference_of_another_gain_by_another_program_then_rows_are_valid_all_sa
 
 @pytest.mark.parametrize(
     ("rate_hz", "band_hz", "duration_s", "law", "taps"),
-    [
-        (44_100.0, (50.0, 22_050.0), 2.5, "linear", 300),
-        (48_000.0, (20.0, 20_000.0), 3.0, "linear", 12_000),
-    ],
+    [(44_100.0, (50.0, 22_050.0), 2.5, "linear", 300), (48_000.0, (20.0, 20_000.0), 3.0, "linear", 12_000)],
     ids=["44.1 kHz, 300 taps", "48 kHz, 12000 taps"],
 )
 def test_given_a_sweep_of_which_nothing_is_said_then_the_noise_is_the_limit(

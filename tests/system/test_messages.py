@@ -13,13 +13,7 @@ import pytest
 from tests.lab_files import ACTUATORS
 from wavefocus.__main__ import run
 from wavefocus.acquisition.event_wording import sentence
-from wavefocus.config.messages.campaign import (
-    Drift,
-    Fault,
-    SessionEnded,
-    State,
-    StateChanged,
-)
+from wavefocus.config.messages.campaign import Drift, Fault, SessionEnded, State, StateChanged
 from wavefocus.config.rig import MessagesSection
 from wavefocus.configuration import load_rig
 from wavefocus.rig.notifications import AppriseOutbox, Messenger, message_findings, messenger_for
@@ -201,8 +195,7 @@ def test_addresses_stand_nowhere_and_resume_takes_them_from_the_environment(offi
     (tmp_path / "rig.toml").write_text(f'{coils}[messages]\nurls = ["{office.url}"]\n', encoding="utf-8")
     (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     (tmp_path / "run.toml").write_text(
-        'rig = "rig.toml"\n[grid]\npositions_file = "positions.csv"\n[sweep]\nduration_s = 0.2\n',
-        encoding="utf-8",
+        'rig = "rig.toml"\n[grid]\npositions_file = "positions.csv"\n[sweep]\nduration_s = 0.2\n', encoding="utf-8"
     )
     bank = tmp_path / "plate.h5"
 

@@ -110,9 +110,7 @@ def _piped(rig: Path, text: bytes) -> tuple[list[dict[str, Any]], subprocess.Com
     return [json.loads(line) for line in done.stdout.splitlines()], done
 
 
-def test_orders_after_byte_order_marks_and_extreme_numbers_are_carried_out(
-    rig: Path,
-) -> None:
+def test_orders_after_byte_order_marks_and_extreme_numbers_are_carried_out(rig: Path) -> None:
     wrong = (
         '{"order": "mute", "now": true}',  # first: a mute drops the orders that wait
         '{"order": "state", "id": 1e400}',

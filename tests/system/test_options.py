@@ -10,9 +10,7 @@ from wavefocus.__main__ import run
 from wavefocus.commands.table import COMMANDS
 
 
-def test_given_all_helps_then_there_are_at_most_29_commands_and_120_options(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_given_all_helps_then_there_are_at_most_29_commands_and_120_options(capsys: pytest.CaptureFixture[str]) -> None:
     listed = set()
     for command in COMMANDS:
         assert run([command.name, "--help"]) == 0

@@ -88,10 +88,7 @@ def test_given_a_loop_then_the_power_counts_across_its_seam(lab: Path, capsys: p
     assert "V rms" in (capsys.readouterr().err + refused(lab, capsys, "--loop", "2"))
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [(("--gain-db", "400"), "--gain-db"), (("--loop", "0"), "--loop")],
-)
+@pytest.mark.parametrize(("options", "told"), [(("--gain-db", "400"), "--gain-db"), (("--loop", "0"), "--loop")])
 def test_given_options_that_cannot_be_then_they_are_named(
     lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], told: str
 ) -> None:

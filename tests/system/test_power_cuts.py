@@ -9,12 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.system.crash.logged import (
-    INODE,
-    LoggedFile,
-    WithoutFirstBarrier,
-    WithoutSecondBarrier,
-)
+from tests.system.crash.logged import INODE, LoggedFile, WithoutFirstBarrier, WithoutSecondBarrier
 from tests.system.crash.power_cuts import Call, Disk, images
 from tests.system.crash.shares import Share
 from tests.system.test_bank_crash import green_of, header, record_of
@@ -85,9 +80,7 @@ def lost_in_bank(path: Path, promised: dict[int, int]) -> int:
     return lost
 
 
-def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(
-    tmp_path: Path,
-) -> None:
+def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(tmp_path: Path) -> None:
     before, log, acknowledged = logged_bank(tmp_path / "bank.h5", LoggedFile)
     finished = (tmp_path / "bank.h5").read_bytes()
     cut = tmp_path / "bank.h5"
@@ -102,9 +95,7 @@ def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(
         assert cut.read_bytes() == finished
 
 
-def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_lost(
-    tmp_path: Path,
-) -> None:
+def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_lost(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     before, log, acknowledged = logged_bank(path, WithoutSecondBarrier)
     lost = 0
@@ -114,9 +105,7 @@ def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_l
     assert lost > 0
 
 
-def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(
-    tmp_path: Path,
-) -> None:
+def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     before, log, _ = logged_bank(path, WithoutFirstBarrier)
     wrong_by_ledger = wrong_by_checksum = 0
@@ -149,9 +138,7 @@ def record(writer: RawWriter) -> list[tuple[int, int, int]]:
     return done
 
 
-def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(
-    tmp_path: Path,
-) -> None:
+def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(tmp_path: Path) -> None:
     path = tmp_path / "night.raw.h5"
     grid, unknown = np.zeros((POSITIONS, 2)), np.full((1, 2), np.nan)
     create_raw(

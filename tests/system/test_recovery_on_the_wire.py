@@ -14,14 +14,7 @@ from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.config.messages.campaign import (
-    Event,
-    PositionStarted,
-    ReconnectTried,
-    State,
-    StateChanged,
-    Subscriber,
-)
+from wavefocus.config.messages.campaign import Event, PositionStarted, ReconnectTried, State, StateChanged, Subscriber
 from wavefocus.config.run import Virtual
 from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Mirror, WallClock

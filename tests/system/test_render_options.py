@@ -98,11 +98,7 @@ def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_na
 
 
 @pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (("--focusing", "inverse"), "--focusing"),
-        (("--rig", "virtual"), "actuators"),
-    ],
+    ("options", "named"), [(("--focusing", "inverse"), "--focusing"), (("--rig", "virtual"), "actuators")]
 )
 def test_given_options_that_do_not_go_together_then_one_sentence_names_them(
     lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str

@@ -27,9 +27,7 @@ def campaign(tmp_path: Path) -> Iterator[Campaign]:
     one.close()
 
 
-def test_kills_cuts_full_disks_and_flipped_bytes_lose_nothing(
-    campaign: Campaign,
-) -> None:
+def test_kills_cuts_full_disks_and_flipped_bytes_lose_nothing(campaign: Campaign) -> None:
     classes: list[tuple[Trials, int]] = [
         (kills.at_calls, 2),
         (kills.in_repair, 1),

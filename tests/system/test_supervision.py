@@ -29,12 +29,7 @@ from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import last_events
-from wavefocus.config.messages.campaign import (
-    PositionCommitted,
-    SessionEnded,
-    State,
-    StateChanged,
-)
+from wavefocus.config.messages.campaign import PositionCommitted, SessionEnded, State, StateChanged
 
 WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
@@ -205,9 +200,7 @@ def test_a_driver_call_that_hangs_is_connected_afresh_and_nothing_is_lost(
     assert disturbed.read_bytes() == quiet.read_bytes()
 
 
-def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(
-    lab: Path,
-) -> None:
+def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab: Path) -> None:
     _with_rig(lab, "\n[recovery]\nhung_after_s = 0.2\ngive_up_after_s = 1.0\n")
     # It hangs with the driver's own lock held: muting, reconnecting and closing hang as well.
     with_faults(
@@ -330,10 +323,7 @@ settle_s = 20.0
 
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [
-        ('kind = "dark"', "V is above 0.01 V"),
-        ('kind = "faint_reference"\nlevel_db = -9.0', "reference level -9"),
-    ],
+    [('kind = "dark"', "V is above 0.01 V"), ('kind = "faint_reference"\nlevel_db = -9.0', "reference level -9")],
 )
 def test_a_condition_out_of_its_band_is_waited_for_and_the_bank_is_the_same(
     lab: Path, fault: str, words: str, capsys: pytest.CaptureFixture[str]

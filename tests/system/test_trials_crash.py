@@ -111,7 +111,5 @@ def test_given_sessions_that_are_killed_then_no_answer_is_lost_and_the_order_sta
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_hundreds_of_kills_and_full_disks_then_no_answer_is_lost_and_the_order_stays(
-    killed: Killed,
-) -> None:
+def test_hundreds_of_kills_and_full_disks_then_no_answer_is_lost_and_the_order_stays(killed: Killed) -> None:
     kill(killed, 100, 100, 100)

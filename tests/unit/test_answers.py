@@ -53,9 +53,7 @@ def test_given_answers_then_they_are_read_as_they_were_and_by_any_csv_reader(tmp
     assert not (tmp_path / "trials.csv.owner").exists()
 
 
-def test_a_power_cut_at_every_byte_of_an_answer_keeps_those_before_it(
-    tmp_path: Path,
-) -> None:
+def test_a_power_cut_at_every_byte_of_an_answer_keeps_those_before_it(tmp_path: Path) -> None:
     before = stored(tmp_path, ROW)
     whole = stored(tmp_path, NEXT)
     for length in range(len(before), len(whole)):

@@ -63,11 +63,7 @@ def test_a_sound_bank_whole_or_half_measured_then_has_no_findings(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("positions", "damage", "position"),
-    [
-        (POSITIONS, ("green", 9, 4), 4),
-        (POSITIONS, ("durability/ledger", 3 * 4096 + 1000), 3),
-        (2, ("green", 9, 4), 4),
-    ],
+    [(POSITIONS, ("green", 9, 4), 4), (POSITIONS, ("durability/ledger", 3 * 4096 + 1000), 3), (2, ("green", 9, 4), 4)],
     ids=["of the data", "of the ledger", "at a position that is not measured"],
 )
 def test_a_flipped_bit_then_is_an_error_at_its_position(tmp_path: Path, positions, damage, position) -> None:

@@ -175,9 +175,7 @@ def test_a_path_that_exists_then_is_refused_and_untouched(tmp_path: Path) -> Non
     assert [entry.name for entry in tmp_path.iterdir()] == ["bank.h5"]
 
 
-def test_a_bank_larger_than_the_disk_then_is_refused_and_leaves_nothing(
-    tmp_path: Path,
-) -> None:
+def test_a_bank_larger_than_the_disk_then_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     free = shutil.disk_usage(tmp_path).free
     too_many = free // (20 * 200_000 * 4) + 100
     with pytest.raises(InputError, match=r"bank\.h5 needs \d+ bytes and its disk has \d+ free"):

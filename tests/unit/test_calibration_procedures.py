@@ -129,10 +129,7 @@ def test_given_an_output_given_up_then_the_others_are_measured() -> None:
 
 
 def test_given_a_passing_fault_then_the_record_is_taken_again() -> None:
-    faults = (
-        RigFault("player", "wait", "underflow", at_call=2),
-        RigFault("recorder", "read", "short_read", at_call=4),
-    )
+    faults = (RigFault("player", "wait", "underflow", at_call=2), RigFault("recorder", "read", "short_read", at_call=4))
     rig, _, probe = bench(fault_plan=faults)
     assert measure_inputs(probe, Hands(rig)).late_s == pytest.approx(5e-6, abs=1e-7)
 

@@ -21,10 +21,7 @@ from wavefocus.campaign.control import (
     write_heartbeat,
 )
 from wavefocus.campaign.status import Heartbeat
-from wavefocus.config.messages.campaign import (
-    State,
-    StateChanged,
-)
+from wavefocus.config.messages.campaign import State, StateChanged
 
 
 def _until(condition, seconds: float = 30.0) -> None:

@@ -187,11 +187,7 @@ def test_given_a_contradiction_then_it_is_refused_in_one_line(tmp_path: Path, ri
     [
         ("format_version = 1", "format_version = 2", "format_version = 2: must be 1; a newer wavefocus wrote it"),
         ('"wavefocus-calibration"', '"wavefocus-bank"', 'format = "wavefocus-bank": must be "wavefocus-calibration"'),
-        (
-            "latency_s = 1e-06",
-            "latency_us = 1.0",
-            "latency_us = 1.0: unknown key; did you mean latency_s?",
-        ),
+        ("latency_s = 1e-06", "latency_us = 1.0", "latency_us = 1.0: unknown key; did you mean latency_s?"),
         ("polarity = -1", "polarity = 0", "outputs.channel[1].polarity = 0: must be 1 or -1"),
         ("channel = 1,", "channel = 0,", "outputs.channel[2].channel = 0: is there already"),
         ("7.5e-06", "nan", "inputs.inter_channel_delay_s = nan: must be a finite number"),

@@ -41,11 +41,7 @@ def test_rig_of_another_size_gets_its_actuators_on_its_own_rim() -> None:
 
 @pytest.mark.parametrize(
     "data",
-    [
-        {},
-        {"actuators": {"position_mm": [[1.5, 2]]}},
-        {"mirror": {"map": [[2, 0, 0], [0, 2, 0], [0, 1e-4, 2000]]}},
-    ],
+    [{}, {"actuators": {"position_mm": [[1.5, 2]]}}, {"mirror": {"map": [[2, 0, 0], [0, 2, 0], [0, 1e-4, 2000]]}}],
 )
 def test_rig_survives_json(data: dict[str, object]) -> None:
     rig = RigConfig.model_validate(data)
@@ -62,10 +58,7 @@ MISTAKES = [
     ("[actuators]\nposition_mm = []", "actuators.position_mm = []: must have at least 1 entries, has 0"),
     ("[actuators]\nposition_mm = [[0, 0], [1]]", "actuators.position_mm[1][1]: is missing"),
     ("[actuators]\nposition_mm = [[0, nan]]", "actuators.position_mm[0][1] = nan: must be a finite number"),
-    (
-        "[actuators]\nposition_mm = [[0, 0, 0]]",
-        "actuators.position_mm[0] = [0, 0, 0]: must have at most 2 entries",
-    ),
+    ("[actuators]\nposition_mm = [[0, 0, 0]]", "actuators.position_mm[0] = [0, 0, 0]: must have at most 2 entries"),
     (
         "[actuators]\nposition_mm = [[0, 0], [0, 80]]",
         "actuators.position_mm[1] = [0.0, 80.0]: must be on the surface of 250 x 150 mm",
@@ -76,10 +69,7 @@ MISTAKES = [
     ),
     ("[mirror]\ndriver = 'asi'", 'mirror.driver = "asi": must be "virtual", "analog", "asi-tiger", "generic"'),
     ("[mirror]\ndriver = 'asi-tiger'", 'mirror.port: is missing; driver "asi-tiger" needs it, such as "/dev/ttyUSB0"'),
-    (
-        "[mirror]\nport = 'COM3'",
-        'mirror.port = "COM3": belongs to driver "asi-tiger", "generic"',
-    ),
+    ("[mirror]\nport = 'COM3'", 'mirror.port = "COM3": belongs to driver "asi-tiger", "generic"'),
     (
         "[mirror]\ndriver = 'asi-tiger'\nport = 'COM3'\nfull_scale_mrad = 100",
         'mirror.full_scale_mrad = 100.0: belongs to driver "mirrorcle-mti"',
@@ -194,22 +184,13 @@ MISTAKES = [
         "emulation.fault_plan[0].position = 1: unknown key; ",
     ),
     ("[recorder]\nresponse_range_v = 0", "recorder.response_range_v = 0: must be above 0"),
-    (
-        "[recorder]\ninter_channel_delay_us = 5",
-        "recorder.inter_channel_delay_us = 5: unknown key; did you mean",
-    ),
+    ("[recorder]\ninter_channel_delay_us = 5", "recorder.inter_channel_delay_us = 5: unknown key; did you mean"),
     ("[recorder]\ninter_channel_delay_s = 5", "recorder.inter_channel_delay_s = 5: must be at most 0.001"),
-    (
-        "[player]\nchannels = [0, 1]",
-        "player.channels = [0, 1]: must have one entry per actuator, 20 in all, has 2",
-    ),
+    ("[player]\nchannels = [0, 1]", "player.channels = [0, 1]: must have one entry per actuator, 20 in all, has 2"),
     ("[player]\nloopback_channel = 3", "player.loopback_channel = 3: is already the channel of actuator 3"),
     ("[player]\nlimit_v = 6", "player.limit_v = 6.0: must be at most full_scale_v = 5"),
     ("[player]\nlimit_v = -1", "player.limit_v = -1: must be above 0"),
-    (
-        "[vibrometer]\nsensitivity_mm_s_per_v = 5",
-        "vibrometer.sensitivity_mm_s_per_v = 5: unknown key; did you mean",
-    ),
+    ("[vibrometer]\nsensitivity_mm_s_per_v = 5", "vibrometer.sensitivity_mm_s_per_v = 5: unknown key; did you mean"),
     ("[watch.noise]\nsettle_s = 1", "watch.noise.leaves_below: is needed"),
     ("[watch.noise]\nleaves_above = 1\nreturns_below = 2", "watch.noise.leaves_above = 1"),
     ("[watch.room]\nleaves_below = 18\nreturns_above = 17", "watch.room.returns_above = 17"),

@@ -60,10 +60,7 @@ MISTAKES = [
     ("[grid]\nmargin_mm = -1", "grid.margin_mm = -1: must be at least 0"),
     ("[grid]\npositions_file = 'x.csv'", 'grid.positions_file = "x.csv": must be a file'),
     ("[sweep]\nstart_hz = 0", "sweep.start_hz = 0: must be above 0"),
-    (
-        "[sweep]\nstop_hz = 5000",
-        "sweep.stop_hz = 5000.0: must be below 5000 (half of capture.sample_rate_hz)",
-    ),
+    ("[sweep]\nstop_hz = 5000", "sweep.stop_hz = 5000.0: must be below 5000 (half of capture.sample_rate_hz)"),
     ("[sweep]\nstop_hz = 20", "sweep.stop_hz = 20.0: must be above start_hz = 20"),
     ("[sweep]\nstop_hz = inf", "sweep.stop_hz = inf: must be a finite number"),
     ("[sweep]\nduration_s = 0", "sweep.duration_s = 0: must be at least 0.05"),
@@ -73,10 +70,7 @@ MISTAKES = [
     ("[capture]\ntaps = 2001", "capture.taps = 2001: must be at most 2000 (decay_s * sample_rate_hz)"),
     ("[capture]\ndecay_s = 0.1", "capture.taps = 2000: must be at most 1000 (decay_s * sample_rate_hz)"),
     ("[capture]\nsample_rate_hz = 0", "capture.sample_rate_hz = 0: must be above 0"),
-    (
-        "[capture]\nstagger_s = 0.239",
-        "capture.stagger_s = 0.239: must be at least 0.24 (1.2 times the response",
-    ),
+    ("[capture]\nstagger_s = 0.239", "capture.stagger_s = 0.239: must be at least 0.24 (1.2 times the response"),
     ("[capture]\ngroups = 21", "capture.groups = 21: must be at most 20, the number of actuators"),
     ("[capture]\nlevel_db = 1", "capture.level_db = 1: must be at most 0"),
     ("[settled]\nreason = 'a'", "settled: comes from the trial before a staggered campaign"),
@@ -189,11 +183,7 @@ def test_virtual_settings_for_a_rig_with_other_drivers_are_refused() -> None:
 
 
 def test_fault_plan_file_becomes_part_of_the_run(tmp_path: Path) -> None:
-    write(
-        tmp_path,
-        "[[fault]]\nrole='recorder'\noperation='read'\nkind='short_read'\nposition=3\n",
-        name="f.toml",
-    )
+    write(tmp_path, "[[fault]]\nrole='recorder'\noperation='read'\nkind='short_read'\nposition=3\n", name="f.toml")
     run = load_run(write(tmp_path, "[virtual]\nfault_plan = 'f.toml'")).run
     assert run.virtual is not None
     assert [(fault.role, fault.position) for fault in run.virtual.fault_plan] == [("recorder", 3)]
@@ -259,10 +249,7 @@ def test_plan_hash_changes_with_a_position() -> None:
         ({}, {"grid": {"positions_file": "grid.csv"}}),
         ({}, {"tolerance": {"correlation": 0.5}}),
         ({}, {"capture": {"stagger_s": 0.5}}),
-        (
-            {},
-            {"virtual": {"fault_plan": [{"role": "player", "operation": "wait", "kind": "lost", "at_call": 2}]}},
-        ),
+        ({}, {"virtual": {"fault_plan": [{"role": "player", "operation": "wait", "kind": "lost", "at_call": 2}]}}),
     ],
 )
 def test_plan_hash_stays_with_what_may_change(rig: object, run: object) -> None:

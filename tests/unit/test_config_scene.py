@@ -74,10 +74,7 @@ def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path: Path) -> N
             "{ kind = 'polyline', points_mm = [[0, 0], [1, 0], [1, 1]], closed = true }",
             paths.Polyline(((0, 0), (1, 0), (1, 1)), True),
         ),
-        (
-            "{ kind = 'text', string = 'ab', height_mm = 9, centre_mm = [1, 2] }",
-            TextPath("ab", 9, (1, 2)),
-        ),
+        ("{ kind = 'text', string = 'ab', height_mm = 9, centre_mm = [1, 2] }", TextPath("ab", 9, (1, 2))),
     ],
 )
 def test_each_path_table_builds_its_path(tmp_path: Path, table: str, built: object) -> None:
@@ -133,15 +130,9 @@ MISTAKES = [
     ("", "source: is missing"),
     ("source = []", "source = []: must have at least 1 entries, has 0"),
     ("[source]\nstart_s = 0", "source: must be a list of tables, each under [[source]]"),
-    (
-        "[[sources]]\nstart_s = 0",
-        "source: is missing; sources = [{ start_s }]: unknown key; did you mean source?",
-    ),
+    ("[[sources]]\nstart_s = 0", "source: is missing; sources = [{ start_s }]: unknown key; did you mean source?"),
     ("[[source]]\nsignal = { kind = 'impulse' }", "source[0].path: is missing"),
-    (
-        moving("{ kind = 'square' }"),
-        'source[0].path.kind = "square": must be one of "point", "line", "circle"',
-    ),
+    (moving("{ kind = 'square' }"), 'source[0].path.kind = "square": must be one of "point", "line", "circle"'),
     (moving("{ radius_mm = 3 }"), "source[0].path = { radius_mm }: must have a kind"),
     (moving("'circle'"), 'source[0].path = "circle": must be a table'),
     (moving("{ kind = 'circle', radius_cm = 3 }"), "source[0].path.radius_mm: is missing; "),
@@ -150,17 +141,11 @@ MISTAKES = [
         "source[0].path.radius_cm = 3: unknown key; did you mean radius_mm?",
     ),
     (moving("{ kind = 'circle', radius_mm = -3 }"), "source[0].path.radius_mm = -3: must be at least 0"),
-    (
-        moving("{ kind = 'circle', radius_mm = 3, turns = inf }"),
-        "source[0].path.turns = inf: must be a finite",
-    ),
+    (moving("{ kind = 'circle', radius_mm = 3, turns = inf }"), "source[0].path.turns = inf: must be a finite"),
     (moving("{ kind = 'line', start_mm = [0], end_mm = [0, 0] }"), "source[0].path.start_mm[1]: is missing"),
     (moving("{ kind = 'polyline', points_mm = [] }"), "source[0].path.points_mm = []: must have at least 1"),
     (moving("{ kind = 'svg', file = 'no.svg' }"), 'source[0].path.file = "no.svg": must be a file'),
-    (
-        moving("{ kind = 'text', string = '', height_mm = 3 }"),
-        'source[0].path.string = "": must not be empty',
-    ),
+    (moving("{ kind = 'text', string = '', height_mm = 3 }"), 'source[0].path.string = "": must not be empty'),
     (
         "[[source]]\npath = { kind = 'circle', radius_mm = 3 }\nsignal = { kind = 'impulse' }\nstep_mm = 4",
         "source[0].speed_mm_s: is needed in mm/s for a path of kind circle",
@@ -176,10 +161,7 @@ MISTAKES = [
     (POINT + "amplitude = nan", "source[0].amplitude = nan: must be a finite number"),
     (POINT + "emission = 'once'", 'source[0].emission = "once": must be "per_point" or "continuous"'),
     (POINT + POINT + "start_s = -1", "source[1].start_s = -1: must be at least 0"),
-    (
-        POINT.replace("'impulse'", "'beep'"),
-        'source[0].signal.kind = "beep": must be one of "impulse", "sine"',
-    ),
+    (POINT.replace("'impulse'", "'beep'"), 'source[0].signal.kind = "beep": must be one of "impulse", "sine"'),
     (
         POINT.replace("'impulse'", "'noise', band_hz = [450, 50], duration_s = 1"),
         "source[0].signal.band_hz = [450.0, 50.0]: must be [lower, upper] with lower below upper",
@@ -188,20 +170,14 @@ MISTAKES = [
         POINT.replace("'impulse'", "'sine', frequency_hz = 0, duration_s = 1"),
         "source[0].signal.frequency_hz = 0: must be above 0",
     ),
-    (
-        POINT.replace("'impulse'", "'file', path = 'no.wav'"),
-        'source[0].signal.path = "no.wav": must be a file',
-    ),
+    (POINT.replace("'impulse'", "'file', path = 'no.wav'"), 'source[0].signal.path = "no.wav": must be a file'),
     (POINT + "[regularisation]\nsaturation = -1", "regularisation.saturation = -1: must be at least 0"),
     (
         POINT + "[regularisation]\nsaturation = 0.5\nsaturation_absolute = 1",
         "regularisation.saturation_absolute = 1.0: must be 0 or left out where saturation is given",
     ),
     (POINT + "[output]\nlimit_v = 0", "output.limit_v = 0: must be above 0"),
-    (
-        POINT + "[output]\ninterpolation = 'cubic'",
-        'output.interpolation = "cubic": must be "nearest", "bilinear"',
-    ),
+    (POINT + "[output]\ninterpolation = 'cubic'", 'output.interpolation = "cubic": must be "nearest", "bilinear"'),
     (POINT + "[output]\nemission = 'x'", 'output.emission = "x": unknown key; it belongs to [[source]]'),
 ]
 

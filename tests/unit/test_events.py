@@ -4,13 +4,7 @@ import json
 
 import pytest
 
-from wavefocus.config.messages.campaign import (
-    PositionCommitted,
-    SessionEnded,
-    State,
-    event_line,
-    read_event,
-)
+from wavefocus.config.messages.campaign import PositionCommitted, SessionEnded, State, event_line, read_event
 
 
 def test_given_an_event_then_its_line_names_its_kind_and_fields_and_is_read_again() -> None:

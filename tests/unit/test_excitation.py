@@ -97,10 +97,7 @@ def test_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found
 
 @pytest.mark.parametrize("schedule", ["sequential", "staggered"])
 def test_given_a_multisine_in_the_run_then_a_campaign_ends_with_valid_rows(tmp_path: Path, schedule: str) -> None:
-    run = {
-        "sweep": {"waveform": "multisine", "duration_s": 0.3},
-        "capture": {"averages": 1, "excitation": schedule},
-    }
+    run = {"sweep": {"waveform": "multisine", "duration_s": 0.3}, "capture": {"averages": 1, "excitation": schedule}}
     rig = wf.virtual_rig(actuators=2, position_mm=[[0, 0], [5, 0]], run=run)
     with rig.measure(tmp_path / "bank.h5") as bank:
         assert bank.status.tolist() == [1, 1]

@@ -30,12 +30,7 @@ def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction(
     assert directions == [1 if index % 2 == 0 else -1 for index in range(len(rows))]
 
 
-@given(
-    width_mm=st.floats(5, 100),
-    extra_mm=st.floats(0, 100),
-    margin=st.floats(0, 0.45),
-    spacing_mm=st.floats(1, 8),
-)
+@given(width_mm=st.floats(5, 100), extra_mm=st.floats(0, 100), margin=st.floats(0, 0.45), spacing_mm=st.floats(1, 8))
 def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
     width_mm: float, extra_mm: float, margin: float, spacing_mm: float
 ) -> None:

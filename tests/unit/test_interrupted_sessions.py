@@ -13,14 +13,7 @@ from wavefocus.acquisition.drift_watch import DriftError
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
-from wavefocus.config.messages.campaign import (
-    Event,
-    Fault,
-    ReconnectTried,
-    SessionEnded,
-    State,
-    StateChanged,
-)
+from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.writer import BankWriter, create_bank

@@ -37,8 +37,7 @@ def test_a_circle_turns_anticlockwise_when_its_turns_are_positive(turns, expecte
 
 
 @given(
-    points=st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), min_size=2, max_size=8),
-    closed=st.booleans(),
+    points=st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), min_size=2, max_size=8), closed=st.booleans()
 )
 def test_neighbours_on_a_polyline_are_never_further_apart_than_along_it(points, closed):
     path = Polyline(points, closed)
@@ -123,11 +122,7 @@ def test_malformed_path_data_is_refused(data):
 
 
 @pytest.mark.parametrize(
-    "head",
-    [
-        '<!DOCTYPE svg [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>',
-        '<!DOCTYPE svg SYSTEM "file:///etc/passwd">',
-    ],
+    "head", ['<!DOCTYPE svg [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>', '<!DOCTYPE svg SYSTEM "file:///etc/passwd">']
 )
 def test_an_svg_file_with_a_document_type_is_refused(tmp_path, head):
     with pytest.raises(InputError, match="document type"):

@@ -14,11 +14,7 @@ from tests.unit.wave_travel import impulse_travel
 from wavefocus.config.plate import PlateKeys
 from wavefocus.mocks.plates import PLATES
 from wavefocus.mocks.plates.infinite import PlateTable
-from wavefocus.mocks.plates.soft import (
-    SOFT_PLATE,
-    SPRINGPOT_PLATE,
-    mean_hankel,
-)
+from wavefocus.mocks.plates.soft import SOFT_PLATE, SPRINGPOT_PLATE, mean_hankel
 from wavefocus.mocks.virtual.settings import MirrorGeometry
 from wavefocus.mocks.virtual.synthesis import chain_response
 

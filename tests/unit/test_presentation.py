@@ -47,9 +47,7 @@ def true_error_ms(label: RecordLabel) -> float:
 
 
 @pytest.mark.parametrize("masking", [None, MASKING], ids=["alone", "masked"])
-def test_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisecond(
-    masking: Masking | None,
-) -> None:
+def test_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisecond(masking: Masking | None) -> None:
     rig = presenter(masking=masking)
     for trial in range(1, 6):
         began_s = time.monotonic()

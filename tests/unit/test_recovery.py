@@ -13,12 +13,7 @@ from wavefocus.acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, bac
 from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from wavefocus.acquisition.setup import Setup, names_of, point_at
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.config.messages.campaign import (
-    Event,
-    ReconnectTried,
-    State,
-    StateChanged,
-)
+from wavefocus.config.messages.campaign import Event, ReconnectTried, State, StateChanged
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
 from wavefocus.drivers.protocols import Clock, Instruments, WallClock
 from wavefocus.ending import stop_on_signals

@@ -10,10 +10,7 @@ from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.calibration.coarse_grid.bounds import judged
 from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
-from wavefocus.calibration.coarse_grid.waves import (
-    Dispersion,
-    distances_mm,
-)
+from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm
 
 RADIUS_MM = 55.0
 RNG = np.random.default_rng(4)

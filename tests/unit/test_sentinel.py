@@ -126,9 +126,7 @@ def _step(then: np.ndarray, now: np.ndarray, place_mm: tuple[float, float], chan
 
 
 @pytest.mark.parametrize("place_mm", [CORNER, MIDDLE])
-def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(
-    place_mm: tuple[float, float],
-) -> None:
+def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(place_mm: tuple[float, float]) -> None:
     chance, then = np.random.default_rng(7), _truth(place_mm)
     hertz = np.fft.rfftfreq(2 * TAPS, 1 / RATE_HZ)
     delays = [np.exp(-2j * np.pi * hertz * samples / RATE_HZ) for samples in (0.3, -0.3)]

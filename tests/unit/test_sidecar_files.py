@@ -115,9 +115,7 @@ def test_given_a_file_called_new_then_naming_a_calibration_leaves_it(victim: Pat
     assert "calibration.toml" in rig.read_text(encoding="utf-8")
 
 
-def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_removed(
-    tmp_path: Path,
-) -> None:
+def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_removed(tmp_path: Path) -> None:
     bank = tmp_path / "plate.h5"
     owner_path(bank).write_bytes(b"\xff\xa5" * 256)
     write_owner(bank)

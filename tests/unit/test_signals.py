@@ -12,12 +12,7 @@ from wavefocus.rendering.scene.signals import Noise, Sine, SoundFile
 from wavefocus.storage.errors import InputError
 
 
-@given(
-    seed=st.integers(0, 2**63),
-    low=st.floats(0, 2000),
-    width=st.floats(100, 3000),
-    duration_s=st.floats(0.02, 0.3),
-)
+@given(seed=st.integers(0, 2**63), low=st.floats(0, 2000), width=st.floats(100, 3000), duration_s=st.floats(0.02, 0.3))
 def test_noise_has_peak_one_and_nothing_outside_its_band(seed, low, width, duration_s):
     found = Noise((low, low + width), duration_s, seed).samples(10_000.0)
     assert np.abs(found).max() == 1.0

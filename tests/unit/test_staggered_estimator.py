@@ -81,11 +81,7 @@ def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
     return 10 * np.log10(noise_v**2 * least_noise() / (np.abs(in_band(true)) ** 2).sum(axis=1))
 
 
-@given(
-    seed=st.integers(0, 10_000),
-    ppm=st.floats(-200, 200),
-    start=st.floats(0, 599),
-)
+@given(seed=st.integers(0, 10_000), ppm=st.floats(-200, 200), start=st.floats(0, 599))
 def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_limit(
     seed: int, ppm: float, start: float
 ) -> None:

@@ -105,9 +105,7 @@ def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(
     assert path.read_bytes() == b"precious"
 
 
-def test_a_folder_killed_between_two_renames_gets_the_new_one_under_its_name(
-    tmp_path: Path,
-) -> None:
+def test_a_folder_killed_between_two_renames_gets_the_new_one_under_its_name(tmp_path: Path) -> None:
     path = tmp_path / "crate"
     hidden = leftover(path, owner=b"complete")
     for name, content in (("crate", "new"), ("previous", "old")):

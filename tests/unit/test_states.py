@@ -28,9 +28,7 @@ class Hours:
 
 
 @given(asked=st.lists(st.tuples(st.sampled_from(State), st.floats(0.0, 100.0)), max_size=40))
-def test_any_course_of_events_is_legal_or_refused_and_time_away_is_not_work(
-    asked: list[tuple[State, float]],
-) -> None:
+def test_any_course_of_events_is_legal_or_refused_and_time_away_is_not_work(asked: list[tuple[State, float]]) -> None:
     clock, told = Hours(), []
     life = Session(clock, told.append, StopRequest())
     worked_s = 0.0

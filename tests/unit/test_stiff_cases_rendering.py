@@ -104,8 +104,7 @@ def test_row_2_path_over_a_row_of_zeros_is_refused_by_name():
 
 @pytest.mark.parametrize("regularisation", [Regularisation(), SATURATED])
 @pytest.mark.parametrize(
-    ("scale", "dtype"),
-    [(2.0**-40, np.float32), (2.0**30, np.float32), (1e-15, np.float64), (1e15, np.float64)],
+    ("scale", "dtype"), [(2.0**-40, np.float32), (2.0**30, np.float32), (1e-15, np.float64), (1e15, np.float64)]
 )
 def test_rows_3_to_5_bank_in_another_unit_gives_the_same_drive_in_that_unit(scale, dtype, regularisation):
     """Powers of two near 1e-12 and 1e9: float32 itself rounds any other factor to 6e-8."""

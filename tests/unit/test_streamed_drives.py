@@ -193,8 +193,7 @@ def test_a_scene_of_one_sample_is_written(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("amplitude", "tolerance_db", "output"),
-    [(1e42, -40.0, NEAREST), (1e200, None, limited(limit_rms_v=1.0))],
+    ("amplitude", "tolerance_db", "output"), [(1e42, -40.0, NEAREST), (1e200, None, limited(limit_rms_v=1.0))]
 )
 def test_drives_beyond_single_precision_or_of_any_size_are_written(amplitude, tolerance_db, output, tmp_path):
     source = Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=amplitude)

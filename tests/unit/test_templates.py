@@ -75,9 +75,7 @@ def test_template_scene_moves_along_positions_for_about_two_seconds(tmp_path: Pa
         assert np.hypot(*(position_mm - point_mm).T).min() < 1e-9
 
 
-def test_the_template_scene_renders_clean_on_a_bank_with_noise_beyond_its_band(
-    tmp_path: Path,
-) -> None:
+def test_the_template_scene_renders_clean_on_a_bank_with_noise_beyond_its_band(tmp_path: Path) -> None:
     write_templates(tmp_path, "virtual")
     position_mm = load_run(tmp_path / "run.toml").position_mm
     near = position_mm[(np.abs(position_mm) < (80.0, 16.0)).all(axis=1)]

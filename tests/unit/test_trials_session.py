@@ -208,9 +208,7 @@ def test_given_something_else_than_the_participant_began_with_then_it_is_refused
     assert {row.participant for row in read_answers(tmp_path)} == {"P1", "P2"}
 
 
-def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(
-    tmp_path: Path,
-) -> None:
+def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(tmp_path: Path) -> None:
     table = '[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\nreversals = 4\ntrials = 12\n'
     text = TRIALS.replace("repetitions = 4\nblocks = 2\n", "").replace("[path.left]", f"{table}\n[path.left]")
     experiment = made(tmp_path, text + "amplitude = [0.25, 0.5, 1]\n")

@@ -103,9 +103,7 @@ def test_given_causes_of_this_and_of_earlier_versions_then_they_are_read(record_
     assert all("nan" not in sentence(symptom) and remedy(symptom) for symptom in read)
 
 
-def test_path_between_positions_then_record_has_point_asked_for_and_position_used(
-    tmp_path: Path,
-) -> None:
+def test_path_between_positions_then_record_has_point_asked_for_and_position_used(tmp_path: Path) -> None:
     source = dataclasses.replace(scene_of().sources[0], path=Line((-12.0, 1.5), (12.0, 1.5)))
     scene = dataclasses.replace(scene_of(), sources=(source,), output=Output(interpolation="nearest"))
     drive, report = render_with_report(scene, bank())

@@ -159,11 +159,7 @@ def test_the_task_has_single_ended_wiring_and_samples_a_conversion_later():
 
 @pytest.mark.parametrize(
     ("product", "rate_hz", "delay_s"),
-    [
-        ("USB-6211", 10_000.0, 14e-6),
-        ("USB-6211", 100_000.0, 5e-6),
-        ("USB-6356", 10_000.0, 0.0),
-    ],
+    [("USB-6211", 10_000.0, 14e-6), ("USB-6211", 100_000.0, 5e-6), ("USB-6356", 10_000.0, 0.0)],
 )
 def test_product_then_its_own_conversion_clock_says_how_late_response_is_sampled(product, rate_hz, delay_s):
     wires = Wires()

@@ -39,27 +39,6 @@ def terminal(device, *faults):
             yield ask
 
 
-def test_given_the_generic_mirror_then_it_can_be_typed_to_by_hand():
-    with terminal(GenericMirrorDevice(motion())) as ask:
-        assert ask("*IDN?") == "wavefocus,generic mirror,0001,1.0\r\n"
-        assert ask("LIMIT?", "\r\n") == "250.0000\r\n"
-        assert ask("X=12.5") == "OK\r\n"
-        assert ask("Y=-3") == "OK\r\n"
-        assert ask("XY?") == "12.5000,-3.0000\r\n"
-        assert ask("X?") == "12.5000\r\n"
-        assert ask("Y?") == "-3.0000\r\n"
-        assert ask("BUSY?") == "0\r\n"
-        assert ask("PARK=1,2") == "OK\r\n"
-        assert ask("PARK") == "OK\r\n"
-        assert ask("XY?") == "1.0000,2.0000\r\n"
-        assert ask("JUMP").startswith("ERR 1")
-        assert ask("X=left").startswith("ERR 2")
-        assert ask("XY=1").startswith("ERR 2")
-        assert ask("X=1,2").startswith("ERR 2")
-        assert ask("X=300").startswith("ERR 3")
-        assert ask("X=1*00").startswith("ERR 4")
-
-
 def test_given_the_reference_page_then_the_device_holds_the_conversation_in_it():
     block = re.search(r"## A conversation\n\n```\n(.*?)```", REFERENCE.read_text(encoding="utf-8"), re.DOTALL)
     lines = [line for line in block.group(1).splitlines() if line]

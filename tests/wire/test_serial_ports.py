@@ -35,10 +35,7 @@ def test_given_a_serial_number_then_its_port_is_found():
 
 
 FTDI_PAIR = (SerialPort("COM10", "FT3BNM1OB"), SerialPort("COM9", "FT3BNM1OA"))
-CP2105 = (
-    SerialPort("/dev/ttyUSB0", "00AB12", 0),
-    SerialPort("/dev/ttyUSB1", "00AB12", 1),
-)
+CP2105 = (SerialPort("/dev/ttyUSB0", "00AB12", 0), SerialPort("/dev/ttyUSB1", "00AB12", 1))
 UNNUMBERED = (SerialPort("/dev/ttyUSB9", "00AB12"), SerialPort("/dev/ttyUSB10", "00AB12"))
 
 

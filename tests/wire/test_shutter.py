@@ -172,9 +172,7 @@ def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened
         first.open_beam()
 
 
-def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(
-    opened: ExitStack,
-) -> None:
+def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(opened: ExitStack) -> None:
     box = server(opened)
     shutter = NiShutterDriver(device="Dev1", address=box.address).open()
     opened.callback(shutter.close)

@@ -17,9 +17,7 @@ from wavefocus.trials.answers import read_answers
 pytestmark = pytest.mark.long
 
 
-def test_a_player_unplugged_in_a_trial_repeats_it_and_every_onset_is_found(
-    tmp_path: Path,
-) -> None:
+def test_a_player_unplugged_in_a_trial_repeats_it_and_every_onset_is_found(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
     (tmp_path / "virtual-rig.toml").write_text(VIRTUAL_RIG, encoding="utf-8")
     write_run(tmp_path, "run.toml", "virtual-rig.toml", averages=1)
