@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from wavefocus.storage.bank.layout import BankHeader
@@ -74,6 +75,34 @@ def change_text(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new), encoding="utf-8")
 
 
+def write_bank(
+    path: Path,
+    green: np.ndarray,
+    position_mm: np.ndarray | None = None,
+    *,
+    rows: Sequence[int] | None = None,
+    actuator_mm: np.ndarray | None = None,
+    rate_hz: float = 10_000.0,
+    band_hz: tuple[float, float] = (20.0, 500.0),
+    check_rows: tuple[int, ...] = (),
+) -> Path:
+    """Measure rows (positions, actuators, taps) into a new bank: all of them, or those at some positions alone."""
+    positions, actuators, taps = green.shape
+    if position_mm is None:
+        position_mm = np.stack([np.arange(positions) * 4.0, np.zeros(positions)], axis=1)
+    unknown = np.full((actuators, 2), np.nan)
+    header = BankHeader(
+        rate_hz, taps, band_hz, position_mm, unknown if actuator_mm is None else actuator_mm, "{}", "{}", "ab" * 32,
+        "test", check_rows=check_rows,
+    )  # fmt: skip
+    create_bank(path, header)
+    figures = np.ones(actuators, np.float32)
+    with BankWriter.open(path) as writer:
+        for row in range(positions) if rows is None else rows:
+            writer.commit(row, green[row].astype(np.float32), PointRecord(1, 1, figures, figures, figures, figures))
+    return path
+
+
 def with_check_rows(bank: Path, out: Path, *rows: int) -> Path:
     """Write the same bank with rows that lie off the grid and only judge what is between it."""
     with open_bank(bank) as view:
@@ -87,3 +116,35 @@ def with_check_rows(bank: Path, out: Path, *rows: int) -> Path:
             for row in range(view.positions):
                 written.commit(row, view.green(row), PointRecord(1, 1, figures, figures, figures, figures))
     return out
+
+
+def put(name: str, value: object) -> Callable[[h5py.File], None]:
+    """A change of a file: another dataset or link under a name."""
+
+    def change(file: h5py.File) -> None:
+        if name in file:
+            del file[name]
+        file[name] = value
+
+    return change
+
+
+def attribute(name: str, value: object, of: str = "/") -> Callable[[h5py.File], None]:
+    """A change of a file: another value of an attribute."""
+
+    def change(file: h5py.File) -> None:
+        file[of].attrs[name] = value
+
+    return change
+
+
+def without(name: str) -> Callable[[h5py.File], None]:
+    """A change of a file: an attribute or dataset less."""
+
+    def change(file: h5py.File) -> None:
+        if name in file.attrs:
+            del file.attrs[name]
+        else:
+            del file[name]
+
+    return change

@@ -11,22 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.storage.bank.layout import BankHeader
+from tests.lab_files import attribute, put, without, write_bank
 from wavefocus.storage.bank.ledger import PointRecord, bank_row_shape, encode_row
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.pages import Replacement
 
 
 def measured(path: Path, positions: int = 3) -> Path:
-    grid = np.stack([np.arange(positions) * 4.0, np.zeros(positions)], axis=1)
-    corners = np.full((2, 2), np.nan)
-    create_bank(path, BankHeader(10_000.0, 16, (20.0, 500.0), grid, corners, "{}", "{}", "ab" * 32, "test"))
-    with BankWriter.open(path) as writer:
-        for position in range(positions):
-            writer.commit(position, green_of(position), record_of(1))
-    return path
+    return write_bank(path, np.stack([green_of(position) for position in range(positions)]))
 
 
 def green_of(position: int, attempt: int = 1) -> np.ndarray:
@@ -163,39 +157,6 @@ def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_s
         assert bank.quality["attempts"].tolist() == [2, 1]
 
 
-def put(name: str, value: object) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        if name in file:
-            del file[name]
-        file[name] = value
-
-    return change
-
-
-def attribute(name: str, value: object) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        file.attrs[name] = value
-
-    return change
-
-
-def on(dataset: str, name: str, value: object) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        file[dataset].attrs[name] = value
-
-    return change
-
-
-def without(name: str) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        if name in file.attrs:
-            del file.attrs[name]
-        else:
-            del file[name]
-
-    return change
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -204,7 +165,7 @@ def without(name: str) -> Callable[[h5py.File], None]:
         (without("sample_rate_hz"), "has no attribute sample_rate_hz"),
         (attribute("sample_rate_hz", -1.0), "the sample rate is -1 Hz; 10 to 1e\\+09 Hz are allowed"),
         (attribute("sample_rate_hz", 1e40), "the sample rate is 1e\\+40 Hz"),
-        (on("position_mm", "units", "m"), "position_mm states the units 'm'; its name says mm"),
+        (attribute("units", "m", of="position_mm"), "position_mm states the units 'm'; its name says mm"),
         (attribute("sample_rate_hz", np.nan), "sample_rate_hz is nan; a finite number"),
         (attribute("sample_rate_hz", "8 kHz"), "sample_rate_hz is '8 kHz'; a finite number"),
         (attribute("sample_rate_hz", h5py.Empty("f8")), "sample_rate_hz"),
@@ -223,8 +184,8 @@ def without(name: str) -> Callable[[h5py.File], None]:
         (put("actuator_mm", np.ones((2, 3))), r"/actuator_mm has shape \(2, 3\)"),
         (put("time_s", np.arange(4) / 999.0), "/time_s has .* they must agree"),
         (put("time_s", np.arange(4) / 10_000.0 - 1e-3), "/time_s has .* they must agree"),
-        (on("green", "scale_factor", "half"), "/green has the scale_factor 'half'"),
-        (on("green", "scale_factor", np.nan), "/green has the scale_factor nan"),
+        (attribute("scale_factor", "half", of="green"), "/green has the scale_factor 'half'"),
+        (attribute("scale_factor", np.nan, of="green"), "/green has the scale_factor nan"),
         (put("status", np.array([1, 77])), "/status holds 1 to 77"),
         (put("status", np.array([1.0, 0.0])), "/status holds floats; integers are needed"),
         (put("quality/snr_db", np.ones((3, 3))), r"/quality/snr_db has shape \(3, 3\)"),

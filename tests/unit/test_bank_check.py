@@ -8,14 +8,13 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import write_bank
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
-from tests.unit.plate_banks import TAPS as TAPS_OF_PLATE
 from wavefocus.__main__ import run
 from wavefocus.calibration.check import BankProblem, check_bank
-from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 
 POSITIONS, ACTUATORS, TAPS = 6, 3, 200
@@ -28,15 +27,10 @@ def responses() -> np.ndarray:
 
 
 def measured(path: Path, green: np.ndarray, grid: np.ndarray | None = None) -> Path:
-    if grid is None:
-        grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
-    unknown = np.full((ACTUATORS, 2), np.nan)
-    create_bank(path, BankHeader(10_000.0, TAPS, (20.0, 500.0), grid, unknown, "{}", "{}", "ab" * 32, "test"))
-    figures = np.ones(ACTUATORS, np.float32)
-    with BankWriter.open(path) as writer:
-        for position, row in enumerate(green):
-            writer.commit(position, row, PointRecord(1, 1, figures, figures, figures, figures))
-    return path
+    """A bank of six positions of which the first are measured."""
+    rows = np.zeros((POSITIONS, ACTUATORS, TAPS), np.float32)
+    rows[: len(green)] = green
+    return write_bank(path, rows, grid, rows=range(len(green)))
 
 
 def flip(path: Path, dataset: str, byte: int, chunk: int | None = None) -> None:
@@ -200,20 +194,11 @@ def plate_bank_file(path: Path, wrong: int, check_rows: tuple[int, ...] = (), sp
     axis_mm = spacing_mm * np.arange(-3, 4)
     grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
     plate = plate_bank(grid)
-    create_bank(
-        path,
-        BankHeader(
-            RATE_HZ, TAPS_OF_PLATE, BAND_HZ, grid, ACTUATOR_MM[:3], "{}", "{}", "ab" * 32, "test", check_rows=check_rows
-        ),
+    green = np.stack([plate.green(position)[:3] for position in range(len(grid))])
+    green[wrong, 2] *= -0.5
+    return write_bank(
+        path, green, grid, actuator_mm=ACTUATOR_MM[:3], rate_hz=RATE_HZ, band_hz=BAND_HZ, check_rows=check_rows
     )
-    figures = np.ones(3, np.float32)
-    with BankWriter.open(path) as writer:
-        for position in range(len(grid)):
-            row = np.array(plate.green(position)[:3], np.float32)
-            if position == wrong:
-                row[2] *= -0.5
-            writer.commit(position, row, PointRecord(1, 1, figures, figures, figures, figures))
-    return path
 
 
 def test_row_that_its_neighbours_contradict_then_is_error_that_names_difference(tmp_path: Path) -> None:

@@ -17,29 +17,19 @@ import pytest
 import pyuff
 
 import wavefocus as wf
-from tests.unit.test_bank_writer import header
+from tests.lab_files import write_bank
 from wavefocus.__main__ import run
 from wavefocus.calibration.check import check_bank
-from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.notes import add_note
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.claims import claimed
 from wavefocus.storage.errors import BankBusyError, InputError
 
 
 @pytest.fixture
 def bank(tmp_path: Path) -> Path:
-    path = tmp_path / "plate.h5"
-    create_bank(path, header())
-    rng = np.random.default_rng(4)
-    with BankWriter.open(path) as writer:
-        positions, actuators, taps = writer.header.positions, writer.header.actuators, writer.header.taps
-        figures = np.ones(actuators, np.float32)
-        for position in range(positions - 1):
-            green = rng.normal(size=(actuators, taps)).astype(np.float32)
-            writer.commit(position, green, PointRecord(1, 1, figures, figures, figures, figures))
-    return path
+    return write_bank(tmp_path / "plate.h5", np.random.default_rng(4).normal(size=(4, 2, 16)), rows=range(3))
 
 
 def by_objects(source: h5py.File, target: h5py.File, **options: object) -> None:

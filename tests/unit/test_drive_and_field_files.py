@@ -16,6 +16,7 @@ import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.lab_files import attribute, put, without
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import (
@@ -222,22 +223,6 @@ def test_a_wrong_drive_or_field_then_is_refused_by_name(change: dict[str, object
         dataclasses.replace(sound, **change)
 
 
-def attribute(name: str, value: object) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        file.attrs[name] = value
-
-    return change
-
-
-def put(name: str, value: object) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        del file[name]
-        if value is not None:
-            file[name] = value
-
-    return change
-
-
 @pytest.mark.parametrize(
     ("write", "change", "message"),
     [
@@ -250,7 +235,7 @@ def put(name: str, value: object) -> Callable[[h5py.File], None]:
         (a_drive, attribute("sample_rate_hz", "fast"), "sample_rate_hz is 'fast'"),
         (a_drive, attribute("scale", -1.0), "scale is -1"),
         (a_drive, attribute("method", 5), "method holds no text"),
-        (a_drive, put("drive", None), "has no dataset /drive"),
+        (a_drive, without("drive"), "has no dataset /drive"),
         (a_drive, put("drive", np.array(["x"], h5py.string_dtype())), "/drive holds no plain numbers"),
         (a_drive, put("drive", h5py.ExternalLink("other.h5", "/drive")), "/drive is a link to elsewhere"),
         (a_drive, put("drive", np.array([[np.inf]])), "/drive of actuator 0 holds NaN or infinities"),

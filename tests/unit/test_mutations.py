@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.lab_files import write_bank
 from tests.unit.mutations import mutations, snapshot, stored_bytes
 from wavefocus.calibration.check import check_file
-from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord
-from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.drive_file import Drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, write_field
@@ -23,15 +21,8 @@ RNG = np.random.default_rng(0)
 
 
 def a_bank(path: Path) -> None:
-    header = BankHeader(
-        10_000.0, 100, (20.0, 500.0), POSITION_MM, np.zeros((3, 2)), "{}", '{"a": 1}', "ab" * 32, "wavefocus test"
-    )
-    create_bank(path, header)
-    figures = np.ones(3, np.float32)
-    with BankWriter.open(path) as writer:
-        for position in range(4):  # the last one is not measured
-            green = RNG.normal(size=(3, 100)) * np.exp(-np.arange(100) / 7)
-            writer.commit(position, green.astype(np.float32), PointRecord(1, 1, figures, figures, figures, figures))
+    green = RNG.normal(size=(5, 3, 100)) * np.exp(-np.arange(100) / 7)
+    write_bank(path, green, POSITION_MM, rows=range(4))  # the last one is not measured
 
 
 def a_raw_file(path: Path) -> None:

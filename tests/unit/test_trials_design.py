@@ -201,10 +201,3 @@ def test_order_is_followed_answer_by_answer_to_its_end(tmp_path: Path) -> None:
         assert (trial.number, order.next_trial()) == (number, trial)
         order.answered("left")
     assert order.next_trial() is None
-
-
-def test_ten_thousand_trials_of_two_hundred_stimuli_are_ordered() -> None:
-    names = [str(k) for k in range(200)]
-    order = ordered(names, lambda name: name, Draws("1"), each=50, blocks=1, most_alike=1)
-    assert longest_run(order) == 1
-    assert len(order) == 10_000

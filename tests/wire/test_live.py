@@ -12,14 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.lab_files import write_bank
 from tests.system.lines import Lines
 from tests.wire.audio_bench import AudioBench, needs_audio_server
 from tests.wire.test_play import RIG
 from wavefocus.drivers.process import SILENT_S
 from wavefocus.mocks.wire.jack_server import JackServer
-from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord
-from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300), *needs_audio_server]
 
@@ -36,14 +34,8 @@ def server() -> Iterator[JackServer]:
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    bank, places = tmp_path / "plate.h5", np.full((ACTUATORS, 2), np.nan)
-    header = BankHeader(RATE_HZ, TAPS, (50.0, 450.0), PLACES_MM, places, "{}", "{}", "0" * 64, "test")
-    create_bank(bank, header)
-    random, quality = np.random.default_rng(1), np.zeros(ACTUATORS, dtype=np.float32)
-    with BankWriter.open(bank, plan_sha256="0" * 64) as writer:
-        for row in range(len(PLACES_MM)):
-            green = random.standard_normal((ACTUATORS, TAPS)).astype(np.float32)
-            writer.commit(row, green, PointRecord(1, 1, quality, quality, quality, quality))
+    green = np.random.default_rng(1).standard_normal((len(PLACES_MM), ACTUATORS, TAPS))
+    write_bank(tmp_path / "plate.h5", green, PLACES_MM, band_hz=(50.0, 450.0))
     return tmp_path
 
 
