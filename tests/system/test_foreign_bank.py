@@ -8,7 +8,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import xarray
 
 from wavefocus.__main__ import run
 
@@ -178,21 +177,6 @@ def test_a_bank_of_other_units_then_gives_drives_and_fields_their_units(
         rig.write_text(text, encoding="utf-8")
         assert run(["play", str(played), "--rig", str(rig)]) == 2
         assert "is in mV" in capsys.readouterr().err
-
-
-def test_drives_and_fields_opened_by_xarray_then_show_labelled_dimensions_and_units(tmp_path: Path, bank: Path) -> None:
-    scene = tmp_path / "scene.toml"
-    scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
-    played, field = tmp_path / "drive.h5", tmp_path / "field.h5"
-    assert run(["render", str(scene), "--bank", str(bank), "--out", str(played)]) == 0
-    assert run(["predict", str(played), "--bank", str(bank), "--out", str(field)]) == 0
-    with xarray.open_dataset(played, engine="h5netcdf") as found:
-        assert found["drive"].dims == ("actuator", "time_s")
-        assert found["time_s"].attrs["units"] == "s"
-        assert found["time_s"].values[0] == pytest.approx(-(TAPS - 1) / RATE_HZ)
-    with xarray.open_dataset(field, engine="h5netcdf") as found:
-        assert found["field"].dims == ("position", "time_s")
-        assert found["position_index"].dims == ("position",)
 
 
 @pytest.mark.parametrize("name", ["sample_rate_hz", "start_s", "scale", "method", "drive"])

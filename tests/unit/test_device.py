@@ -22,8 +22,6 @@ from wavefocus.rendering.scene.signals import Noise, Sine
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 
-NEAREST = Output(interpolation="nearest")
-
 RATE_HZ = 1000.0
 STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
 MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
@@ -75,14 +73,6 @@ def test_given_any_bank_and_scene_then_the_standard_alone_gives_the_drives(
             assert share == pytest.approx(right, abs=1e-3)
 
 
-def test_given_little_memory_then_rows_are_transformed_anew_and_nothing_changes() -> None:
-    little = Device("strict", array_api_strict, np.from_dlpack, 1)
-    scene = Scene("s", (MOVING, MOVING), output=NEAREST)
-    expected = render_with_report(scene, make_bank())[0].drive_v
-    found = render_with_report(scene, make_bank(), device=little)[0].drive_v
-    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
-
-
 @pytest.mark.may_skip("a GPU is not everywhere")
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
 def test_given_a_gpu_then_it_gives_the_drives_of_the_cpu() -> None:
@@ -131,14 +121,6 @@ def test_given_any_bank_and_drive_then_the_standard_alone_gives_the_field(
         found = field_of(bank, drive, [2, 0], device)
         assert found.shape == expected.shape
         assert np.abs(found - expected).max() <= 1e-13 * scale
-
-
-def test_given_many_rows_then_memory_bounds_how_many_are_computed_at_once() -> None:
-    random = np.random.default_rng(1)
-    bank = GreenArray(random.standard_normal((50, 2, 30)), np.zeros((50, 2)), 2000.0)
-    drive = drive_of(random.standard_normal((2, 500)))
-    assert len(list(Prediction(drive, bank, range(50), dtype=np.float64, device=STRICT).rows())) > 5
-    assert np.allclose(field_of(bank, drive, list(range(50)), STRICT), direct(bank, drive, list(range(50))))
 
 
 @pytest.mark.may_skip("a GPU is not everywhere")

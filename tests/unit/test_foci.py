@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -53,12 +51,6 @@ def test_given_a_stroke_then_each_focus_is_on_its_path_point_and_a_wavelength_wi
     assert found.peak == pytest.approx(np.ones(5), rel=0.1)
     assert np.nanmedian(found.width_mm) == pytest.approx(9.0, abs=3.0)
     assert (found.artefact_db < 0).all()
-
-
-def test_given_a_field_then_its_own_foci_are_looked_at(bank, drive):
-    field = predict(drive, bank)
-    twice = focus_figures(drive, bank, replace(field, field=2 * field.field))
-    assert twice.peak == pytest.approx(2 * focus_figures(drive, bank).peak)
 
 
 def test_given_a_field_at_another_rate_then_it_is_refused(bank, drive):

@@ -13,7 +13,7 @@ from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.rendering.scene.model import load_scene
-from wavefocus.rendering.scene.signals import Impulse, Noise, Signal, Sine
+from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 40, 5
@@ -22,13 +22,6 @@ BANK = GreenArray(np.random.default_rng(0).standard_normal((len(GRID_MM), 3, TAP
 SINGLE = 2e-6
 """Rounding of single precision."""
 HELD = Regularisation(saturation=0.8)
-
-
-class Burst:
-    """A signal that no table of a scene file describes."""
-
-    def samples(self, sample_rate_hz: float) -> np.ndarray:
-        return 0.3 * np.hanning(round(0.05 * sample_rate_hz))
 
 
 def engine_of(interpolation: str = "nearest") -> LiveEngine:
@@ -42,43 +35,6 @@ def recording_into(folder: Path, interpolation: str = "nearest") -> SessionRecor
     return SessionRecording(
         folder, rate_hz=RATE_HZ, regularisation=HELD, interpolation=interpolation, about="session\nof a test"
     )
-
-
-def step(engine: LiveEngine, block: int, signals: list[Signal]) -> None:
-    """Orders of a block: a finger that jumps, changes its signal, lets go and comes again; another one."""
-    at_s = block * BLOCK / RATE_HZ
-    if block % 3 == 0 and not 90 <= block < 120 and block < 210:
-        side = -1.0 if 60 <= block < 90 else 1.0
-        engine.move("finger \x7f\n\ud800", (side * 12.0 * np.cos(9.0 * at_s), 10.1 * np.sin(7.0 * at_s)), 1.0 + at_s)
-    if block == 90:
-        engine.end_source("finger \x7f\n\ud800")
-    if block in (15, 30, 130, 150):
-        engine.set_signal("finger \x7f\n\ud800", signals.pop(), repeat=block != 15)
-    if block == 40:
-        engine.move("thumb", (3.0, 3.0), 2.0)
-
-
-@pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
-def test_given_sufficient_look_ahead_then_the_record_renders_to_the_live_drives(interpolation, tmp_path):
-    engine, blocks = engine_of(interpolation), []
-    signals: list[Signal] = [Noise((100.0, 300.0), 0.05, 2), Burst(), Impulse(), Sine(83.0, 0.03)]
-    with recording_into(tmp_path / "session", interpolation) as recording:
-        for block in range(310):
-            step(engine, block, signals)
-            blocks.append(engine.next_block())
-            if block % 40 == 0:
-                recording.add(engine.take_record())
-        recording.add(engine.take_record())
-    scene_file = recording.scene
-    assert scene_file == tmp_path / "session" / "scene.toml"
-    scene = load_scene(scene_file)
-    drive, _ = render_with_report(scene, BANK)
-    live_v, offline_v = np.concatenate(blocks, axis=1), drive.drive_v[:, TAPS - 1 :]
-    assert len(scene.sources) == 7
-    assert offline_v.shape[1] > 1000
-    error = np.abs(live_v[:, : offline_v.shape[1]] - offline_v).max()
-    assert error < SINGLE * np.abs(offline_v).max()
-    assert np.abs(live_v[:, offline_v.shape[1] :]).max() < SINGLE * np.abs(offline_v).max()
 
 
 def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tmp_path):

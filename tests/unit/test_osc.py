@@ -19,15 +19,6 @@ from wavefocus.live_session.osc_packet import read, split
 from wavefocus.storage.errors import InputError
 
 
-def test_given_an_amplitude_by_osc_then_it_comes_with_the_next_position() -> None:
-    messages = OscMessages()
-    word = b"/source/a/amplitude\x00,f\x00\x00" + np.array(0.5, ">f4").tobytes()
-    assert list(messages.read(word)) == []
-    place = b"/source/a/position\x00\x00,ff\x00" + np.array([1.0, 2.0], ">f4").tobytes()
-    assert list(messages.read(place)) == [{"order": "move", "name": "a", "at_mm": [1.0, 2.0], "amplitude": 0.5}]
-    assert list(messages.read(place)) == [{"order": "move", "name": "a", "at_mm": [1.0, 2.0]}]
-
-
 def test_given_any_bytes_then_osc_refuses_or_reads_them() -> None:
     random, messages = np.random.default_rng(1), OscMessages()
     for size in range(400):

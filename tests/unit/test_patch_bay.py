@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -48,26 +46,3 @@ def test_given_a_cable_then_the_response_is_the_voltage_of_what_is_plugged_in(
     step_v = 10 / 32768
     assert np.abs(reference_v).max() > 0.9
     assert np.abs(response_v - times * reference_v).max() < (1 + times) * step_v
-
-
-def test_outputs_of_their_own_latency_and_gain_then_that_is_what_is_heard_of_them() -> None:
-    late_s, gain = [0.0] * 21, [1.0] * 21
-    late_s[3], gain[3], gain[20] = 3e-4, -0.5, 2.0
-    rig = VirtualRig(dataclasses.replace(QUIET, output_latency_s=tuple(late_s), output_gain=tuple(gain)))
-    rig.patch_bay.connect("output 3")
-    reference_v, response_v = record(rig, 3, 20).volts.astype(np.float64)
-    assert np.abs(response_v[3:] + 0.25 * reference_v[:-3]).max() < 1e-3
-    assert np.abs(reference_v).max() == pytest.approx(2.0, abs=0.01)
-
-
-def test_an_output_of_its_own_latency_and_gain_then_the_surface_answers_accordingly() -> None:
-    late_s, gain = [0.0] * 21, [1.0] * 21
-    late_s[3], gain[3] = 3e-4, -0.5
-    heard = []
-    for settings in (QUIET, dataclasses.replace(QUIET, output_latency_s=tuple(late_s), output_gain=tuple(gain))):
-        rig = VirtualRig(dataclasses.replace(settings, dropout_probability=0.0))
-        rig.instruments.mirror.move_to(60.0, 40.0)
-        rig.instruments.mirror.wait_settled(1.0)
-        heard.append(record(rig, 3, 20).volts[1].astype(np.float64))
-    assert np.abs(heard[0]).max() > 0.01
-    assert np.abs(heard[1][3:] + 0.5 * heard[0][:-3]).max() < 3 * 10 / 32768

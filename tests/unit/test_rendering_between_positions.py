@@ -13,7 +13,7 @@ from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import QuietPlace, Scene, Source
-from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
+from wavefocus.rendering.scene.paths import Circle, Line, Point
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.reader import DamagedError
@@ -120,13 +120,6 @@ def test_a_path_on_the_positions_has_no_error_to_report():
     _, report = render_with_report(Scene("s", (still,), output=NEAREST), bank())
     assert report.interpolation_errors is None
     assert not report.warnings
-
-
-def test_a_path_that_leaves_the_grid_is_refused_by_source_and_place():
-    source = Source(Polyline([(0.0, 0.0), (60.0, 0.0)]), SIGNAL, 0.0, 200.0, 3.0)
-    for method in ("sampled", "exact"):
-        with pytest.raises(InputError, match=r"source 0.* lies at \(\d+.*, 0\) mm, .* mm from the nearest position"):
-            render_with_report(Scene("s", (source,), PLAIN, Output(interpolation="kernel")), bank(), method=method)
 
 
 def test_a_path_on_one_position_alone_needs_no_more():

@@ -109,11 +109,6 @@ def test_the_checks_look_at_all_that_is_near_the_path_and_at_no_more():
     assert len(rows.all) < len(GRID_MM) / 2
 
 
-def test_a_path_off_the_grid_is_refused():
-    with pytest.raises(InputError, match="from the nearest position"):
-        scene_rows(scene_of(moving(Line((0.0, 0.0), (90.0, 0.0)))), GRID_MM)
-
-
 def test_one_position_is_enough_for_a_point():
     scene = scene_of(dataclasses.replace(moving(Point((0.0, 0.0))), signal=Noise((50.0, 450.0), 0.05, 1)))
     rows = scene_rows(scene, np.array([[0.0, 0.0]]))
