@@ -27,9 +27,12 @@ from wavefocus.__main__ import run
 from wavefocus.config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.files import Settings
+from wavefocus.gui.scene.document import SOURCE, SceneDocument
+from wavefocus.gui.scene.draft import build_draft, scene_toml
 from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.tab import Tab
 from wavefocus.gui.window import Window, require_fonts
+from wavefocus.rendering.scene.model import Scene
 
 AnyTab = TypeVar("AnyTab", bound=Tab)
 Opens = Callable[..., Window]
@@ -164,6 +167,18 @@ def choose(box: QComboBox, value: str) -> None:
 def answer(window: Window, word: str) -> None:
     """Press a button of the message bar."""
     next(button for button in window.messages.buttons() if button.text() == word).click()
+
+
+def edit(document: SceneDocument, draft: SceneConfig, chosen: int | None = None) -> None:
+    """Type the text of a scene, and perhaps go to one of its sources."""
+    document.replace(scene_toml(draft))
+    if chosen is not None:
+        document.choose((SOURCE, chosen))
+
+
+def scene_of(document: SceneDocument) -> Scene:
+    """The scene that commands make of the text."""
+    return build_draft(document.draft, document.place)
 
 
 def pixel(shown: SurfaceView, x_mm: float, y_mm: float) -> QPoint:

@@ -10,7 +10,7 @@ from PyQt5.QtCore import QSettings
 from PyQt5.QtWidgets import QFileDialog
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, answer, campaign_of, shown_tab, tab_of, wait, write_lab
+from tests.gui.conftest import Opens, answer, campaign_of, edit, shown_tab, tab_of, wait, write_lab
 from tests.lab_files import change_text
 from wavefocus.config.scene import LineTable
 from wavefocus.gui.field_map import ColourBar
@@ -26,7 +26,7 @@ def draw(window: Window, *, end_mm: float = 4.5) -> SceneTab:
     """Draw a line in the Scene tab."""
     tab = tab_of(window, SceneTab)
     source = new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)))
-    tab.document.edit("draw", tab.document.draft.model_copy(update={"source": (source,)}), chosen=0)
+    edit(tab.document, tab.document.draft.model_copy(update={"source": (source,)}), chosen=0)
     return tab
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pytestqt.qtbot import QtBot
 
 from wavefocus.campaign.status import Heartbeat
 from wavefocus.config.messages.campaign import (
@@ -29,16 +30,15 @@ from wavefocus.config.messages.campaign import (
 from wavefocus.gui.campaign.follower import Follower, LogTail
 from wavefocus.gui.campaign.model import (
     KEPT_LINES,
-    CampaignAction,
     CampaignModel,
     EventLine,
     Extra,
     ShownState,
     Weight,
     line_of,
-    possible_actions,
     read_record,
 )
+from wavefocus.gui.campaign.panels import Controls
 from wavefocus.gui.campaign.quality import per_position
 from wavefocus.gui.surface import raster_of
 from wavefocus.storage.ledger.owner import Owner
@@ -99,22 +99,29 @@ def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_g
     assert campaign.state().word is not State.RUNNING
 
 
+AGAIN = {"Start", "Remeasure selected (1)", "Remeasure poor (2)"}
+
+
 @pytest.mark.parametrize(
-    ("word", "left", "orders"),
+    ("word", "left", "buttons"),
     [
-        (State.RUNNING, 3, {CampaignAction.PAUSE, CampaignAction.STOP}),
-        (State.PAUSED, 3, {CampaignAction.CONTINUE, CampaignAction.STOP}),
+        (State.RUNNING, 3, {"Pause", "Stop after this position"}),
+        (State.PAUSED, 3, {"Continue", "Stop after this position"}),
         (State.STOPPING, 3, set()),
-        (State.STOPPED, 3, {CampaignAction.START, CampaignAction.RESUME, CampaignAction.REMEASURE}),
-        (State.FINISHED, 0, {CampaignAction.START, CampaignAction.REMEASURE}),
-        (Extra.GONE, 3, {CampaignAction.START, CampaignAction.RESUME, CampaignAction.REMEASURE}),
+        (State.STOPPED, 3, {"Resume", *AGAIN}),
+        (State.FINISHED, 0, AGAIN),
+        (Extra.GONE, 3, {"Resume", *AGAIN}),
         (Extra.STARTING, 3, set()),
+        (Extra.SILENT, 3, {"Stop after this position"}),
     ],
 )
-def test_given_a_state_then_only_orders_that_make_sense_are_possible(
-    word: State | Extra, left: int, orders: set[CampaignAction]
+def test_given_a_state_then_only_buttons_that_make_sense_can_be_pressed(
+    qtbot: QtBot, word: State | Extra, left: int, buttons: set[str]
 ) -> None:
-    assert possible_actions(ShownState(word), has_run=True, has_bank=True, left=left) == orders
+    controls = Controls(dict.fromkeys(("start", "resume", "pause", "stop", "selected", "poor"), lambda: None))
+    qtbot.addWidget(controls)
+    controls.show_possible(ShownState(word), has_run=True, has_bank=True, left=left, selected=1, poor=2)
+    assert {action.text() for action in controls.actions_by_name.values() if action.isEnabled()} == buttons
 
 
 LOST = Fault(1.0, "virtual player", "playing", "no answer", "look", 25, 1, retried=True)

@@ -12,7 +12,7 @@ from PyQt5.QtCore import QEvent, QPointF, Qt
 from PyQt5.QtGui import QTouchEvent
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import NO_KEY, Opens, line_scene, mouse, pixel, press, shown_tab, wait
+from tests.gui.conftest import NO_KEY, Opens, edit, line_scene, mouse, pixel, press, shown_tab, wait
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.gui.scene.draft import changed
 from wavefocus.gui.scene.exports import IDLE
@@ -101,7 +101,7 @@ def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes
 ) -> None:
     window = open_window()
     tab = live_page(qtbot, window, finished)
-    tab.document.edit("draw", line_scene(amplitude=1000.0))
+    edit(tab.document, line_scene(amplitude=1000.0))
     tab.live_panel.records.setChecked(True)
     tab.live_panel.folder.show_path(tmp_path)
     started(qtbot, tab)
@@ -154,7 +154,7 @@ def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(
     tab = live_page(qtbot, window, finished)
     scene = line_scene()
     independent = changed(scene.regularisation, independent=True)
-    tab.document.edit("draw", changed(scene, regularisation=independent))
+    edit(tab.document, changed(scene, regularisation=independent))
     started(qtbot, tab)
     assert tab.live_run.ready is not None
     assert tab.live_run.ready.independent

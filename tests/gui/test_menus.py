@@ -79,7 +79,8 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
                 close_dialogs(window)
                 assert window.tracebacks == [], action.text()
         assert triggered > 10
-        rig.examination.cancel()
+        window.refresh()
+        rig.examination.cancel.click()
         rig.session.release()
         wait(qtbot, lambda: not (rig.session.running or rig.examination.running))
 

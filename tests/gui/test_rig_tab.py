@@ -225,7 +225,7 @@ def test_given_no_rig_or_free_instruments_then_neither_sweep_nor_mute_can_be_pre
     window.open_file(rig)
     window.refresh()
     enabled = {action.text() for action in tab.menu_actions() if action is not None and action.isEnabled()}
-    assert enabled == {"Examine", "Open instruments"}
+    assert enabled == {"E&xamine", "&Open instruments"}
 
 
 def test_given_findings_then_a_button_is_offered_where_the_window_can_do_something() -> None:

@@ -14,7 +14,7 @@ from PyQt5.QtGui import QTextDocument
 from PyQt5.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, Opens, click, drag, pixel, shown_tab, wait
+from tests.gui.conftest import LEFT, NO_KEY, Opens, click, drag, edit, pixel, scene_of, shown_tab, wait
 from wavefocus.config.scene import (
     CircleTable,
     FileTable,
@@ -36,7 +36,7 @@ from wavefocus.config.scene import (
 from wavefocus.gui.files import Settings, kind_of
 from wavefocus.gui.scene.canvas import SceneCanvas
 from wavefocus.gui.scene.document import NOTHING, SceneDocument
-from wavefocus.gui.scene.draft import NEW_SCENE, changed, new_source, read_draft, scene_toml
+from wavefocus.gui.scene.draft import NEW_SCENE, changed, new_source, scene_toml
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.window import Window
 from wavefocus.rendering.scene import paths
@@ -129,8 +129,9 @@ def test_each_tool_adds_its_table_to_the_text_and_the_cursor_chooses_a_source(qt
     draw(qtbot, tab, "quiet")
     assert near(document.draft.quiet[0].at_mm, -20, 10)
     assert canvas.kind == ""
-    assert [trace.problem for trace in tab.live.preview.traces] == [""] * 3
-    assert tab.document.scene().sources[2].path == paths.Point(point.at_mm)
+    assert len(tab.live.preview.traces) == 3
+    assert tab.surface.problem == ""
+    assert scene_of(tab.document).sources[2].path == paths.Point(point.at_mm)
     tab.actions_by_name["undo"].trigger()
     wait(qtbot, lambda: document.draft.quiet == ())
     click(canvas, pixel(canvas, 20, 5))  # the line
@@ -200,7 +201,7 @@ def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene
     tab.open_file(file)
     document = tab.document
     assert (document.path, document.saved, len(document.draft.source)) == (file, True, 2)
-    assert document.scene() == load_scene(file)
+    assert scene_of(document) == load_scene(file)
     cursor = document.text.find("80.0")
     cursor.insertText("81.0")
     assert not document.saved
@@ -208,7 +209,7 @@ def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene
     assert document.saved
     assert file.read_text(encoding="utf-8") == SCENE.replace("80.0", "81.0")  # comments, too
     wait(qtbot, lambda: document.draft.source[0].speed_mm_s == 81.0)
-    assert load_scene(file) == document.scene()
+    assert load_scene(file) == scene_of(document)
     before = document.draft
     tab.files.new()
     assert document.draft == NEW_SCENE
@@ -241,7 +242,7 @@ def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_
     file = tmp_path / "two.toml"
     file.write_text(SCENE, encoding="utf-8")
     own_tab.open_file(file)
-    own_tab.document.edit("edit", changed(own_tab.document.draft, scene=SceneTable(name="three")))
+    edit(own_tab.document, changed(own_tab.document.draft, scene=SceneTable(name="three")))
     wait(qtbot, lambda: 'name = "three"' in memory.text("scene/unsaved"))
     other = shown_tab(open_window(), SceneTab)
     assert other.document.draft == own_tab.document.draft
@@ -259,7 +260,7 @@ def test_given_a_file_that_another_program_changed_then_saving_asks(
     file.write_text(SCENE, encoding="utf-8")
     tab.open_file(file)
     file.write_text(SCENE.replace("80.0", "81.0"), encoding="utf-8")
-    tab.document.edit("edit", changed(tab.document.draft, scene=SceneTable(name="three")))
+    edit(tab.document, changed(tab.document.draft, scene=SceneTable(name="three")))
     tab.actions_by_name["save"].trigger()
     assert "another program" in tab.context.messages.sentence
     assert load_scene(file).sources[0].speed_mm_s == 81.0
@@ -305,12 +306,12 @@ def test_scene_that_commands_would_refuse_then_window_says_so_and_does_not_write
 ) -> None:
     document = tab.document
     with pytest.raises(InputError, match="has no source yet"):
-        document.scene()
+        scene_of(document)
     with pytest.raises(InputError, match="not saved: the scene has no source yet"):
         document.save(tmp_path / "empty.toml")
     noise = NoiseTable.model_construct(band_hz=(300.0, 20.0), duration_s=0.1)
     wrong = changed(new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(30.0, 0.0))), signal=noise)
-    document.edit("draw", changed(NEW_SCENE, source=(wrong,)), chosen=0)
+    edit(document, changed(NEW_SCENE, source=(wrong,)), chosen=0)
     wait(qtbot, lambda: "band_hz = [300.0, 20.0]" in tab.surface.problem)
     assert tab.surface.problem == (
         "source[0].signal.band_hz = [300.0, 20.0]: must be [lower, upper] with lower below upper"
@@ -319,10 +320,10 @@ def test_scene_that_commands_would_refuse_then_window_says_so_and_does_not_write
         document.save(tmp_path / "wrong.toml")
     assert list(tmp_path.glob("*.toml")) == []
     letters = new_source(TextTable(string="\U00013000", height_mm=20.0))
-    document.edit("draw", SceneConfig(source=(letters,)), chosen=0)
+    edit(document, SceneConfig(source=(letters,)), chosen=0)
     wait(qtbot, lambda: "DejaVu Sans cannot draw" in tab.surface.problem)
     scene = SceneTable.model_construct(name="a\udcff")
-    document.edit("draw", changed(NEW_SCENE, scene=scene, source=(new_source(PointTable(at_mm=(0.0, 0.0))),)), chosen=0)
+    edit(document, changed(NEW_SCENE, scene=scene, source=(new_source(PointTable(at_mm=(0.0, 0.0))),)), chosen=0)
     with pytest.raises(InputError, match=r"scene\.name"):
         document.save(tmp_path / "name.toml")
 
@@ -351,13 +352,16 @@ def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happe
     file.write_text(WILD, encoding="utf-8")
     tab.open_file(file)
     tab.document.use_bank(finished)
-    wait(qtbot, lambda: tab.live.preview.backdrop.surface is not None and tab.live.idle)
-    point, circle, line = tab.live.preview.traces
-    assert (point.points, point.far) == (1, 1)
-    assert "later than numbers reach" in circle.problem
-    assert tab.surface.problem == circle.problem
-    assert circle.problem.startswith("source 1: ")
-    assert "at most 100000000 are allowed" in line.problem
+    point, circle, line = ("[[source]]" + text for text in WILD.split("[[source]]")[1:])
+    wait(qtbot, lambda: tab.surface.problem.startswith("source 1: its last focus is later than numbers reach"))
+    tab.document.replace(point + line)
+    wait(qtbot, lambda: "at most 100000000 are allowed" in tab.surface.problem)
+    tab.document.replace(point)
+    wait(qtbot, lambda: "1 of 1 points (crosses) are over" in tab.surface.problem)
+    (trace,) = tab.live.preview.traces
+    tab.document.replace(point + circle)
+    wait(qtbot, lambda: "later than numbers reach" in tab.surface.problem)
+    assert tab.live.preview.traces == [trace]  # what was drawn last stays
 
 
 FINITE, ABOVE = st.floats(-1e6, 1e6), st.floats(1e-6, 1e6)
@@ -412,12 +416,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @given(draft=DRAFTS)
 def test_any_draft_is_written_as_the_same_scene_and_read_as_the_same_draft(draft: SceneConfig, folder: Path) -> None:
     file = folder / "scene.toml"
-    text = scene_toml(draft, folder)
+    text = scene_toml(draft)
     file.write_bytes(text.encode("utf-8"))
-    assert load_scene(file) == build_scene(draft, file)
-    again = read_draft(text, file)
-    assert scene_toml(again, folder) == text
-    assert again.regularisation == draft.regularisation
     document = SceneDocument()
     document.load(file)
-    assert document.scene() == load_scene(file)
+    assert scene_toml(document.draft) == text
+    assert document.draft.regularisation == draft.regularisation
+    assert scene_of(document) == load_scene(file) == build_scene(draft, file)

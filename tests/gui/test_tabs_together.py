@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, answer, campaign_of, line_scene, press, tab_of, wait, write_lab
+from tests.gui.conftest import Opens, answer, campaign_of, edit, line_scene, press, tab_of, wait, write_lab
 from tests.gui.test_run import HOLDER
 from tests.lab_files import ABSENT_RIG
 from wavefocus.gui.rig.tab import RigTab
@@ -126,7 +126,7 @@ def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_a
     tab, scene = campaign_of(window), tab_of(window, SceneTab)
     press(qtbot, tab.controls.buttons["start"])
     wait(qtbot, tab.controls.buttons["stop"].isEnabled)
-    scene.document.edit("draw", line_scene(step_mm=4.0))
+    edit(scene.document, line_scene(step_mm=4.0))
     window.close()
     assert "plate.h5 is being measured by a run of this window" in window.messages.sentence
     answer(window, "Stop after this position")

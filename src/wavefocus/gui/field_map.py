@@ -110,17 +110,6 @@ def signed_map(theme: Theme) -> pyqtgraph.ColorMap:
     return pyqtgraph.ColorMap(np.linspace(0.0, 1.0, len(colours)), list(colours))
 
 
-def magnitude_map() -> pyqtgraph.ColorMap:
-    """Return the map from small (dark) to large (bright)."""
-    return pyqtgraph.colormap.get("cividis")
-
-
-def symmetric_levels(largest: float) -> tuple[float, float]:
-    """Return the ends of a scale with zero in its middle, also for a field that is silent everywhere."""
-    limit = largest if np.isfinite(largest) and largest > 0.0 else 1.0
-    return -limit, limit
-
-
 def scaled_unit(unit: str, largest: float) -> tuple[float, str]:
     """Return the factor and the prefixed unit that make the largest value of a scale at least 0.1."""
     if unit not in _WITH_PREFIX or not (math.isfinite(largest) and largest > 0.0):
@@ -175,9 +164,6 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
         self.setAccessibleName(f"Colour bar: {title} from {low} to {high}")
         self.setToolTip(f"{title}: {low} at the left end, {high} at the right end")
 
-    def set_map(self, colour_map: pyqtgraph.ColorMap) -> None:
-        self._bar.setColorMap(colour_map)
-
 
 class FieldMap(SurfaceView):
     """One value per position as a colour, and the colour bar; 1500 new values are drawn in about a millisecond.
@@ -186,37 +172,35 @@ class FieldMap(SurfaceView):
     """
 
     levels = (-1.0, 1.0)
-    signed = True
     _unit = ""
     _factor = 1.0
 
     def __init__(self, name: str) -> None:
         self.values: Float64Array = np.zeros(0)
         super().__init__(name)
+        self._colour_map = signed_map(self.theme)
         self.bar = ColourBar(self._colour_map)
 
     def show_surface(self, surface: PlotSurface | None) -> None:
         self.values = np.zeros(0)
         super().show_surface(surface)
 
-    def show_scale(
-        self, title: str, levels: tuple[float, float], unit: str, beyond: tuple[bool, bool], *, signed: bool = True
-    ) -> None:
+    def show_scale(self, title: str, largest: float, unit: str) -> None:
         """Set what the colours mean; values are shown anew by the owner.
 
         title: Of the colour bar.
-        levels: Values at the ends of the colours, in `unit`; a signed scale has zero in its middle.
-        beyond: Whether values lie below and above the ends.
+        largest: Value in `unit` at the ends of the colours; zero is in the middle, also for a field silent everywhere.
         """
-        self._factor, self._unit = scaled_unit(unit, levels[1])
-        self.levels, self.signed = (self._factor * levels[0], self._factor * levels[1]), signed
-        self.bar.set_map(self._colour_map)
-        self.bar.show_range(title, self._unit, self.levels, beyond)
+        end = largest if np.isfinite(largest) and largest > 0.0 else 1.0
+        self._factor, self._unit = scaled_unit(unit, end)
+        self.levels = -self._factor * end, self._factor * end
+        self.bar.show_range(title, self._unit, self.levels, (True, True))
 
     def show_values(self, values: NDArray[np.floating[Any]]) -> None:
         """Colour the positions by values in the scale's unit; NaN where there is no value."""
         self.values = self._factor * np.asarray(values, np.float64)
-        self._paint_values()
+        if self.surface is not None and len(self.values) == self.surface.positions:
+            self.paint(map_colours(self._colour_map, self.values, self.levels, self.theme.cell))
 
     def position_text(self, position: int) -> str:
         assert self.surface is not None
@@ -224,11 +208,3 @@ class FieldMap(SurfaceView):
         value = self.values[position] if position < len(self.values) else np.nan
         text = f"{value:.3g} {self._unit}".rstrip() if np.isfinite(value) else "no value"
         return f"{self.name} at ({x_mm:.1f}, {y_mm:.1f}) mm: {text}"
-
-    @property
-    def _colour_map(self) -> pyqtgraph.ColorMap:
-        return signed_map(self.theme) if self.signed else magnitude_map()
-
-    def _paint_values(self) -> None:
-        if self.surface is not None and len(self.values) == self.surface.positions:
-            self.paint(map_colours(self._colour_map, self.values, self.levels, self.theme.cell))

@@ -144,7 +144,6 @@ class PathField(QWidget):
     settings: Has the folder of the last choice.
     saves: Whether the file may not exist yet.
     words: Words allowed in place of a path.
-    also: Other endings.
     """
 
     #: Another path is about to be reported: messages about the former one no longer hold.
@@ -162,11 +161,10 @@ class PathField(QWidget):
         *,
         saves: bool = False,
         words: Collection[str] = (),
-        also: Sequence[str] = (),
     ) -> None:
         super().__init__()
         self._wanted = _WANTED.get(kind)
-        self._words, self._also = words, also
+        self._words = words
         self._ending, self._kind, self._settings, self._saves = ending, kind, settings, saves
         self._last: Path | None = None
         self.line = QLineEdit()
@@ -208,7 +206,7 @@ class PathField(QWidget):
     def open_dialog(self) -> None:
         """Choose a file in a dialog that does not block."""
         folder = self.path.parent if self.path else self._settings.folder(self._ending)
-        dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending, *self._also])
+        dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending])
         if not self._ending:
             # One that does not exist yet can be typed.
             dialog.setFileMode(QFileDialog.FileMode.Directory)

@@ -19,7 +19,7 @@ from wavefocus.gui.time_slider import TimeSlider
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.units import quantity
 
-Frame = NDArray[np.floating[Any]] | None
+Frame = NDArray[np.floating[Any]]
 NOWHERE_MM = np.zeros((0, 2))
 
 
@@ -28,7 +28,7 @@ class Film:
     """Fields of one surface over time.
 
     start_s, sample_rate_hz, samples: Time of the first sample, rate and number of samples of all of them.
-    frames: Returns the values of each map at a sample, (positions,); None for a map that shows something else.
+    frames: Returns the values of each map at a sample, (positions,).
     sources_mm: Returns the places of the sources at a time, (sources, 2).
     marks, int64 (foci,): Samples of the focus instants.
     response: Returns a title and the responses (samples,) of a position, by its place on the surface.
@@ -174,8 +174,7 @@ class FilmPlayer(Themed, QWidget):
             return
         sources_mm = self.film.sources_mm(self.time.time_s)
         for one, values in zip(self.maps, self.film.frames(self.time.sample), strict=True):
-            if values is not None:
-                one.show_values(values)
+            one.show_values(values)
             one.show_sources(sources_mm)
 
     def _moved(self, _sample: int) -> None:

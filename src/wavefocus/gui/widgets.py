@@ -72,6 +72,13 @@ def button(action: QAction) -> QToolButton:
     return button
 
 
+def action_of(button: QToolButton) -> QAction:
+    """The action of a button that `button` has made."""
+    action = button.defaultAction()
+    assert action is not None
+    return action
+
+
 def named(widget: AnyWidget, tip: str, name: str = "") -> AnyWidget:
     """Give a widget a tooltip and an accessible name, by default the button's text."""
     if not name and isinstance(widget, QAbstractButton):

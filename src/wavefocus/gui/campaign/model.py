@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.event_wording import sentence
-from wavefocus.campaign.status import CampaignStatus
+from wavefocus.campaign.status import GOING_ON, CampaignStatus
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
@@ -123,30 +123,6 @@ class Extra(StrEnum):
     GONE = "gone"
 
 
-class CampaignAction(StrEnum):
-    """What the buttons ask for."""
-
-    START = "start"
-    PAUSE = "pause"
-    CONTINUE = "go-on"
-    STOP = "stop"
-    RESUME = "resume"
-    REMEASURE = "remeasure"
-
-
-_ACTIONS: dict[State | Extra, frozenset[CampaignAction]] = {
-    State.RUNNING: frozenset({CampaignAction.PAUSE, CampaignAction.STOP}),
-    State.RECOVERING: frozenset({CampaignAction.PAUSE, CampaignAction.STOP}),
-    State.PAUSING: frozenset({CampaignAction.CONTINUE, CampaignAction.STOP}),
-    State.PAUSED: frozenset({CampaignAction.CONTINUE, CampaignAction.STOP}),
-    State.SUSPENDED: frozenset({CampaignAction.PAUSE, CampaignAction.STOP}),
-    State.STOPPING: frozenset(),
-    Extra.STARTING: frozenset(),
-    Extra.PREPARING: frozenset({CampaignAction.STOP}),
-    Extra.SILENT: frozenset({CampaignAction.STOP}),
-}
-
-
 @dataclass(frozen=True, slots=True)
 class ShownState:
     """A state and its reason."""
@@ -157,24 +133,12 @@ class ShownState:
     @property
     def measuring(self) -> bool:
         """Whether a process owns the bank, in whatever state."""
-        return self.word in _ACTIONS
+        return self.word in GOING_ON or self.word in (Extra.STARTING, Extra.PREPARING, Extra.SILENT)
 
     @property
     def going_on(self) -> bool:
         """Whether positions are measured now, so that a remaining time holds."""
         return self.word is State.RUNNING
-
-
-def possible_actions(state: ShownState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[CampaignAction]:
-    """Actions that make sense: `has_run` with a run file and a bank name, `left` positions not measured."""
-    if state.measuring:
-        return _ACTIONS[state.word]
-    allowed = {
-        CampaignAction.START: has_run,
-        CampaignAction.REMEASURE: has_bank,
-        CampaignAction.RESUME: has_bank and left > 0,
-    }
-    return frozenset(action for action, makes_sense in allowed.items() if makes_sense)
 
 
 @dataclass(eq=False)
@@ -186,6 +150,7 @@ class CampaignModel:
     figures: Mapping[str, Float32Array] = field(default_factory=dict)
     lines: list[EventLine] = field(default_factory=list)
     trimmed: int = 0
+    """How many of the oldest lines have been dropped."""
     instrument_faults: dict[str, str] = field(default_factory=dict)
     """Instruments whose last word in the log is a fault, and that word."""
     commits: Counter[int] = field(default_factory=Counter)
@@ -265,11 +230,11 @@ class CampaignModel:
         return ShownState(Extra.NO_BANK) if self.surface is None else logged
 
     def _forget_log(self) -> None:
+        self.trimmed += len(self.lines)
         self.lines.clear()
         self.instrument_faults.clear()
         self.commits.clear()
         self.session = CampaignStatus()
-        self.trimmed += 1
         self._changed("lines", "map")
 
     def _take_record(self, record: Logged | EventLine) -> None:
@@ -277,8 +242,8 @@ class CampaignModel:
         if line is not None:
             self.lines.append(line)
             if len(self.lines) > _DROPPED_AT:
-                del self.lines[: len(self.lines) - KEPT_LINES]
-                self.trimmed += 1
+                self.trimmed += len(self.lines) - KEPT_LINES
+                del self.lines[:-KEPT_LINES]
             self._changed("lines")
         self._logged_s = time.monotonic()
         if isinstance(record, Logged):

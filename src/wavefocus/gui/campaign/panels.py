@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from PyQt5.QtCore import QAbstractTableModel, QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
-from PyQt5.QtGui import QColor
+from PyQt5.QtCore import QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
+from PyQt5.QtGui import QColor, QStandardItem, QStandardItemModel
 from PyQt5.QtWidgets import QAbstractItemView, QAction, QHeaderView, QLineEdit, QTableView, QToolButton, QWidget
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.status import GOING_ON, CampaignStatus
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, EventLine, Extra, ShownState, Weight, clock
+from wavefocus.gui.campaign.model import CampaignModel, EventLine, Extra, ShownState, Weight, clock
 from wavefocus.gui.theme import Themed
 
 # Name, text, key and tooltip.
@@ -25,6 +25,10 @@ _BUTTONS = (
     ("selected", "Remeasure selected", "Ctrl+M", "Measure the selected positions again (Ctrl-click, Shift-drag)"),
     ("poor", "Remeasure poor", "Ctrl+Shift+M", "Measure again all that is poor, over-range or failed"),
 )
+
+
+#: States in which the second press of Pause continues.
+PAUSED = (State.PAUSING, State.PAUSED)
 
 
 class Controls(QWidget):
@@ -45,16 +49,23 @@ class Controls(QWidget):
             parts += [self.buttons[name], 10 if name == "stop" else 0]
         ui.row(*parts, None, owner=self)
 
-    def show_possible(self, orders: frozenset[CampaignAction], *, selected: int, poor: int) -> None:
-        """Enable what makes sense, and show how many positions would be measured again."""
-        paused, remeasures = CampaignAction.CONTINUE in orders, CampaignAction.REMEASURE in orders
+    def show_possible(
+        self, state: ShownState, *, has_run: bool, has_bank: bool, left: int, selected: int, poor: int
+    ) -> None:
+        """Enable what makes sense, and show how many positions would be measured again.
+
+        has_run: Whether there is a run file and the name of a bank of it.
+        left: Positions that are not measured.
+        """
+        word, free = state.word, not state.measuring
+        orders = word in GOING_ON and word is not State.STOPPING
         for name, enabled, text in (
-            ("start", CampaignAction.START in orders, "Start"),
-            ("resume", CampaignAction.RESUME in orders, "Resume"),
-            ("pause", paused or CampaignAction.PAUSE in orders, "Continue" if paused else "Pause"),
-            ("stop", CampaignAction.STOP in orders, "Stop after this position"),
-            ("selected", remeasures and selected > 0, f"Remeasure selected{f' ({selected})' if selected else ''}"),
-            ("poor", remeasures and poor > 0, f"Remeasure poor{f' ({poor})' if poor else ''}"),
+            ("start", free and has_run, "Start"),
+            ("resume", free and has_bank and left > 0, "Resume"),
+            ("pause", orders, "Continue" if word in PAUSED else "Pause"),
+            ("stop", orders or word in (Extra.PREPARING, Extra.SILENT), "Stop after this position"),
+            ("selected", free and has_bank and selected > 0, f"Remeasure selected{f' ({selected})' * (selected > 0)}"),
+            ("poor", free and has_bank and poor > 0, f"Remeasure poor{f' ({poor})' * (poor > 0)}"),
         ):
             self.actions_by_name[name].setEnabled(enabled)
             if self.actions_by_name[name].text() != text:
@@ -122,72 +133,43 @@ def pace_text(session: CampaignStatus, *, going_on: bool) -> str:
     return "  ·  ".join(parts)
 
 
-_TITLES = ("time", "weight", "event")
-_NOWHERE = QModelIndex()
-
-
-class EventTable(QAbstractTableModel):
-    """All lines of the campaign."""
-
-    def __init__(self, campaign: CampaignModel) -> None:
-        super().__init__()
-        self._campaign = campaign
-        self._shown, self._trimmed = 0, campaign.trimmed
-
-    def rowCount(self, parent: QModelIndex = _NOWHERE) -> int:  # noqa: N802
-        return 0 if parent.isValid() else self._shown
-
-    def columnCount(self, parent: QModelIndex = _NOWHERE) -> int:  # noqa: N802
-        return 0 if parent.isValid() else len(_TITLES)
-
-    def line(self, row: int) -> EventLine:
-        return self._campaign.lines[row]
-
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        line = self.line(index.row())
-        if role in (Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.ToolTipRole):
-            return (clock(line.at_s), line.weight.name.lower(), line.text)[index.column()]
-        if role == Qt.ItemDataRole.ForegroundRole and line.weight >= Weight.WARNING:
-            return QColor(Themed.theme.fault if line.weight is Weight.FAULT else Themed.theme.warning)
-        return None
-
-    def headerData(  # noqa: N802
-        self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
-    ) -> object:
-        wanted = orientation == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole
-        return _TITLES[section] if wanted else None
-
-    def take_new(self) -> None:
-        """Add new lines; all of them anew where old ones were dropped."""
-        count = len(self._campaign.lines)
-        if self._trimmed != self._campaign.trimmed:
-            self.beginResetModel()
-            self._shown, self._trimmed = count, self._campaign.trimmed
-            self.endResetModel()
-        elif count > self._shown:
-            self.beginInsertRows(QModelIndex(), self._shown, count - 1)
-            self._shown = count
-            self.endInsertRows()
-
-
 class EventFilter(QSortFilterProxyModel):
     """Lines of at least some weight that contain a text, of all positions (-1) or of one."""
 
-    def __init__(self, table: EventTable) -> None:
+    def __init__(self, events: QStandardItemModel) -> None:
         super().__init__()
-        self._table = table
+        self._events = events
         self._least, self._text, self._position = Weight.NOTE, "", -1
-        self.setSourceModel(table)
+        self.setSourceModel(events)
 
     def restrict(self, least: Weight, text: str, position: int) -> None:
         self._least, self._text, self._position = least, text.casefold(), position
         self.invalidateFilter()
 
     def filterAcceptsRow(self, row: int, _parent: QModelIndex) -> bool:  # noqa: N802
-        line = self._table.line(row)
+        line = _line_of(self._events.index(row, 0))
         if line.weight < self._least or self._position not in (-1, line.position):
             return False
         return not self._text or self._text in line.text.casefold()
+
+
+def _line_of(index: QModelIndex) -> EventLine:
+    line = index.siblingAtColumn(0).data(Qt.ItemDataRole.UserRole)
+    assert isinstance(line, EventLine)
+    return line
+
+
+def _items(line: EventLine) -> list[QStandardItem]:
+    """A row of the table; its first item holds the line itself."""
+    colours = {Weight.FAULT: Themed.theme.fault, Weight.WARNING: Themed.theme.warning}
+    items = [QStandardItem(text) for text in (clock(line.at_s), line.weight.name.lower(), line.text)]
+    for item in items:
+        item.setEditable(False)
+        item.setToolTip(item.text())
+        if line.weight in colours:
+            item.setForeground(QColor(colours[line.weight]))
+    items[0].setData(line, Qt.ItemDataRole.UserRole)
+    return items
 
 
 class EventList(Themed, QWidget):
@@ -199,7 +181,9 @@ class EventList(Themed, QWidget):
         super().__init__()
         self._campaign = campaign
         self._drawn = self._position = -1
-        self._table = EventTable(campaign)
+        self._trimmed = campaign.trimmed
+        self._table = QStandardItemModel()
+        self._table.setHorizontalHeaderLabels(["time", "weight", "event"])
         self.lines = EventFilter(self._table)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
         tip = "Events shown here (all are in the log next to the bank)"
@@ -236,7 +220,10 @@ class EventList(Themed, QWidget):
             self._drawn = self._campaign.revision["lines"]
             bar = self.view.verticalScrollBar()
             at_end = bar is None or bar.value() >= bar.maximum() - 1
-            self._table.take_new()
+            self._table.removeRows(0, min(self._campaign.trimmed - self._trimmed, self._table.rowCount()))
+            self._trimmed = self._campaign.trimmed
+            for line in self._campaign.lines[self._table.rowCount() :]:
+                self._table.appendRow(_items(line))
             if at_end:
                 self.view.scrollToBottom()
 
@@ -252,6 +239,5 @@ class EventList(Themed, QWidget):
         self.view.scrollToBottom()
 
     def _want_position(self, index: QModelIndex) -> None:
-        position = self._table.line(self.lines.mapToSource(index).row()).position
-        if position >= 0:
+        if (position := _line_of(index).position) >= 0:
             self.position_wanted.emit(position)

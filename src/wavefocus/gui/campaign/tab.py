@@ -18,8 +18,8 @@ from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
 from wavefocus.gui.campaign.map_panel import MapPanel
-from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, Extra, possible_actions
-from wavefocus.gui.campaign.panels import Controls, EventList, ProgressRow
+from wavefocus.gui.campaign.model import CampaignModel, Extra
+from wavefocus.gui.campaign.panels import PAUSED, Controls, EventList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, file_state, rig_of_run, runs_on_virtual_rig
@@ -225,12 +225,11 @@ class CampaignTab(Tab):
         if campaign.surface is None and self.map_panel.planned is not None:
             self.progress.show_plan(self.map_panel.planned.positions, self._planned_s)
         startable = self.run_field.path is not None and bank is not None and not self._mismatch
-        orders = possible_actions(
-            state, has_run=startable, has_bank=campaign.surface is not None, left=total - measured
+        self._paused = state.word in PAUSED
+        poor, has_bank = int(((campaign.status & NOT_GOOD) > 0).sum()), campaign.surface is not None
+        self.controls.show_possible(
+            state, has_run=startable, has_bank=has_bank, left=total - measured, selected=selected, poor=poor
         )
-        self._paused = CampaignAction.CONTINUE in orders
-        poor = int(((campaign.status & NOT_GOOD) > 0).sum())
-        self.controls.show_possible(orders, selected=selected, poor=poor)
         for part in (self.map_panel, self.position_panel, self.events):
             part.draw()
 

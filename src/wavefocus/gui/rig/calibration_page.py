@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtWidgets import QAbstractItemView, QFormLayout, QPlainTextEdit, QPushButton, QWidget
+from PyQt5.QtWidgets import QAbstractItemView, QPlainTextEdit, QPushButton, QWidget
 
 from wavefocus.config.messages.operate import Numbers
 from wavefocus.config.messages.rig_checks import AskAgain, AskConnect, AskJog, MapView
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import PathField, Settings
 from wavefocus.gui.rig.jog import Arrows, SurfacePicture
 from wavefocus.gui.rig.manual_page import LevelMeter
 from wavefocus.gui.rig.session import Calibration
@@ -21,7 +20,7 @@ from wavefocus.gui.theme import Themed
 _PARTS = (
     ("inputs", "&Inputs: delay between response and reference", "You connect the loopback to both inputs"),
     ("outputs", "&Outputs: latency, volts, polarity", "You connect the response input to each output in turn"),
-    ("mirror", "&Mirror: bring the beam onto marks", "You jog the beam onto marks on the surface"),
+    ("mirror", "&Mirror: bring the beam onto marks", "You jog the beam onto seven marks: middle, corners, ends"),
     ("actuators", "Actuato&rs: polarity and level", "Nothing to do; the mirror map must be measured before"),
 )
 _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
@@ -33,27 +32,17 @@ class CalibrationOptions(QWidget):
 
     started = pyqtSignal(list)
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.parts = {part: ui.check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
-        tip = "Places of the beam; four marks determine the map, each more checks it"
-        self.marks = ui.choice("Marks on the surface", tip, ("seven places: middle, corners, ends", "from a file"))
-        self.file = PathField("&File", ".csv", "file of marks", settings)
-        self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
         tip = "Its values override the rig file's; a measured bank keeps its own calibration"
         self.use = ui.check("&Name the new file in the rig file", tip, on=True)
         tip = "Open the instruments and measure; you are asked what to connect"
         self.start = ui.push_button("&Start the calibration", tip, self._start)
-        form = QFormLayout()
-        form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.FieldsStayAtSizeHint)
-        form.addRow("Marks", self.marks)
-        for widget in (self.file, self.use, self.start):
-            form.addRow(widget)
-        ui.column(ui.label(text="Measure the rig's own values", role="strong"), *self.parts.values(), form, owner=self)
+        title = ui.label(text="Measure the rig's own values", role="strong")
+        ui.column(title, *self.parts.values(), self.use, ui.row(self.start, None), owner=self)
         for box in self.parts.values():
             box.toggled.connect(self._enable)
-        self.marks.currentIndexChanged.connect(self._enable)
-        self._enable()
 
     def choose(self, part: str) -> None:
         """Tick one part alone, or all if the name is empty."""
@@ -61,15 +50,10 @@ class CalibrationOptions(QWidget):
             box.setChecked(part in ("", name))
 
     def _enable(self) -> None:
-        mirror = self.parts["mirror"].isChecked()
-        self.marks.setEnabled(mirror)
-        self.file.setVisible(mirror and self.marks.currentIndex() == 1)
         self.start.setEnabled(any(box.isChecked() for box in self.parts.values()))
 
     def _start(self) -> None:
         options = ["--only", ",".join(name for name, box in self.parts.items() if box.isChecked())]
-        if not self.file.isHidden():
-            options += ["--fiducials", str(self.file.path or "")]
         if self.use.isChecked():
             options.append("--use")
         self.started.emit(options)
@@ -78,13 +62,13 @@ class CalibrationOptions(QWidget):
 class CalibrationPage(Themed, QWidget):
     """Picture on the left, question on the right."""
 
-    def __init__(self, calibration: Calibration, settings: Settings) -> None:
+    def __init__(self, calibration: Calibration) -> None:
         super().__init__()
         self._calibration = calibration
         self._marks_mm: list[Numbers] = []
         self.picture = SurfacePicture("Surface with the marks of the mirror map")
         self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
-        self.options = CalibrationOptions(settings)
+        self.options = CalibrationOptions()
         self.question = ui.label("Question of the calibration", role="strong", wraps=True)
         self.note = ui.label("Notes", wraps=True)
         self.arrows = Arrows((0.05, 0.2, 1.0, 5.0, 20.0), "mrad", 2)
@@ -133,9 +117,6 @@ class CalibrationPage(Themed, QWidget):
         if not self._calibration.running:
             self._marks_mm = list(default_marks_mm(surface.length_mm, surface.width_mm))
             self.picture.show_marks(self._marks_mm, -1, 0)
-
-    def draw(self, *, has_rig: bool) -> None:
-        self.options.setEnabled(has_rig and not self._calibration.running)
 
     def _show(self) -> None:
         calibration = self._calibration

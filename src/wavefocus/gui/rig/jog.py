@@ -172,9 +172,8 @@ class JogPanel(QWidget):
         self.go = ui.push_button("&Go there", tip, lambda: session.jog_to(self.x_mm.value(), self.y_mm.value()))
         tip = "Send the beam to the middle of the surface, (0, 0) mm"
         self.middle = ui.push_button("&Middle", tip, lambda: session.jog_to(0.0, 0.0))
-        self.park = ui.push_button(
-            "&Park", "Send the beam to the rig's safe direction (mirror.park_mrad)", session.park
-        )
+        tip = "Send the beam to the rig's safe direction (mirror.park_mrad)"
+        self.park = ui.button(ui.action(self, "&Park the beam", session.park, "Ctrl+Shift+P", tip=tip))
         self.where = ui.label("Place of the beam", wraps=True, any_width=True)
         form = QFormLayout()
         form.addRow("x", self.x_mm)
@@ -191,7 +190,7 @@ class JogPanel(QWidget):
 
     def _show_state(self) -> None:
         facts = self._session.facts
-        for part in (self.arrows, self.x_mm, self.y_mm, self.go, self.middle, self.park):
+        for part in (self.arrows, self.x_mm, self.y_mm, self.go, self.middle):
             part.setEnabled(self._session.state == "ready")
         if facts is not None:
             self.picture.show_rig(surface_from(asdict(facts.surface)).outline, facts.actuator_mm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pyqtgraph
@@ -30,15 +31,16 @@ _LEGEND_AT = (-8, 6)
 class ManualPage(QWidget):
     """Jogging on the left, levels and sweeps on the right."""
 
-    def __init__(self, session: ManualSession) -> None:
+    def __init__(self, session: ManualSession, take: Callable[[], object]) -> None:
         super().__init__()
         self._session = session
-        self.take = ui.push_button("&Open instruments", "Open mirror, recorder and player in a separate process")
+        tip = "Open mirror, recorder and player in a separate process"
+        self.take = ui.button(ui.action(self, "&Open instruments", take, "Ctrl+Shift+T", tip=tip))
         tip = "Mute, park and close the instruments, so that other programs can use them"
-        self.release = ui.push_button("&Close them", tip, session.release)
+        self.release = ui.button(ui.action(self, "&Close instruments", session.release, "Ctrl+Shift+G", tip=tip))
         self.jog, self.sound = JogPanel(session), SoundPanel(session)
-        tip = "Silence every output at once and drop waiting orders (Ctrl+0)"
-        self.mute = ui.push_button("M&ute", tip, session.mute)
+        tip = "Silence every output at once and drop waiting orders"
+        self.mute = ui.button(ui.action(self, "M&ute", session.mute, "Ctrl+0", tip=tip))
         self.state = ui.label("State of the instruments")
         self.splitter = ui.side_by_side((self.jog, 600), (self.sound, 640))
         buttons = ui.row(self.take, self.release, self.mute, self.state, None)
@@ -47,13 +49,8 @@ class ManualPage(QWidget):
         session.state_changed.connect(self._show_state)
         self._show_state()
 
-    def draw(self, *, has_rig: bool) -> None:
-        self.take.setEnabled(has_rig and self._session.state == "released")
-
     def _show_state(self) -> None:
         state, facts = self._session.state, self._session.facts
-        self.release.setEnabled(state in ("opening", "ready"))
-        self.mute.setEnabled(state == "ready")
         self.state.setText(_STATES[state])
         instruments = facts.instruments if facts is not None else {}
         self.state.setToolTip("\n".join(f"{role}: {name}" for role, name in instruments.items()))
@@ -81,7 +78,8 @@ class SoundPanel(Themed, QWidget):
         self.start_hz = ui.number_box("Start in Hz", "Start of the sweep in Hz", " Hz", 0, 1.0, _HIGHEST_HZ)
         self.stop_hz = ui.number_box("Stop in Hz", "End of the sweep in Hz", " Hz", 0, 2.0, _HIGHEST_HZ)
         self.length_s = ui.number_box("Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0, value=0.5)
-        self.sweep = ui.push_button("S&weep", "Play one sweep and show its recording (F5)", self.take_sweep)
+        tip = "Play one sweep and show its recording"
+        self.sweep = ui.button(ui.action(self, "S&weep", self._take_sweep, "F5", tip=tip))
         self.figures = ui.label("Figures of the sweep", "no sweep yet", wraps=True, any_width=True)
         self.verdict = ui.label("Defects of the sweep", wraps=True, any_width=True)
         self.waveform = Plot("Waveform of the sweep", "time (s)", "mV", legend_at=_LEGEND_AT)
@@ -111,16 +109,15 @@ class SoundPanel(Themed, QWidget):
         session.sweep_changed.connect(self._show_sweep)
         self._show_state()
 
-    def take_sweep(self) -> None:
-        """Take a sweep, unless one is under way."""
-        if not self._session.sweeping and self._session.state == "ready":
+    def _take_sweep(self) -> None:
+        if not self._session.sweeping:
             boxes = (self.level_v, self.start_hz, self.stop_hz, self.length_s)
             self._session.take_sweep(self.actuator.currentIndex(), *(box.value() for box in boxes))
 
     def _show_state(self) -> None:
         facts, ready = self._session.facts, self._session.state == "ready"
         for part in (self.listen, self.sounds, self.actuator, self.level_v, self.start_hz, self.stop_hz,
-                     self.length_s, self.sweep):  # fmt: skip
+                     self.length_s):  # fmt: skip
             part.setEnabled(ready)
         if facts is not None and self.actuator.count() != len(facts.actuator_mm):
             self.actuator.clear()

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
 from wavefocus.config.loading import read_toml
@@ -85,28 +84,28 @@ def _is_bad(finding: Finding) -> bool:
 
 
 class ExaminationPage(Themed, QWidget):
-    """At most one examination, and its findings."""
+    """At most one examination, and its findings.
 
-    #: An action and its subject.
-    wanted = pyqtSignal(str, str)
+    act: Receives an action, ``"again"`` or ``"calibrate"``, and its subject.
+    """
 
-    def __init__(self, context: TabContext) -> None:
+    def __init__(self, context: TabContext, act: Callable[[str, str], object]) -> None:
         super().__init__()
-        self._context = context
+        self._context, self._act = context, act
         self._process: CommandProcess | None = None
         self.findings: list[Finding] = []
         self.buttons: dict[int, QToolButton] = {}
-        self.examine = ui.push_button("E&xamine", "Open, identify and exercise every instrument (Ctrl+I)")
+        tip = "Open, identify and exercise every instrument"
+        self.examine = ui.button(ui.action(self, "E&xamine", partial(act, "again", ""), "Ctrl+I", tip=tip))
         tip = "End the examination; instruments are muted and parked first"
-        self.cancel_button = ui.push_button("&Cancel", tip, self.cancel, "Cancel the examination")
+        self.cancel = ui.button(ui.action(self, "&Cancel the examination", self._cancel, tip=tip))
         tip = "Without sweeps nothing sounds; loopback and response are not checked"
         self.plays = ui.check("&Play sweeps", tip, on=True)
         self.summary = ui.label("Result of the examination")
         self.table = ui.table(_HEADINGS, "Findings", stretched=(3, 4))
-        controls = ui.row(self.examine, self.cancel_button, self.plays, self.summary, None)
+        controls = ui.row(self.examine, self.cancel, self.plays, self.summary, None)
         ui.column(controls, (self.table, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.clear()
-        self.draw(has_rig=False)
 
     @property
     def running(self) -> bool:
@@ -118,8 +117,7 @@ class ExaminationPage(Themed, QWidget):
         self.summary.setText("examining…")
         self._process = self._context.run(["doctor", str(rig), "--lines", *quiet], self._ended, self._receive)
 
-    def cancel(self) -> None:
-        """End it; instruments are put to rest first."""
+    def _cancel(self) -> None:
         if self._process is not None:
             self._process.interrupt()
 
@@ -135,11 +133,6 @@ class ExaminationPage(Themed, QWidget):
         self.table.setRowCount(0)
         self.summary.setText("not examined yet")
 
-    def draw(self, *, has_rig: bool) -> None:
-        self.examine.setEnabled(has_rig and not self.running)
-        self.plays.setEnabled(not self.running)
-        self.cancel_button.setVisible(self.running)
-
     def _receive(self, message: Message) -> None:
         if "finding" in message:
             self._add(from_record(FindingMade, message).finding)
@@ -153,8 +146,7 @@ class ExaminationPage(Themed, QWidget):
             action, text = wanted
             on = "" if finding.act is None else finding.act.on
             tip, name = finding.remedy or finding.what, f"{text}: {finding.instrument}, {finding.check}"
-            act = partial(self.wanted.emit, action, on)
-            button = self.buttons[number] = ui.tool_button(text, tip, act, name)
+            button = self.buttons[number] = ui.tool_button(text, tip, partial(self._act, action, on), name)
             self.table.setCellWidget(number, len(_HEADINGS) - 1, button)
         self.summary.setText(f"examining… {number + 1} findings; last: {finding.instrument}, {finding.check}")
         self.table.scrollToBottom()
@@ -199,34 +191,25 @@ class RigTab(Tab):
         self.session = ManualSession(context)
         self.calibration = Calibration(context)
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
-        self.examination = ExaminationPage(context)
-        self.manual_page = ManualPage(self.session)
-        self.calibration_page = CalibrationPage(self.calibration, context.settings)
+        self.examination = ExaminationPage(context, self.do)
+        self.manual_page = ManualPage(self.session, self.take)
+        self.calibration_page = CalibrationPage(self.calibration)
         pages = {"Examination": self.examination, "By hand": self.manual_page, "Calibration": self.calibration_page}
         self.pages = ui.tab_pages("Pages of the rig", pages)
         ui.column(self.rig_field, (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.remember(hand=self.manual_page.splitter, calibration=self.calibration_page.splitter)
         self.rig_field.chosen.connect(self.open_file)
-        self.examination.examine.clicked.connect(lambda _checked=False: self.examine())
-        self.examination.wanted.connect(self.do)
-        self.manual_page.take.clicked.connect(self.take)
         self.calibration_page.options.started.connect(self.calibrate)
-        sound = self.manual_page.sound
-        self._examine = ui.action(self, "Examine", self.examine, "Ctrl+I")
-        self._cancel = ui.action(self, "Cancel the examination", self.examination.cancel)
-        self._take = ui.action(self, "Open instruments", self.take, "Ctrl+Shift+T")
-        self._with_instruments = [
-            ui.action(self, "Close instruments", self.session.release, "Ctrl+Shift+G"),
-            ui.action(self, "Sweep", sound.take_sweep, "F5"),
-            ui.action(self, "Mute", self.session.mute, "Ctrl+0"),
-            ui.action(self, "Park the beam", self.session.park, "Ctrl+Shift+P"),
-        ]
+        page = self.manual_page
+        self._with_instruments = [ui.action_of(button) for button in (page.sound.sweep, page.mute, page.jog.park)]
         remembered = context.settings.text("rig/file")
         if remembered and Path(remembered).is_file():
             self._show_rig(Path(remembered))
 
     def menu_actions(self) -> list[QAction | None]:
-        return [self._examine, self._cancel, None, self._take, *self._with_instruments]
+        page, examination = self.manual_page, self.examination
+        buttons = (examination.examine, examination.cancel, page.take, page.release)
+        return [*map(ui.action_of, buttons), None, *self._with_instruments]
 
     def open_file(self, path: Path) -> None:
         """Use another rig; open instruments are closed first."""
@@ -261,18 +244,18 @@ class RigTab(Tab):
 
     def poll(self) -> None:
         """Enable what makes sense, also while the tab is hidden: its keys work in every tab."""
-        has_rig, ready = self.rig is not None, self.session.state == "ready"
-        self._examine.setEnabled(has_rig and not self.examination.running)
-        self._cancel.setEnabled(self.examination.running)
-        self._take.setEnabled(has_rig and self.session.state == "released")
+        has_rig, examining, state = self.rig is not None, self.examination.running, self.session.state
+        page, examination = self.manual_page, self.examination
+        for button, possible in (
+            (examination.examine, has_rig and not examining),
+            (examination.cancel, examining),
+            (page.take, has_rig and state == "released" and not examining and not self.calibration.running),
+            (page.release, state in ("opening", "ready")),
+        ):
+            ui.action_of(button).setEnabled(possible)
         for action in self._with_instruments:
-            action.setEnabled(ready)
-
-    def draw(self) -> None:
-        has_rig, examining = self.rig is not None, self.examination.running
-        self.examination.draw(has_rig=has_rig)
-        self.manual_page.draw(has_rig=has_rig and not examining and not self.calibration.running)
-        self.calibration_page.draw(has_rig=has_rig and not examining)
+            action.setEnabled(state == "ready")
+        self.calibration_page.options.setEnabled(has_rig and not examining and not self.calibration.running)
 
     def instruments_held(self) -> str:
         busy = self.session.running or self.examination.running or self.calibration.running

@@ -79,8 +79,6 @@ class Calculation(QObject):
         self._newest = multiprocessing.get_context("spawn").Value("q", 0)
         self._cancelled_s = 0.0
         self._ended.connect(self._take)  # emitted in another thread, and so queued for this one
-        self.rate_hz: float | None = None
-        """Rate of the field that is looked at, and of a movie of it."""
 
     @property
     def busy(self) -> bool:
@@ -151,8 +149,7 @@ class Calculation(QObject):
 
     def _go_on(self, results: SceneResults) -> None:
         if results.field is None:
-            self.rate_hz = _field_rate_hz(results.surface)
-            self._submit("field", _field, results, self.rate_hz)
+            self._submit("field", _field, results, _field_rate_hz(results.surface))
         elif results.figures is None:
             self._submit("figures", _figures, results)
         self.made.emit(results)

@@ -64,7 +64,7 @@ class SceneCanvas(SurfaceView):
         # Points snapped to another bank's positions are out of date.
         traces = preview.traces if preview.backdrop is self._live.backdrop else []
         kind, index = self._document.chosen
-        self.picture.show_traces(traces, index if kind == SOURCE else -1, self._live.backdrop)
+        self.picture.show_traces(traces, index if kind == SOURCE else -1)
         self.picture.show_quiet(self._document.draft.quiet)
         self.picture.show_handles([at_mm for _, at_mm in self._handles()])
 
@@ -124,8 +124,7 @@ class SceneCanvas(SurfaceView):
     def _show_backdrop(self) -> None:
         backdrop, former_mm, view = self._live.backdrop, self._outline_mm, self.box.viewRect()
         self._outline_mm = backdrop.outline_mm
-        self.show_surface(backdrop.surface)
-        self.show_outline(backdrop.outline_mm)
+        show_backdrop(self, backdrop)
         for side in ("left", "bottom"):
             self.getPlotItem().showAxis(side)
         if np.array_equal(former_mm, backdrop.outline_mm):
@@ -135,12 +134,21 @@ class SceneCanvas(SurfaceView):
         self.show_scene()
 
 
+def show_backdrop(view: SurfaceView, backdrop: Backdrop) -> None:
+    """Show the surface that a scene is drawn over; positions without a valid measurement are faint."""
+    view.show_surface(backdrop.surface)
+    view.show_outline(backdrop.outline_mm)
+    if backdrop.surface is not None and backdrop.usable is not None:
+        colours = np.tile(rgba(view.theme.cell), (backdrop.surface.positions, 1))
+        colours[~backdrop.usable] = rgba(view.theme.alternate)
+        view.paint(colours)
+
+
 _NONE_MM = np.zeros((0, 2))
 _REACH_PX = 8.0
 _CIRCLE_POINTS = 91
 _GAP_MM = np.full((1, 2), np.nan)
 _CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
-_DOT_PX, _SMALL_DOT_PX = 5, 3
 
 
 class SceneItems:
@@ -149,7 +157,7 @@ class SceneItems:
     def __init__(self, view: SurfaceView) -> None:
         self._view = view
         self.colour_map = pyqtgraph.colormap.get("viridis")
-        self._dots = Spots(symbol="o", size=_DOT_PX)
+        self._dots = Spots(symbol="o", size=5)
         self._off = Spots(symbol="x", size=7)
         self._starts = Spots(symbol="o", size=11)
         self._handles = Spots(symbol="s", size=9)
@@ -172,7 +180,7 @@ class SceneItems:
         self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
         self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
 
-    def show_traces(self, traces: Sequence[Trace], chosen: int, backdrop: Backdrop) -> None:
+    def show_traces(self, traces: Sequence[Trace], chosen: int) -> None:
         """Show the sources, the chosen one in front."""
         self._make_lines(len(traces))
         for index, trace in enumerate(traces):
@@ -184,15 +192,9 @@ class SceneItems:
         drawn = [trace for trace in traces if len(trace.points_mm)]
         points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
         off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
-        self._dots.setData(pos=points_mm[~off])
-        if backdrop.surface is None and drawn:
-            instant_s = np.concatenate([trace.instant_s for trace in drawn])[~off]
-            colours = map_colours(self.colour_map, instant_s, span_s(traces), self._view.theme.cell)
-            self._dots.setSize(_DOT_PX)
-            self._dots.setBrush([pyqtgraph.mkBrush(*colour) for colour in colours.tolist()])
-        else:  # the cells below have the colours
-            self._dots.setSize(_SMALL_DOT_PX)
-            self._dots.setBrush(pyqtgraph.mkBrush(self._view.theme.text))
+        instant_s = np.concatenate([np.zeros(0), *(trace.instant_s for trace in drawn)])
+        colours = map_colours(self.colour_map, instant_s[~off], span_s(traces), self._view.theme.cell)
+        self._dots.setData(pos=points_mm[~off], brush=[pyqtgraph.mkBrush(*colour) for colour in colours.tolist()])
         self._off.setData(pos=points_mm[off])
         self._off.setVisible(bool(off.any()))
         pens = [
@@ -201,7 +203,6 @@ class SceneItems:
             if len(trace.points_mm)
         ]
         self._starts.setData(pos=np.array([trace.points_mm[0] for trace in drawn]).reshape(-1, 2), pen=pens)
-        self._paint_cells(traces, backdrop)
 
     def show_quiet(self, places: Sequence[QuietTable]) -> None:
         """Show quiet places as crosses in their discs, dashed."""
@@ -221,18 +222,6 @@ class SceneItems:
             self._view.add_item(self._lines[-1], 25)
         while len(self._lines) > count:
             self._view.box.removeItem(self._lines.pop())
-
-    def _paint_cells(self, traces: Sequence[Trace], backdrop: Backdrop) -> None:
-        """Colour positions that are foci by their first instant; all others are faint."""
-        if backdrop.surface is None or backdrop.usable is None:
-            return
-        first_s = np.full(backdrop.surface.positions, np.inf)
-        for trace in traces:
-            if len(trace.rows):
-                np.minimum.at(first_s, trace.rows[~trace.off], trace.instant_s[~trace.off])
-        colours = map_colours(self.colour_map, first_s, span_s(traces), self._view.theme.cell)
-        colours[~backdrop.usable & ~np.isfinite(first_s)] = rgba(self._view.theme.alternate)
-        self._view.paint(colours)
 
 
 def span_s(traces: Sequence[Trace]) -> tuple[float, float]:

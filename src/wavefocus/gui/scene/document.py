@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.config.editing import lines_of, mistakes_in
+from wavefocus.config.fields import toml_table
+from wavefocus.config.loading import parse_toml, validated
 from wavefocus.config.scene import PointTable, QuietTable, SceneConfig, SourceTable
 from wavefocus.gui.editor.document import TextDocument
-from wavefocus.gui.scene.draft import (
-    EMPTY,
-    NEW_SCENE,
-    build_draft,
-    changed,
-    new_source,
-    read_draft,
-    scene_toml,
-    source_toml,
-)
+from wavefocus.gui.scene.draft import EMPTY, NEW_SCENE, changed, new_source, scene_toml
 from wavefocus.storage.errors import InputError
 
-if TYPE_CHECKING:
-    from wavefocus.rendering.scene.model import Scene
-
-_ANY_SOURCE = source_toml(new_source(PointTable(at_mm=(0.0, 0.0))))
+_ANY_SOURCE = toml_table("[[source]]", new_source(PointTable(at_mm=(0.0, 0.0))))
 _SOURCE = re.compile(r"^\s*\[\[source\]\]", re.MULTILINE)
 # Lists of tables that stand on the surface.
 SOURCE, QUIET = "source", "quiet"
@@ -68,16 +57,6 @@ class SceneDocument(TextDocument):
         kind, index = self.chosen
         places = self.draft.quiet if kind == QUIET else ()
         return places[index] if 0 <= index < len(places) else self.source
-
-    def scene(self) -> Scene:
-        """The scene that commands make of the text; raises as `build_draft` says."""
-        return build_draft(self.draft, self.place)
-
-    def edit(self, _words: str, draft: SceneConfig, *, chosen: int | None = None) -> None:
-        """Replace the text by that of a scene, in a step that can be undone."""
-        self.replace(scene_toml(draft))
-        if chosen is not None:
-            self.choose((SOURCE, chosen))
 
     def append(self, text: str) -> None:
         super().append(text)
@@ -122,6 +101,7 @@ class SceneDocument(TextDocument):
         self.mistakes = mistakes_in(f"{text}\n{_ANY_SOURCE}" if empty else text, self.model)
         self.problem = self.mistakes[0].sentence if self.mistakes else ""
         if not self.mistakes:
-            draft = read_draft(f"{text}\n{_ANY_SOURCE}" if empty else text, self.place)
+            tables = parse_toml(f"{text}\n{_ANY_SOURCE}" if empty else text, str(self.place))
+            draft = validated(SceneConfig, tables, str(self.place))
             self.draft = changed(draft, source=()) if empty else draft
         self.changed.emit()

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from wavefocus.config.fields import Table, toml_table
-from wavefocus.config.loading import parse_toml, validated
 from wavefocus.config.scene import (
     WITHOUT_SPEED,
     CircleTable,
@@ -133,69 +131,35 @@ def moved(text: str, place: Keys, keys: Keys, table: SourceTable | QuietTable) -
         ) from None
 
 
-def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
-    """Write a scene as a scene file.
-
-    scene: The scene; nothing about it is checked here.
-    folder: Folder of the file: files inside it are named relative to it, others in full.
-
-    Returns TOML, as docs/reference/scene-file.md says.
-    """
+def scene_toml(scene: SceneConfig) -> str:
+    """Write a scene as a scene file, as docs/reference/scene-file.md says; nothing about it is checked here."""
     return "\n".join(
         [
             toml_table("[scene]", scene.scene),
-            *(source_toml(source, folder) for source in scene.source),
-            *(quiet_toml(place, folder) for place in scene.quiet),
+            *(toml_table("[[source]]", source) for source in scene.source),
+            *(toml_table("[[quiet]]", place) for place in scene.quiet),
             regularisation_toml(scene.regularisation),
             toml_table("[output]", scene.output),
         ]
     )
 
 
-def source_toml(source: SourceTable, folder: Path | None = None) -> str:
-    """Write one source as its `[[source]]` table."""
-    return toml_table("[[source]]", source if folder is None else _relative(source, folder))
+def with_absolute_files(scene: SceneConfig, folder: Path) -> SceneConfig:
+    """The scene with full names of the files that it names relative to a folder."""
 
+    def named(table: FilesTable) -> FilesTable:
+        if isinstance(table.path, SvgTable | TrajectoryTable):
+            table = changed(table, path=changed(table.path, file=str(folder / table.path.file)))
+        if isinstance(table, SourceTable) and isinstance(table.signal, FileTable):
+            table = changed(table, signal=changed(table.signal, path=str(folder / table.signal.path)))
+        return table
 
-def quiet_toml(place: QuietTable, folder: Path | None = None) -> str:
-    """Write one quiet place as its `[[quiet]]` table."""
-    return toml_table("[[quiet]]", place if folder is None else _relative(place, folder))
-
-
-def read_draft(text: str, path: Path) -> SceneConfig:
-    """Read the text of a scene file, but not the files that it names.
-
-    text: What the scene file holds.
-    path: The scene file; names of files in the result are absolute.
-
-    Raises InputError: The text is no scene.
-    """
-    scene = validated(SceneConfig, parse_toml(text, str(path)), str(path))
-    return _with_all_files(scene, lambda file: str(path.parent / file))
-
-
-def with_files(table: FilesTable, rename: Callable[[str], str]) -> FilesTable:
-    """Return a source or a quiet place with other names of the files that it has."""
-    if isinstance(table.path, SvgTable | TrajectoryTable):
-        table = changed(table, path=changed(table.path, file=rename(table.path.file)))
-    if isinstance(table, SourceTable) and isinstance(table.signal, FileTable):
-        table = changed(table, signal=changed(table.signal, path=rename(table.signal.path)))
-    return table
-
-
-def _with_all_files(scene: SceneConfig, rename: Callable[[str], str]) -> SceneConfig:
-    """The scene with other names of all files."""
-    return changed(
-        scene,
-        source=tuple(with_files(one, rename) for one in scene.source),
-        quiet=tuple(with_files(one, rename) for one in scene.quiet),
-    )
+    return changed(scene, source=tuple(map(named, scene.source)), quiet=tuple(map(named, scene.quiet)))
 
 
 def build_draft(draft: SceneConfig, place: Path) -> Scene:
     """Build the scene that commands read from the draft's file.
 
-    draft: The draft; names of files in it are absolute.
     place: The scene file; it need not exist.
 
     Raises InputError: The scene is not finished, or a value or a file that it names is wrong; the message says which
@@ -205,15 +169,7 @@ def build_draft(draft: SceneConfig, place: Path) -> Scene:
 
     if not draft.source:
         raise InputError(EMPTY)
-    named = _with_all_files(draft, lambda file: file.removeprefix(f"{place.parent}/"))
     try:
-        config = validated(SceneConfig, named.model_dump(exclude_none=True, warnings=False), str(place))
-        return build_scene(config, place)
+        return build_scene(draft, place)
     except InputError as error:
         raise InputError(str(error).removeprefix(f"{place}: ")) from None
-
-
-def _relative(table: FilesTable, folder: Path) -> FilesTable:
-    """The table with the names that its files have in a scene file of that folder."""
-    start = f"{folder}/"
-    return with_files(table, lambda file: file.removeprefix(start))

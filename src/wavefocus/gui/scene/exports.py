@@ -1,4 +1,4 @@
-"""Saving a scene as drive, WAV or movie, and playing it on the rig: commands in processes of their own."""
+"""Saving a scene as drive or WAV, and playing it on the rig: commands in processes of their own."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import scene_toml
+from wavefocus.gui.scene.draft import scene_toml, with_absolute_files
 from wavefocus.gui.tab import TabContext
 
-DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
-ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}
+DRIVE, WAV = "drive", "WAV"
+ENDINGS = {DRIVE: ".h5", WAV: ".wav"}
 IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening the rig", "playing", "stopping"
 _CANCELLED = -1
 # Muting takes a moment; a process that has not opened the rig yet ends, silent, when it would open it.
@@ -89,7 +89,8 @@ class SceneTask(QObject):
                 self._scene_file = document.path
             else:
                 self._scene_file = Path(self._in_folder("scene.toml"))
-                self._scene_file.write_text(scene_toml(document.draft), encoding="utf-8")
+                scene = with_absolute_files(document.draft, document.place.parent)
+                self._scene_file.write_text(scene_toml(scene), encoding="utf-8")
         except OSError as failure:
             self._context.messages.fault(f"{failing}: {error_text(failure)}")
             self._release()
@@ -140,7 +141,7 @@ class SceneTask(QObject):
     def _plain(self, message: str) -> str:
         """A message without the names of temporary files."""
         name = self._document.path.name if self._document.path else "the scene"
-        for file, words in (("drive.h5", "the scene"), ("field.h5", "the field"), ("scene.toml", name)):
+        for file, words in (("drive.h5", "the scene"), ("scene.toml", name)):
             message = message.replace(self._in_folder(file), words)
         return message
 
@@ -172,29 +173,18 @@ class Saving(SceneTask):
         name = f"{stem}-drive.h5" if kind == DRIVE else f"{stem}{ENDINGS[kind]}"
         return self._context.settings.folder(f"scene {kind}", scene) / name
 
-    def save(self, kind: str, path: Path, rig: str, rate_hz: float | None) -> None:
+    def save(self, kind: str, path: Path, rig: str) -> None:
         """Save the present scene.
 
-        kind: `DRIVE`, `WAV` or `MOVIE`.
+        kind: `DRIVE` or `WAV`.
         path: The file; an existing one is replaced.
         rig: A rig file whose limits count; empty for none.
-        rate_hz: Of the field that a movie is drawn from; None for that of the bank.
         """
         if self.busy or not self._prepare(f"{path.name} is not saved"):
             return
-        drive, field, bank = self._in_folder("drive.h5"), self._in_folder("field.h5"), str(self._document.bank)
-        rate = [] if rate_hz is None else ["--rate", repr(rate_hz)]
-        commands = {
-            DRIVE: [self._render(rig, out=str(path))],
-            WAV: [self._render(rig, "--wav", str(path))],
-            MOVIE: [
-                self._render(rig),
-                ["predict", drive, "--bank", bank, "--out", field, *rate, "--force"],
-                ["movie", field, "--bank", bank, "--drive", drive, "--out", str(path), "--force"],
-            ],
-        }[kind]
+        render = self._render(rig, out=str(path)) if kind == DRIVE else self._render(rig, "--wav", str(path))
         self.text = f"saving {path.name}"
-        self._run([(RENDERING, one) for one in commands], lambda code, message: self._ended(kind, path, code, message))
+        self._run([(RENDERING, render)], lambda code, message: self._ended(kind, path, code, message))
 
     def _ended(self, kind: str, path: Path, code: int, message: str) -> None:
         messages = self._context.messages

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-import pyqtgraph
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QHideEvent, QShowEvent
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import Plot
 from wavefocus.gui.files import PathField, names_virtual_rig
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.exports import IDLE, STOPPING
@@ -23,7 +19,6 @@ from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
 
 LATENCY_GOAL_MS = 20.0
-_SHOWN_S = 60.0
 _HINTS = {
     IDLE: "Press Start (F8); sources then follow mouse and fingers on the surface",
     STARTING: "Bank and rig are being opened; rows between positions can take a minute",
@@ -31,32 +26,6 @@ _HINTS = {
     STOPPING: "The sources fade",
 }
 _ONCE = ". The chosen source's signal is an impulse, which sounds once: choose another one to feel it move"
-
-
-class LatencyPlot(Plot):
-    """The latency over the last minute with the line that it is to stay below."""
-
-    def __init__(self) -> None:
-        self._goal = pyqtgraph.InfiniteLine(LATENCY_GOAL_MS, angle=0)
-        self._curve = pyqtgraph.PlotDataItem(antialias=True)
-        super().__init__("Latency over time", "time (s)", "latency (ms)", axis_px=60)
-        plot = self.getPlotItem()
-        plot.addItem(self._goal)
-        plot.addItem(self._curve)
-        plot.setMouseEnabled(x=False, y=False)
-        self.setMinimumHeight(90)
-        self._goal.setPen(pyqtgraph.mkPen(self.theme.fault, width=1.2, style=Qt.PenStyle.DashLine))
-        self._curve.setPen(pyqtgraph.mkPen(self.theme.traces[0], width=1.5))
-        self.show_values(np.zeros(0), np.zeros(0))
-
-    def show_values(self, time_s: np.ndarray, values: np.ndarray) -> None:
-        """Show values, NaN where there is none; from 0, the line in sight."""
-        self._curve.setData(time_s, values, connect="finite")
-        ends_s = max(_SHOWN_S, float(time_s[-1])) if len(time_s) else _SHOWN_S
-        largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
-        self.setXRange(ends_s - _SHOWN_S, ends_s, padding=0.01)
-        top_ms = max(LATENCY_GOAL_MS, min(largest, 4.0 * LATENCY_GOAL_MS))  # a single peak must not hide all else
-        self.setYRange(0.0, 1.2 * top_ms, padding=0.0)
 
 
 _DEFINITIONS = (
@@ -119,7 +88,6 @@ class LivePanel(Themed, QWidget):
         self.records = ui.check("&Record in", tip, "Record the session")
         self.folder = PathField("", "", "folder for recordings", context.settings)
         self.state = ui.Badge("State of the live session")
-        self.latency = LatencyPlot()
         self.figures = ui.label("Figures of the live session", wraps=True)
         self.hint = ui.label("Hint", role="faint", wraps=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
@@ -129,7 +97,7 @@ class LivePanel(Themed, QWidget):
         ui.column(
             ui.row(*self.buttons.values(), 6, self.state, None, self.look_ahead),
             ui.row(self.records, (self.folder, 1)),
-            self.figures, (self.latency, 1),
+            self.figures, None,
             owner=self, margins=(4, 0, 4, 0), spacing=4,
         )  # fmt: skip
         run.changed.connect(self.show_run)
@@ -188,9 +156,6 @@ class LivePanel(Themed, QWidget):
     def _show_figures(self) -> None:
         states = self._run.states
         latest = states[-1] if states else None
-        time_s = np.array([one.played_s for one in states])
-        latency_ms = np.array([math.nan if one.latency_ms is None else one.latency_ms for one in states])
-        self.latency.show_values(time_s, latency_ms)
         figures = figures_of(self._run.ready, latest)
         ui.put(self.figures, "   ·   ".join(f"▲ {words}" if wrong else words for words, wrong in figures))
         wrong = any(wrong for _, wrong in figures)

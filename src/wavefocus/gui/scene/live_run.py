@@ -23,7 +23,7 @@ from wavefocus.config.messages.live import (
     PointMm,
     SetSignal,
 )
-from wavefocus.config.scene import ImpulseTable, SignalTable
+from wavefocus.config.scene import ImpulseTable
 from wavefocus.gui.process import STOPPED_BY_USER
 from wavefocus.gui.process import Message as Record
 from wavefocus.gui.scene.document import SceneDocument
@@ -57,11 +57,8 @@ class LiveRun(SceneTask):
         self.states: deque[LiveState] = deque(maxlen=300)
         self.places: dict[str, PointMm] = {}
         self._refusal = ""
-        self._signal: SignalTable | None = None
         self._heard_s = 0.0
         self._ended: LiveEnded | None = None
-        document.changed.connect(self._set_signals)
-        document.chosen_changed.connect(self._set_signals)
 
     def start(self, rig: str, look_ahead_ms: int, record: Path | None) -> None:
         """Start a session with the present scene's signal, regularisation and limits.
@@ -95,7 +92,9 @@ class LiveRun(SceneTask):
         """Let a source begin to sound."""
         if self.state == LIVE:
             self.places[name] = at_mm
-            self._set_signal(name)
+            if (source := self._document.source) is not None:  # without one, the signal is that of the session
+                repeats = not isinstance(source.signal, ImpulseTable)  # at every sample it would be a constant
+                self._send(SetSignal(name, source.signal.model_dump(exclude_none=True), repeats))
             self._send(self._move(name))
 
     def move(self, name: str, at_mm: PointMm) -> None:
@@ -116,21 +115,7 @@ class LiveRun(SceneTask):
     def _move(self, name: str) -> MoveSource:
         sources = self._document.draft.source
         source = self._document.source or (sources[0] if sources else None)  # whose signal the session has
-        amplitude = NEW_AMPLITUDE if source is None else source.amplitude
-        return MoveSource(name, self.places[name], amplitude)
-
-    def _set_signals(self) -> None:
-        source = self._document.source
-        if source is not None and source.signal != self._signal:
-            for name in self.places:
-                self._set_signal(name)
-
-    def _set_signal(self, name: str) -> None:
-        """Give a source the signal of the chosen source; without one it has that of the session."""
-        if (source := self._document.source) is not None:
-            self._signal = source.signal
-            repeats = not isinstance(source.signal, ImpulseTable)  # repeated at every sample it would be a constant
-            self._send(SetSignal(name, source.signal.model_dump(exclude_none=True), repeats))
+        return MoveSource(name, self.places[name], NEW_AMPLITUDE if source is None else source.amplitude)
 
     def _send(self, order: Message) -> None:
         if self._process is not None and self.state == LIVE and time.monotonic() - self._heard_s < _STALLED_AFTER_S:

@@ -11,9 +11,10 @@ from PyQt5.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QPainterPath, QTouc
 from PyQt5.QtWidgets import QGraphicsPathItem
 
 from wavefocus.config.messages.live import PointMm, SoundingSource
+from wavefocus.gui.scene.canvas import show_backdrop
 from wavefocus.gui.scene.live_run import LIVE, LiveRun
 from wavefocus.gui.scene.preview import Backdrop, LivePreview
-from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView, rgba
+from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView
 
 _SPOT_RADIUS_PX = 8.5
 MOUSE, KEYS = "mouse", "keys"
@@ -225,20 +226,10 @@ class LiveSurface(SurfaceView):
 
     def _show_backdrop(self) -> None:
         backdrop = self._live.backdrop
-        self.show_surface(backdrop.surface)
-        self.show_outline(backdrop.outline_mm)
+        show_backdrop(self, backdrop)
         self.show_everything()
-        self._paint_positions()
         self._key_mm = None
         if backdrop.surface is not None and backdrop.usable is not None and backdrop.usable.any():
             places_mm = backdrop.surface.position_mm[backdrop.usable]
             x_mm, y_mm = places_mm[np.hypot(*(places_mm - places_mm.mean(axis=0)).T).argmin()]
             self._key_mm = float(x_mm), float(y_mm)
-
-    def _paint_positions(self) -> None:
-        """Draw the positions; those without a valid measurement are faint."""
-        backdrop = self._live.backdrop
-        if backdrop.surface is not None and backdrop.usable is not None:
-            colours = np.tile(rgba(self.theme.cell), (backdrop.surface.positions, 1))
-            colours[~backdrop.usable] = rgba(self.theme.alternate)
-            self.paint(colours)

@@ -16,13 +16,13 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.loading import read_toml
-from wavefocus.config.scene import SceneConfig, SourceTable
+from wavefocus.config.scene import SceneConfig
 from wavefocus.gui.process import Background
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import build_draft, changed
+from wavefocus.gui.scene.draft import build_draft
 from wavefocus.gui.surface import PlotSurface, path_line, surface_from, surface_of
 from wavefocus.gui.tab import TabContext
-from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
@@ -54,22 +54,18 @@ class Trace:
     """One source as it is drawn.
 
     line_mm, float64 (n, 2): Its path, NaN where it jumps from stroke to stroke.
-    points_mm, instant_s, rows, arrays (k, 2), (k,), (k,): Path points, when each is a focus, and the bank's position
-        that each is snapped to; thinned where there are many; no rows without a bank.
+    points_mm, instant_s, arrays (k, 2), (k,): Path points, and when each is a focus; thinned where there are many.
     off, bool (k,): Points further than one grid spacing from every position, or nearest to one without a measurement.
     far: How many of them are too far from the grid.
     points: Number M of path points.
-    problem: Why it cannot be drawn; empty where it is.
     """
 
     line_mm: Float64Array
     points_mm: Float64Array
     instant_s: Float64Array
-    rows: Int64Array
     off: NDArray[np.bool_]
     far: int = 0
     points: int = 0
-    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +77,7 @@ class Preview:
 
     draft: SceneConfig
     backdrop: Backdrop
-    traces: list[Trace]
+    traces: Sequence[Trace]
     problem: str
 
 
@@ -145,7 +141,8 @@ class LivePreview(QObject):
             return
         self._busy, self._stale = True, False
         document = self._document
-        work = partial(preview_of, document.draft, self.backdrop, document.place)
+        former = self.preview.traces if self.preview.backdrop is self.backdrop else []
+        work = partial(preview_of, document.draft, self.backdrop, document.place, former)
         self._background.ask("scene", work, self._show, self._fail)
 
     def _show(self, preview: Preview) -> None:
@@ -216,36 +213,16 @@ def _backdrop_of(path: Path) -> Backdrop:
     return Backdrop(outline_mm, surface, PositionGrid(surface.position_mm), allowed)
 
 
-def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path) -> Preview:
-    """Build the scene as commands do, and sample its sources as far as they are drawn.
+def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path, former: Sequence[Trace]) -> Preview:
+    """Build the scene as commands do, and sample its sources as far as they are drawn; one that is refused stays.
 
     place: The scene file, for messages and for the files that the scene names.
     """
     try:
-        sources: Sequence[Source | None] = build_draft(draft, place).sources
-        problem = ""
+        sources = build_draft(draft, place).sources
+        return Preview(draft, backdrop, [_drawn(source, index, backdrop) for index, source in enumerate(sources)], "")
     except WavefocusError as error:
-        sources, problem = [_alone(draft, source, place) for source in draft.source], str(error)
-    traces: list[Trace] = []
-    for index, source in enumerate(sources):
-        try:
-            traces.append(_not_drawn(problem) if source is None else _drawn(source, index, backdrop))
-        except WavefocusError as error:
-            traces.append(_not_drawn(str(error)))
-    problem = problem or next((trace.problem for trace in traces if trace.problem), "")
-    return Preview(draft, backdrop, traces, problem)
-
-
-def _alone(draft: SceneConfig, source: SourceTable, place: Path) -> Source | None:
-    """One source of a scene that commands refuse; None where this one is wrong."""
-    with suppress(InputError):
-        return build_draft(changed(draft, source=(source,)), place).sources[0]
-    return None
-
-
-def _not_drawn(problem: str) -> Trace:
-    nowhere, off = np.zeros((0, 2)), np.zeros(0, np.bool_)
-    return Trace(nowhere, nowhere, np.zeros(0), np.zeros(0, np.int64), off, problem=problem)
+        return Preview(draft, backdrop, former if draft.source else [], str(error))
 
 
 def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:
@@ -265,7 +242,7 @@ def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:
         points_mm = source.path.point_at(number * (source.step_mm if points > 1 else 0.0))
     if not np.isfinite(points_mm).all():
         raise InputError(f"source {index}: a path point is further away than numbers reach")
-    rows, off, far = np.zeros(0, np.int64), np.zeros(len(points_mm), np.bool_), 0
+    off, far = np.zeros(len(points_mm), np.bool_), 0
     if backdrop.grid is not None and backdrop.usable is not None:
         rows, distance_mm = backdrop.grid.nearest(points_mm)
         too_far = distance_mm > backdrop.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
@@ -274,7 +251,6 @@ def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:
         line_mm=path_line(source.path, int(min(8.0 * source.path.length_mm, 6000)) + 3),
         points_mm=points_mm,
         instant_s=instant_s,
-        rows=rows,
         off=off,
         far=far,
         points=points,

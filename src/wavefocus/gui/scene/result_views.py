@@ -1,4 +1,4 @@
-"""Drives and predicted field of a scene: traces, levels, and the field as a movie with a position's response."""
+"""Drives and predicted field of a scene: traces, and the field as a movie with a position's response."""
 
 from __future__ import annotations
 
@@ -16,127 +16,58 @@ from wavefocus.gui.field_map import Plot, Real, decimating_curve, whole_ticks
 from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer, Frame
 from wavefocus.gui.scene.calculation import SceneResults
 from wavefocus.gui.surface import PlotSurface, surface_of
-from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.units import quantity
 
 if TYPE_CHECKING:
-    from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
 
-_ALL = "all actuators"
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down
-_ROOM = 1.15
-_AXIS_PX = 58
 
 
-class DrivesView(Themed, QWidget):
-    """Shows the drives of all actuators."""
+class DrivesView(Plot):
+    """Drives of all actuators over time."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.results: SceneResults | None = None
-        self.actuator = ui.choice("Actuator shown", "All drives, or the drive of one actuator", [_ALL])
-        self.traces, self.levels = TracePlot(), LevelPlot()
-        both = ui.stacked((self.traces, 330), (self.levels, 180), growing=[0])
-        choices = ui.row(self.actuator, None, margins=(4, 4, 4, 2))
-        ui.column(choices, (both, 1), owner=self, spacing=2)
-        self.actuator.currentIndexChanged.connect(lambda _choice: self.show_drives())
+        super().__init__("Drives of all actuators", "time (s)", "actuator", axis_px=58)
+        self._ends = 0.0, 0.0
+        self._curves: list[pyqtgraph.PlotDataItem] = []
 
     def sizeHint(self) -> QSize:  # noqa: N802
         return QSize(480, 300)
 
     def show_results(self, results: SceneResults | None) -> None:
         """Show drives, or none."""
-        self.results = results
-        if results is not None and self.actuator.count() != len(results.drive.drive_v) + 1:
-            names = (f"actuator {number}" for number in range(len(results.drive.drive_v)))
-            ui.fill_choice(self.actuator, [_ALL, *names])
-        self.show_drives()
-
-    def show_drives(self) -> None:
-        """Show the drives as they are chosen."""
-        chosen, drive = self.actuator.currentIndex() - 1, None if self.results is None else self.results.drive
-        for plot in (self.traces, self.levels):
-            for side in ("left", "bottom"):
-                plot.getPlotItem().showAxis(side, drive is not None)
-        self.traces.show_drive(drive, chosen)
-        self.levels.getPlotItem().clear()
-        if drive is not None:
-            self.levels.show_drive(drive, chosen)
-
-
-class TracePlot(Plot):
-    """Drives over time."""
-
-    def __init__(self) -> None:
-        super().__init__("Drives of all actuators", "time (s)", "actuator", axis_px=_AXIS_PX)
-        self._ends = 0.0, 0.0
-        self._curves: list[pyqtgraph.PlotDataItem] = []
-
-    def show_drive(self, drive: Drive | None, chosen: int) -> None:
         plot = self.getPlotItem()
-        if drive is None:
-            self._show_curves(np.zeros(0), [], 1.0)
+        for side in ("left", "bottom"):
+            plot.showAxis(side, results is not None)
+        if results is None:
+            self._show_curves(np.zeros(0), [])
             self.title("no drives to show", faint=True, size="9pt")
             return
-        volts = drive.drive_v if chosen < 0 else drive.drive_v[chosen : chosen + 1]
-        time_s = drive.start_s + np.arange(volts.shape[1]) / drive.sample_rate_hz
-        largest = float(np.abs(volts).max(initial=0.0))
-        if chosen >= 0:
-            self._show_curves(time_s, [volts[0]], 1.4)
-            plot.setLabel("left", f"actuator {chosen} ({drive.drive_unit})")
-            plot.getAxis("left").setTicks(None)
-            plot.setYRange(-_ROOM * (largest or 1.0), _ROOM * (largest or 1.0), padding=0.0)
-            title = f"largest {quantity(f'{largest:.3g}', drive.drive_unit)}"
-        else:
-            scale = _STEP / (largest or 1.0)
-            self._show_curves(time_s, [one + scale * trace for one, trace in enumerate(volts)], 1.0)
-            plot.setLabel("left", "actuator")
-            plot.getAxis("left").setTicks([whole_ticks(len(volts)), []])
-            plot.setYRange(-1.0, len(volts), padding=0.0)
-            title = f"a step is {quantity(f'{largest / _STEP:.3g}', drive.drive_unit)}"
-        self.title(title, size="9pt")
+        drive = results.drive
+        time_s = drive.start_s + np.arange(drive.drive_v.shape[1]) / drive.sample_rate_hz
+        largest = float(np.abs(drive.drive_v).max(initial=0.0))
+        scale = _STEP / (largest or 1.0)
+        self._show_curves(time_s, [one + scale * trace for one, trace in enumerate(drive.drive_v)])
+        plot.getAxis("left").setTicks([whole_ticks(len(drive.drive_v)), []])
+        plot.setYRange(-1.0, len(drive.drive_v), padding=0.0)
+        self.title(f"a step is {quantity(f'{largest / _STEP:.3g}', drive.drive_unit)}", size="9pt")
         # A zoomed view stays while the scene is edited.
         ends = float(time_s[0]), float(time_s[-1])
         if ends != self._ends:
             self._ends = ends
             plot.setXRange(*ends, padding=0.01)
 
-    def _show_curves(self, x: Real, curves: Sequence[Real], width: float) -> None:
+    def _show_curves(self, x: Real, curves: Sequence[Real]) -> None:
         """Curves are reused: thinned ones cannot be taken out of a plot."""
-        pen = pyqtgraph.mkPen(self.theme.traces[0], width=width)
         while len(self._curves) < len(curves):
             self._curves.append(decimating_curve())
+            self._curves[-1].setPen(pyqtgraph.mkPen(self.theme.traces[0], width=1.0))
             self.getPlotItem().addItem(self._curves[-1])
         for number, curve in enumerate(self._curves):
-            curve.setData(*((x, curves[number]) if number < len(curves) else ([], [])), pen=pen)
-
-
-class LevelPlot(Plot):
-    """Peak and rms of each actuator."""
-
-    def __init__(self) -> None:
-        super().__init__("Peak and rms of each actuator", "actuator", "level (V)", axis_px=_AXIS_PX)
-        self.setToolTip("Level of each actuator's drive: outlined the peak, filled the rms over 1 s")
-
-    def show_drive(self, drive: Drive, chosen: int) -> None:
-        from wavefocus.rendering.drive.coil_limits import levels_of, peaks  # loaded by then, by another thread
-
-        plot, theme, count = self.getPlotItem(), self.theme, len(drive.drive_v)
-        plot.setLabel("left", f"level ({drive.drive_unit})")
-        colours = [theme.traces[1] if one == chosen else theme.traces[0] for one in range(count)]
-        peak_v = peaks(drive.drive_v)
-        for values, filled in ((peak_v, False), (levels_of(drive.drive_v, drive.sample_rate_hz).rms_v, True)):
-            plot.addItem(pyqtgraph.BarGraphItem(
-                x=np.arange(count), y0=0.0, height=values, width=2 * 0.36 * (0.6 if filled else 1.0),
-                pens=[pyqtgraph.mkPen(colour) for colour in colours],
-                brushes=[pyqtgraph.mkBrush(colour if filled else theme.base) for colour in colours],
-            ))  # fmt: skip
-        plot.getAxis("bottom").setTicks([whole_ticks(count, 7), []])
-        plot.setXRange(-0.7, count - 0.3, padding=0.0)
-        plot.setYRange(0.0, _ROOM * max(float(peak_v.max(initial=0.0)), 1e-12), padding=0.0)
+            curve.setData(*((x, curves[number]) if number < len(curves) else ([], [])))
 
 
 class FieldView(FilmPlayer):
@@ -180,8 +111,7 @@ class FieldView(FilmPlayer):
 
     def rescale(self) -> None:
         if self.field is not None:
-            top = (self._largest or 1.0) * self.span.value() / 100.0
-            self.map.show_scale("response", (-top, top), self.field.response_unit, (True, True))
+            self.map.show_scale("response", self._largest * self.span.value() / 100.0, self.field.response_unit)
 
     def _show_scene(self) -> None:
         results = self.results

@@ -16,7 +16,7 @@ from wavefocus.gui.files import PathField, choose_place, file_state, names_virtu
 from wavefocus.gui.scene.calculation import Calculation, SceneResults
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
-from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, PLAYING, STOPPING, WAV, PlayTask, Saving
+from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, PLAYING, STOPPING, WAV, PlayTask, Saving
 from wavefocus.gui.scene.figures_view import FiguresView
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
 from wavefocus.gui.surface import VIRTUAL, PlotSurface
@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 _SAVES = (
     ("Save &drive…", DRIVE, "Ctrl+E", "Render the scene exactly and save the drives (V) of all actuators"),
     ("Save &WAV…", WAV, "Ctrl+Shift+E", "Render the scene exactly and save it as a sound file of the rig's interface"),
-    ("Save &movie…", MOVIE, "Ctrl+Alt+E", "Predict the field and save it as a moving picture (GIF)"),
 )
-_KINDS = {DRIVE: "drive file", WAV: "sound file", MOVIE: "movie"}
+_KINDS = {DRIVE: "drive file", WAV: "sound file"}
 
 
 class ActionsBar(Themed, QWidget):
@@ -208,7 +207,7 @@ class ResultsPanel(Themed, QWidget):
 
     def save(self, kind: str, path: Path) -> None:
         """Save the present scene; see `Saving.save`."""
-        self.saving.save(kind, path, self.bar.rig, self.calculation.rate_hz)
+        self.saving.save(kind, path, self.bar.rig)
 
     def play(self) -> None:
         """Play the present scene on the rig."""

@@ -11,6 +11,7 @@ from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 
 from wavefocus.config.editing import lines_of
+from wavefocus.config.fields import toml_table
 from wavefocus.config.scene import PathTable, PointTable, QuietTable, SourceTable, SvgTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.editor.files import TextFiles, closing_question
@@ -19,7 +20,7 @@ from wavefocus.gui.editor.tab import file_actions
 from wavefocus.gui.editor.text_edit import TextPanel
 from wavefocus.gui.files import FileKind, PathField, kind_of
 from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, SceneDocument
-from wavefocus.gui.scene.draft import Keys, moved, new_source, quiet_toml, source_toml
+from wavefocus.gui.scene.draft import Keys, moved, new_source
 from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.live_panel import LivePanel
 from wavefocus.gui.scene.live_run import LiveRun
@@ -96,7 +97,8 @@ class SceneTab(Tab):
         elif ending in (".h5", ".hdf5"):
             self._open_field(path)
         else:
-            file = str(path)
+            folder = self.document.place.parent
+            file = str(path.relative_to(folder) if path.is_relative_to(folder) else path)
             self._drawn(ending, SvgTable(file=file) if ending == ".svg" else TrajectoryTable(file=file))
 
     def poll(self) -> None:
@@ -202,11 +204,11 @@ class SceneTab(Tab):
         return next((path for path in found if path.is_file() and kind_of(path) is FileKind.BANK), None)
 
     def _drawn(self, kind: str, path: PathTable) -> None:
-        folder = self.document.place.parent
         if kind == QUIET and isinstance(path, PointTable):
-            self.document.append(quiet_toml(QuietTable(at_mm=path.at_mm, radius_mm=4.0, level_db=-20.0), folder))
+            text = toml_table("[[quiet]]", QuietTable(at_mm=path.at_mm, radius_mm=4.0, level_db=-20.0))
         else:
-            self.document.append(source_toml(new_source(path), folder))
+            text = toml_table("[[source]]", new_source(path))
+        self.document.append(text)
         self.surface.use_tool("")
 
     def _show_table(self, chosen: Chosen) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PyQt5.QtWidgets import QSizePolicy, QToolButton, QWidget
+from PyQt5.QtWidgets import QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import Real, symmetric_levels
+from wavefocus.gui.field_map import Real
 from wavefocus.gui.film_player import Film, FilmPlayer, Frame
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.run import Results
@@ -137,24 +137,17 @@ def _figures_text(record: VerificationRecord, index: int) -> str:
 
 # Names, and the number of the colour and width: where prediction and scan agree, the scan lies inside the wider line.
 _LINES = {"prediction": (0, 3.0), "scan": (1, 1.2), "difference": (3, 1.0)}
-# A few positions at nodes have huge relative errors; they must not make all others look alike.
-_ERRORS_SHOWN = 0.98
 
 
 class MapsPanel(FilmPlayer):
-    """Prediction, scan, and their difference or the error at each position."""
+    """Prediction, scan and their difference."""
 
     def __init__(self) -> None:
         super().__init__(("Prediction", "Scan", "Difference"), list(_LINES.values()))
         self._results: Results | None = None
-        tip = "The difference at the instant shown, or the relative L2 error over all instants"
-        choices = ["Difference, scan − prediction", "Error at each position"]
-        self.third = ui.choice("Quantity on the third map", tip, choices)
-        headings = (ui.label(text="Prediction", role="strong"), ui.label(text="Scan", role="strong"), self.third)
         columns = []
-        for field_map, heading in zip(self.maps, headings, strict=True):
-            heading.setFixedHeight(self.third.sizeHint().height())
-            heading.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        for field_map, words in zip(self.maps, ("Prediction", "Scan", "Difference, scan − prediction"), strict=True):
+            heading = ui.label(text=words, role="strong", any_width=True)
             field_map.setMinimumSize(150, 110)
             columns.append((ui.column(heading, (field_map, 1), field_map.bar, spacing=2), 1))
         ui.column((ui.row(*columns, spacing=6), 1), self.time, owner=self)
@@ -162,12 +155,6 @@ class MapsPanel(FilmPlayer):
             f'<span style="color:{self.theme.trace(colour)}">━ {name}</span>' for name, (colour, _) in _LINES.items()
         )
         self.legend = ui.label("Legend of the lines", "   ".join(lines))
-        self.third.currentIndexChanged.connect(lambda _index: self.show_again())
-
-    @property
-    def shows_error(self) -> bool:
-        """Whether the third map shows each position's error."""
-        return self.third.currentIndex() == 1
 
     def show_results(self, results: Results) -> None:
         """Show another verification, at its first focus instant."""
@@ -189,26 +176,20 @@ class MapsPanel(FilmPlayer):
         results = self._results
         if results is None:
             return
-        beyond, unit = (True, True), results.pair.response_unit
-        for field_map, title in zip(self.maps, ("prediction", "scan"), strict=False):
-            field_map.show_scale(f"{title}, both on one scale", symmetric_levels(results.loudest), unit, beyond)
-        third = self.maps[2]
-        third.name = "Error" if self.shows_error else "Difference"
-        if self.shows_error:
-            error = 100.0 * results.record.position_error
-            known = error[np.isfinite(error)]
-            top = float(np.quantile(known, _ERRORS_SHOWN)) if known.size else 1.0
-            above = bool(known.size and float(known.max()) > top)
-            third.show_scale("relative L2 error", (0.0, top if top > 0.0 else 1.0), "%", (False, above), signed=False)
-            third.show_values(error)
-        else:
-            third.show_scale("scan − prediction, own scale", symmetric_levels(results.loudest_difference), unit, beyond)
+        unit = results.pair.response_unit
+        for field_map, title, end in zip(
+            self.maps,
+            ("prediction, both on one scale", "scan, both on one scale", "scan − prediction, own scale"),
+            (results.loudest, results.loudest, results.loudest_difference),
+            strict=True,
+        ):
+            field_map.show_scale(title, end, unit)
 
     def _frames(self, sample: int) -> list[Frame]:
         assert self._results is not None
         predicted, scanned = self._results.pair.at_sample(sample)
         difference = np.where(self._results.record.compared, scanned - predicted, np.nan)
-        return [predicted, scanned, None if self.shows_error else difference]
+        return [predicted, scanned, difference]
 
     def _response(self, place: int) -> tuple[str, list[Real]]:
         assert self._results is not None

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from wavefocus.rendering.verify.record import VerificationRecord
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
-# A verification of another process whose log does not grow for so long has ended.
-_SILENT_AFTER_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ class VerificationProgress:
 
 
 class VerificationRun:
-    """At most one verification of this window; one of another process in the same folder is followed, too.
+    """At most one verification of this window.
 
     context: Starts commands and shows messages.
     done: Receives the record's path when a verification has one.
@@ -70,18 +68,15 @@ class VerificationRun:
         self._context, self._done = context, done
         self.own: CommandProcess | None = None
         self.out: Path | None = None
-        self.progress: VerificationProgress | None = None
+        self.progress = VerificationProgress()
         self.stopping = self.is_virtual = False
         self._close: Callable[[], object] | None = None
-        self._log: LogTail | None = None
         self._started = False
         self._ended: VerifyEnded | None = None
-        self._last_s = 0.0
 
     @property
     def running(self) -> bool:
-        """Whether a verification runs, this window's or that of another process."""
-        return self.progress is not None
+        return self.own is not None
 
     def start(self, request: VerificationRequest) -> None:
         """Start it, unless one is running."""
@@ -96,7 +91,8 @@ class VerificationRun:
         except OSError as failure:
             self._context.messages.fault(f"the verification cannot be started: {error_text(failure)}")
             return
-        self._follow_log(out)
+        self.out, self._log, self.progress = out, LogTail(out / LOG_NAME), VerificationProgress()
+        self._started, self._ended, self.stopping = False, None, False
         self.own = self._context.run(
             request.arguments,
             lambda _process: self.poll(),
@@ -104,22 +100,7 @@ class VerificationRun:
             name="the verification",
             advice="its outputs ended with it, but the mirror stands where it was: run the verification again",
         )
-        self.progress, self.is_virtual = VerificationProgress(), request.is_virtual
-
-    def follow(self, out: Path) -> None:
-        """Follow a verification of another process in a folder, where there is one."""
-        log = out / LOG_NAME
-        if self.running or not log.is_file():
-            return
-        with suppress(OSError):
-            if abs(time.time() - log.stat().st_mtime) < _SILENT_AFTER_S:  # a clock may have been set back
-                self._follow_log(out)
-                self.is_virtual = False  # its rig is unknown
-                self._read_log()
-                if self._ended is not None or not self._started:
-                    self._reset()
-                else:
-                    self.progress = self.progress or VerificationProgress()
+        self.is_virtual = request.is_virtual
 
     def cancel(self) -> None:
         """Stop it: outputs muted, mirror parked."""
@@ -130,22 +111,17 @@ class VerificationRun:
 
     def poll(self) -> None:
         """Read its log, and report its end; called often."""
-        if not self.running:
+        own = self.own
+        if own is None:
             return
-        over = self.own is not None and not self.own.running  # asked first: the last line may be written meanwhile
-        self._read_log()
-        if self.own is not None:
-            if over:
-                own, self.own = self.own, None
-                self._report_end(own.exit_code, own.failure)
-        elif self._ended is not None:
-            self._report_end(self._ended.code, "")
-        elif abs(time.time() - self._last_s) > _SILENT_AFTER_S:
-            self._reset()
-            self._context.messages.warn("the verification of another process has written nothing for five minutes")
+        over = not own.running  # asked first: the last line may be written meanwhile
+        for record in self._log.read()[0]:
+            self._receive(record)
+        if over:
+            self._report_end(own)
 
     def closing_question(self) -> ClosingQuestion | None:
-        """What to ask before the window closes; None without a verification of its own."""
+        """What to ask before the window closes; None without a verification."""
         if self.own is None or not self.own.running or self.out is None:
             return None
 
@@ -165,18 +141,6 @@ class VerificationRun:
         if self.own is not None:
             self.own.detach()
 
-    def _follow_log(self, out: Path) -> None:
-        self.out, self._log = out, LogTail(out / LOG_NAME)
-        self._started, self._ended, self.stopping, self._last_s = False, None, False, time.time()
-
-    def _reset(self) -> None:
-        self.progress, self._log, self.stopping = None, None, False
-
-    def _read_log(self) -> None:
-        for record in self._log.read()[0] if self._log is not None else ():
-            self._last_s = time.time()
-            self._receive(record)
-
     def _receive(self, record: dict[str, object]) -> None:
         progress = self.progress
         try:
@@ -190,14 +154,10 @@ class VerificationRun:
                     self._request_stop()
             case VerifyStep(step=step, done=done, total=total, left_s=left_s):
                 finish_s = None if left_s is None else time.time() + left_s
-                self.progress = VerificationProgress(
-                    step, done, total, finish_s, "" if progress is None else progress.message
-                )
-            case StateChanged(state=state, reason=reason) if progress is not None:
+                self.progress = VerificationProgress(step, done, total, finish_s, progress.message)
+            case StateChanged(state=state, reason=reason):
                 progress.message = "" if state is State.RUNNING else reason
-            case Fault(instrument=name, cause=what) | ReconnectTried(instrument=name, outcome=what) if (
-                progress is not None
-            ):
+            case Fault(instrument=name, cause=what) | ReconnectTried(instrument=name, outcome=what):
                 progress.message = f"{name}: {what}"
             case VerifyEnded():
                 self._ended = message
@@ -210,13 +170,13 @@ class VerificationRun:
             self.stopping = False
             self._context.messages.fault(f"the verification cannot be stopped: {error_text(failure)}")
 
-    def _report_end(self, code: int | None, failure: str) -> None:
-        out, ended, messages = self.out, self._ended, self._context.messages
-        self._reset()
+    def _report_end(self, own: CommandProcess) -> None:
+        out, ended, messages, code = self.out, self._ended, self._context.messages, own.exit_code
+        self.own, self.stopping = None, False
         assert out is not None
         with suppress(OSError):
             (out / STOP_NAME).unlink(missing_ok=True)
-        reason = failure if ended is None else ended.reason
+        reason = own.failure if ended is None else ended.reason
         if code == 0:
             messages.note(f"Verified. {reason}")
         elif code == NOT_GOOD_ENOUGH:

@@ -247,7 +247,10 @@ class VerificationTab(Tab):
     def draw(self) -> None:
         self.hint.setText(_WAITING if self.run.running else _HINT)
         self.row.show_progress(
-            self.run.progress, stopping=self.run.stopping, missing=self.form.missing(), reading=self._reading_text()
+            self.run.progress if self.run.running else None,
+            stopping=self.run.stopping,
+            missing=self.form.missing(),
+            reading=self._reading_text(),
         )
 
     def closing_question(self) -> ClosingQuestion | None:
@@ -288,11 +291,9 @@ class VerificationTab(Tab):
         self.context.claim_instruments(self, "Verify", lambda: self.run.start(request), virtual=request.is_virtual)
 
     def _folder_chosen(self, folder: Path) -> None:
-        """An earlier verification of that folder is shown; one of another process is followed."""
-        self.run.follow(folder)
-        record = None if self.run.running else record_of(folder)
-        if record is not None:
-            self.open_record(record)
+        """Show an earlier verification of that folder."""
+        if not self.run.running:
+            self.open_file(folder)
 
     def _reading_text(self) -> str:
         done, total = self._reading_share
