@@ -54,17 +54,12 @@ def test_a_string_object_that_nobody_needs_then_is_passed_over(tmp_path: Path, n
 
 
 @pytest.mark.parametrize(
-    ("value", "kind"),
-    [
-        (np.array([1.0, "a"], object), "a cell array"),
-        (scipy.sparse.eye(3), "a sparse matrix"),
-        (np.array([(1.0,), (2.0,)], [("gain", "O")]), "an array of structs"),
-    ],
+    "value", [np.array([1.0, "a"], object), scipy.sparse.eye(3), np.array([(1.0,), (2.0,)], [("gain", "O")])]
 )
-def test_a_variable_that_is_needed_and_of_another_kind_then_is_named(tmp_path: Path, value: Any, kind: str) -> None:
-    with pytest.raises(InputError, match=f"'green' is {kind}"):
+def test_a_variable_that_is_needed_and_of_another_kind_then_is_named(tmp_path: Path, value: Any) -> None:
+    with pytest.raises(InputError, match="'green' is not an array of numbers"):
         imported(matlab(tmp_path / "a.mat", NEEDED | {"green": value}))
-    with pytest.raises(InputError, match="'green' is an object"):
+    with pytest.raises(InputError, match="'green' is not an array of numbers"):
         imported(matlab(tmp_path / "b.mat", {"position_mm": PLACES_MM}, string_object("green")))
 
 

@@ -86,20 +86,16 @@ def focus_fields(
     return fields
 
 
-def focus_figures(
-    bank: GreenArray, rows: Sequence[int], fields: FloatArray, together: Sequence[Int64Array] | None = None
-) -> dict[str, Float64Array]:
+def focus_figures(bank: GreenArray, rows: Sequence[int], fields: FloatArray) -> dict[str, Float64Array]:
     """Width, distance of the peak from its place, artefact level and response of each focus, (foci,) each.
 
-    Artefacts are further than 15 mm from every focus of that instant, `together`, by default from the focus alone. NaN
-    where a spot reaches beyond the positions.
+    Artefacts are further than 15 mm from the focus. NaN where a spot reaches beyond the positions.
     """
     spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
     figures = np.full((4, len(rows)), np.nan)
     for place, (row, values) in enumerate(zip(rows, fields, strict=True)):
-        others_mm = None if together is None else bank.position_mm[together[place]]
         at_mm = bank.position_mm[row]
-        spot = metrics.focus_spot(bank.position_mm, values, at_mm, FOCUS_RADIUS_MM, spacing_mm, others_mm)
+        spot = metrics.focus_spot(bank.position_mm, values, at_mm, FOCUS_RADIUS_MM, spacing_mm)
         if spot is not None:
             figures[:, place] = spot.width_mm, spot.off_mm, spot.artefact_db, values[row]
     return dict(zip(("width_mm", "off_mm", "artefact_db", "at_focus"), figures, strict=True))

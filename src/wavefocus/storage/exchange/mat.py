@@ -6,7 +6,6 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +60,6 @@ def _about(rows: ExportedRows) -> dict[str, Any]:
 
 _HEADER_BYTES, _MATRIX, _COMPRESSED = 128, 14, 15
 _STRUCT, _CHAR, _NUMBERS, _OPAQUE = 2, 4, range(6, 16), 17
-_KINDS = {1: "a cell array", 2: "an array of structs", 3: "an object", 5: "a sparse matrix", 16: "a function handle",
-          17: "an object, such as a string or a table"}  # fmt: skip
 _OTHER_PROGRAMS = {b"Octave-1-": "Octave's own binary format", b"# Created by Octave": "Octave's own text format",
                    b"PK": "an archive (ZIP)"}  # fmt: skip
 _TYPES = {
@@ -70,11 +67,8 @@ _TYPES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class _Unread:
-    """A variable that is not read, and the kind that it is."""
-
-    kind: str
+_UNREAD = object()
+"""In place of a variable that is neither numbers nor text nor one struct."""
 
 
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
@@ -115,8 +109,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 
     def get(name: str) -> Any:
         value = fields[name] if name in fields else by_own_name.get(name)
-        if isinstance(value, _Unread):
-            raise InputError(f"{path}: variable {name!r} is {value.kind}; an array of numbers is needed")
+        if value is _UNREAD:
+            raise InputError(f"{path}: variable {name!r} is not an array of numbers, which is needed")
         return None if isinstance(value, dict) else _squeezed(name, value)
 
     return measured_arrays(NamedArrays(path, get, [name for name, value in fields.items() if name]), options)
@@ -146,14 +140,14 @@ def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview
 
 
 def _matrix(content: memoryview, order: str) -> tuple[str, Any]:
-    """Name and value of an array: numbers, a text, a struct as a dictionary; `_Unread` for what is none of these."""
+    """Name and value of an array: numbers, a text, a struct as a dictionary; `_UNREAD` for what is none of these."""
     parts = _elements(content, order)
     if not len(content):
         return "", None
     _, flags = next(parts)
     kind = int(np.frombuffer(flags, f"{order}u4")[0])
     if kind & 0xFF == _OPAQUE:  # without extents; what follows is undocumented
-        return bytes(next(parts)[1]).decode("latin-1"), _Unread(_KINDS[_OPAQUE])
+        return bytes(next(parts)[1]).decode("latin-1"), _UNREAD
     (_, extents), (_, name) = next(parts), next(parts)
     shape, label = np.frombuffer(extents, f"{order}i4").tolist(), bytes(name).decode("latin-1")
     if kind & 0xFF == _CHAR:
@@ -166,7 +160,7 @@ def _matrix(content: memoryview, order: str) -> tuple[str, Any]:
         keys = [names[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(names), max(width, 1))]
         return label, {key: _matrix(part, order)[1] for key, (_, part) in zip(keys, parts, strict=False)}
     if kind & 0xFF not in _NUMBERS:
-        return label, _Unread(_KINDS.get(kind & 0xFF, f"of class {kind & 0xFF}"))
+        return label, _UNREAD
     values = _numbers(next(parts), order)
     if kind & 0x0800:
         values = values + 1j * _numbers(next(parts), order)

@@ -209,26 +209,22 @@ class RawHeader:
             )
 
     def _require_numbers(self) -> None:
-        if self.samples < 1:
-            raise InputError(f"records have {self.samples} samples; 1 or more are needed")
-        if self.taps != int(self.taps) or not 1 <= self.taps <= self.samples:
-            raise InputError(f"taps is {self.taps:g}; 1 to the samples of a record, {self.samples}, is needed")
-        if not (np.isfinite(self.response_per_volt) and self.response_per_volt):
-            raise InputError(f"response_per_volt is {self.response_per_volt:g}; a finite number, not 0, is needed")
-        if not (np.isfinite(self.reference_gain) and self.reference_gain > 0):
-            raise InputError(f"reference_gain is {self.reference_gain:g}; a finite number above 0 is needed")
-        if not abs(self.inter_channel_delay_s) < self.samples / self.sample_rate_hz:
-            raise InputError(f"inter_channel_delay_s is {self.inter_channel_delay_s:g}; less than a record is needed")
-        if not all(np.isfinite(scale) and scale > 0 for scale in self.volts_per_count):
-            raise InputError(f"volts_per_count is {self.volts_per_count}; finite numbers above 0 are needed")
-        if self.averages is not None and (self.averages != int(self.averages) or self.averages < 1):
-            raise InputError(f"averages is {self.averages:g}; a whole number of 1 or more is needed")
-        if self.sweep_s is not None and not (np.isfinite(self.sweep_s) and self.sweep_s > 0):
-            raise InputError(f"sweep_s is {self.sweep_s:g}; a time above 0 is needed")
-        if self.decay_s is not None and not (np.isfinite(self.decay_s) and self.decay_s >= 0):
-            raise InputError(f"decay_s is {self.decay_s:g}; a time of 0 or more is needed")
-        if self.sweep_law not in ("", *LAWS, "other"):
-            raise InputError(f"sweep_law is {self.sweep_law!r}; 'linear', 'exponential' or 'other' is needed")
+        record_s = self.samples / self.sample_rate_hz
+        averages, sweep_s, decay_s = (1 if x is None else x for x in (self.averages, self.sweep_s, self.decay_s))
+        for name, holds, wanted in (
+            ("samples", self.samples >= 1, "1 or more"),
+            ("taps", self.taps == int(self.taps) and 1 <= self.taps <= self.samples, "1 to the samples of a record"),
+            ("response_per_volt", 0 < abs(self.response_per_volt) < np.inf, "a finite number, not 0,"),
+            ("reference_gain", 0 < self.reference_gain < np.inf, "a finite number above 0"),
+            ("inter_channel_delay_s", abs(self.inter_channel_delay_s) < record_s, "less than a record"),
+            ("volts_per_count", all(0 < scale < np.inf for scale in self.volts_per_count), "finite numbers above 0"),
+            ("averages", averages >= 1 and averages == int(averages), "a whole number of 1 or more"),
+            ("sweep_s", 0 < sweep_s < np.inf, "a time above 0"),
+            ("decay_s", 0 <= decay_s < np.inf, "a time of 0 or more"),
+            ("sweep_law", self.sweep_law in ("", *LAWS, "other"), "'linear', 'exponential' or 'other'"),
+        ):
+            if not holds:
+                raise InputError(f"{name} is {getattr(self, name)!r}; {wanted} is needed")
 
     @property
     def law(self) -> Law | None:
