@@ -326,7 +326,6 @@ def render_by_options(
         bank,
         method=options.method,
         tolerance_db=options.tolerance_db,
-        interpolation_tolerance=options.interpolation_tolerance,
         on_progress=on_progress,
         interface=interface,
         device=None if options.device == "cpu" else cuda_device(),

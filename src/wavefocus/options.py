@@ -40,15 +40,12 @@ class SessionOptions:
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """Options of a render: method of eq. (16) or (9), what may be left out (< 0 dB), largest interpolation error."""
+    """Options of a render: method of eq. (16) or (9), what may be left out (< 0 dB), where it is computed."""
 
     method: Literal["sampled", "exact"] | None = option(
         None, "By default exact, or sampled where emission is per point."
     )
     tolerance_db: float | None = option(None, "Leave out what a proved bound allows, e.g. -60.")
-    interpolation_tolerance: float | None = option(
-        None, "Refuse a larger error between the bank's positions, e.g. 0.05.", low=1e-9
-    )
     device: Literal["cpu", "cuda"] = option("cpu", "cuda: on a GPU, through CuPy.")
 
 

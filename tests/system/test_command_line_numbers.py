@@ -23,7 +23,7 @@ RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out", "out.h5", "--for
 PREDICT = ["predict", "drive.h5", "--bank", "bank.h5", "--out", "out.h5", "--force"]
 MOVIE = ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--out", "out.gif", "--to-s", "0", "--force"]
 CALIBRATE = ["calibrate", "rig.toml", "--only", "actuators"]
-PLAY = ["play", "scene.toml", "--bank", "bank.h5", "--rig", "virtual"]
+PLAY = ["play", "drive.h5", "--rig", "virtual"]
 OPTIONS = [
     *((RENDER, option) for option in ("--tolerance-db",)),
     (PREDICT, "--rate"),

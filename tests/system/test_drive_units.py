@@ -89,7 +89,6 @@ def test_drives_that_are_not_in_volts_then_are_not_played(
     for command in (
         ["render", str(scene), "--bank", bank, "--out", str(tmp_path / "w.h5"), "--wav", str(tmp_path / "w.wav")],
         ["play", drive, "--rig", str(rig)],
-        ["play", str(scene), "--bank", bank, "--rig", str(rig)],
         ["live", bank, "--rig", str(rig)],
     ):
         assert run(command) == 2, command

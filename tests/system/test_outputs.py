@@ -59,7 +59,6 @@ RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out"]
 COMMANDS = {
     "render": RENDER,
     "wav": [*RENDER, "new.h5", "--wav"],
-    "picture": [*RENDER, "new.h5", "--picture"],
     "predict": ["predict", "drive.h5", "--bank", "bank.h5", "--out"],
     "movie": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--to-s", "0.01", "--out"],
     "snapshots": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--snapshots"],
@@ -149,7 +148,7 @@ FORKS = """
 import json, os, resource, signal, sys
 from pathlib import Path
 from wavefocus.__main__ import run
-import wavefocus.rendering.report.movie, wavefocus.rendering.report.scene_picture, wavefocus.rendering.drive.wav
+import wavefocus.rendering.report.movie, wavefocus.rendering.drive.wav
 import wavefocus.storage.exchange.mat, wavefocus.storage.exchange.npz
 import matplotlib.figure, h5py
 
@@ -234,7 +233,7 @@ def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(la
     [
         (["npz"], "1"),
         (["wav", "predict"], "8"),
-        pytest.param(["render", "picture", "snapshots", "uff", "mat", "movie"], "4", marks=pytest.mark.long),
+        pytest.param(["render", "snapshots", "uff", "mat", "movie"], "4", marks=pytest.mark.long),
     ],
 )
 @pytest.mark.timeout(600)

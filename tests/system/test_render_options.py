@@ -67,17 +67,14 @@ def figures(lab: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dic
     return dict(json.loads(capsys.readouterr().out))
 
 
-def test_given_a_saturated_scene_then_levels_are_told_with_and_without_saturation(
+def test_given_a_saturated_scene_then_levels_are_told_and_differ_less_than_without(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = figures(lab, capsys)
     rms = np.sqrt(np.mean(read_drive(lab / "drive.h5").drive_v ** 2, axis=1))
     assert told["relative_rms"] == pytest.approx(rms / rms.max(), abs=1e-6)
     (lab / "scene.toml").write_text(SCENE.split("[regularisation]", maxsplit=1)[0], encoding="utf-8")
-    plain = figures(lab, capsys)
-    assert plain["relative_rms_unsaturated"] is None
-    assert told["relative_rms_unsaturated"] == pytest.approx(plain["relative_rms"], abs=1e-6)
-    assert told["dynamic_range_db"] < plain["dynamic_range_db"]
+    assert told["dynamic_range_db"] < figures(lab, capsys)["dynamic_range_db"]
 
 
 def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(
@@ -107,23 +104,6 @@ def test_given_options_that_do_not_go_together_then_one_sentence_names_them(
     told = capsys.readouterr().err.splitlines()
     assert named in told[-1]
     assert not (lab / "drive.h5").exists()
-
-
-@pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
-@pytest.mark.parametrize("normalise", ["true", "false"])
-def test_given_a_picture_then_it_shows_the_scene_before_and_after_snapping(
-    lab: Path, interpolation: str, normalise: str
-) -> None:
-    text = f'{SCENE}normalise = {normalise}\n\n[output]\ninterpolation = "{interpolation}"\n'
-    (lab / "scene.toml").write_text(text, encoding="utf-8")
-    assert render(lab, "--picture", str(lab / "scene.png")) == 0
-    with Image.open(lab / "scene.png") as picture:
-        colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 24)}
-        assert picture.width > 2000
-    assert len(colours) > 50
-    near = [min(max(abs(a - b) for a, b in zip(one, colour, strict=True)) for one in colours) for colour in
-            ((0, 114, 178), (213, 94, 0))]  # fmt: skip
-    assert max(near) < 24  # both sources are there in their colours
 
 
 def test_given_a_field_then_the_movie_command_draws_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,10 +1,9 @@
-"""Scenes that are rendered into files, and played from them, through the command line."""
+"""Scenes that are rendered into files of drives and sounds through the command line."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -76,34 +75,20 @@ def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(
     assert "between samples = 0.01 V; actuator" in told.err
 
 
-def play(lab: Path, what: str, *options: str) -> int:
-    return run(["play", str(lab / what), "--rig", str(lab / "rig.toml"), "--json", *options])
-
-
-def test_given_a_scene_and_a_bank_then_it_is_played_within_limits(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert play(lab, "scene.toml", "--bank", str(lab / "bank.h5")) == 0
-    told = capsys.readouterr()
-    figures: dict[str, Any] = json.loads(told.out)
-    assert figures["peak_v"] <= 0.01
-    assert figures["ahead_ms"] == 2000.0
-    assert "muted" in told.err
-
-
 @pytest.mark.parametrize(
-    ("what", "options", "told"),
+    ("command", "told"),
     [
-        ("scene.toml", (), "--bank"),
-        ("drive.h5", ("--bank", "bank.h5"), "leave out --bank"),
-        ("scene.toml", ("--bank", "bank.h5", "--loop", "2"), "--loop"),
-        ("scene.toml", ("--bank", "bank.h5", "--ahead-s", "1"), "--ahead-s is gone: 2 s"),
+        (("play", "scene.toml"), "scene.toml is a TOML file"),
+        (("play", "drive.h5", "--bank", "bank.h5"), "--bank is gone: render the scene, and play the drive file"),
+        (("render", "scene.toml", "--picture", "scene.png"), "--picture is gone: the window"),
+        (("render", "scene.toml", "--allow-large"), "--allow-large is gone: a scene may have 8 GiB"),
     ],
 )
-def test_given_options_that_do_not_go_together_then_the_line_says_what_to_do(
-    lab: Path, capsys: pytest.CaptureFixture[str], what: str, options: tuple[str, ...], told: str
+def test_given_a_scene_to_play_or_an_option_that_is_gone_then_it_says_what_to_do(
+    lab: Path, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], told: str
 ) -> None:
-    assert play(lab, what, *options) == 2
+    place = ["--bank", str(lab / "bank.h5"), "--out", "x.h5"] if command[0] == "render" else ["--rig", "virtual"]
+    assert run([command[0], str(lab / command[1]), *place, *command[2:]]) == 2
     error = capsys.readouterr().err
     assert told in error
     assert error.count("\n") == 1

@@ -12,7 +12,6 @@ from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.report.scene_picture import scene_picture
 from wavefocus.rendering.scene.model import Scene, Source, load_scene
 from wavefocus.rendering.scene.paths import Circle, Line, Point
 from wavefocus.rendering.scene.sampling import sample_scene
@@ -65,7 +64,7 @@ def test_given_a_trajectory_then_its_drive_is_equation_9_summed_directly(interpo
 
 def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     scene = scene_of(MOVING, Source(Point((0.0, 0.0)), Sine(70.0, 0.1)))
-    whole, report = render_with_report(scene, bank())
+    whole, _ = render_with_report(scene, bank())
     sampled, _ = render_with_report(scene, bank(), method="sampled")
     blocks = list(SceneRenderer(scene, bank()).unlimited_blocks())
     size = scene_size(scene, sample_rate_hz=RATE_HZ, taps=60, actuators=3)
@@ -77,9 +76,6 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     status = np.where(np.isin(np.arange(len(GRID_MM)), needed.all), 1, 0).astype(np.uint8)
     assert len(needed.path) < len(GRID_MM) / 2
     np.testing.assert_array_equal(render_with_report(scene, bank(status))[0].drive_v, whole.drive_v)
-    picture = scene_picture(scene, bank()).png
-    assert picture.startswith(b"\x89PNG")
-    assert scene_picture(scene, bank(), sampled=report.sources).png == picture
 
 
 def test_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_circle():

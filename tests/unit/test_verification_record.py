@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -18,10 +17,8 @@ from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.paths import Line
-from wavefocus.rendering.verify.changes import change_lines, changes_since
 from wavefocus.rendering.verify.field_pair import CancelledError, read_pair
 from wavefocus.rendering.verify.record import RECORD_NAME, RecordedSource, read_record, write_record
-from wavefocus.rendering.verify.results import Symptom
 from wavefocus.rendering.verify.symptom_words import remedy, sentence
 from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.storage.errors import InputError
@@ -205,23 +202,3 @@ def test_given_a_reading_that_is_cancelled_then_it_ends(record_file: Path) -> No
     folder = record_file.parent
     with pytest.raises(CancelledError):
         read_pair(folder / "prediction.h5", folder / "scan.h5", None, wanted=lambda: False)
-
-
-@pytest.mark.parametrize(
-    ("before", "now", "gone", "new"),
-    [
-        (Symptom("level", (2,), 1.20), Symptom("level", (2,), 1.30), 0, 0),
-        (Symptom("level", (2,), 1.20), Symptom("level", (3,), 1.20), 1, 1),
-        (Symptom("level", (2,), 1.20), Symptom("silent", (2,), -40.0), 1, 1),
-        (Symptom("level", (2,), 0.3, 0.4, certain=False), Symptom("level", (2,), 0.3, 0.9), 0, 0),
-        (Symptom("shifted", positions=(1, 2)), Symptom("shifted", positions=(3, 4)), 1, 1),
-    ],
-)
-def test_given_two_verifications_then_causes_are_compared_by_code_and_actuators(
-    record_file: Path, before: Symptom, now: Symptom, gone: int, new: int
-) -> None:
-    later = dataclasses.replace(fields()[2], symptoms=(now,))
-    earlier = msgspec.structs.replace(read_record(record_file), symptoms=(before,))
-    changes = changes_since(earlier, "verify.json", later, "line", {})
-    assert (len(changes.symptoms_gone), len(changes.symptoms_new)) == (gone, new)
-    assert sum(line.startswith(("no longer", "new")) for line in change_lines(changes)) == gone + new

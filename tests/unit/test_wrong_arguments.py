@@ -119,7 +119,6 @@ def test_given_a_wrong_type_then_it_is_an_input_error(
         ("render", {"device": "gpu"}),
         ("render", {"tolerance_db": "-60"}),
         ("render", {"tolerance_db": math.nan}),
-        ("render", {"interpolation_tolerance": True}),
         ("render", {"bank": DRIVE}),
         ("render", {"scene": DRIVE}),
         ("predict", {"dtype": "complex128"}),

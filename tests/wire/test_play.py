@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -12,13 +11,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-import soundfile
 
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
-from wavefocus.__main__ import run
 from wavefocus.mocks.wire.jack_server import JackServer
 from wavefocus.storage.drive_file import Drive, write_drive
 
@@ -140,32 +136,3 @@ def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(l
     assert child.returncode == 3, told
     assert "Traceback" not in told
     assert "reconnect" in told.splitlines()[-1]
-
-
-SCENE = """
-[[source]]
-speed_mm_s = 20.0
-step_mm = 2.0
-path = { kind = "line", start_mm = [0.5, 0], end_mm = [60, 4] }
-signal = { kind = "noise", band_hz = [50, 900], duration_s = 3.0 }
-"""
-
-
-def test_a_scene_rendered_while_it_sounds_plays_what_render_writes(lab: Path, server: JackServer) -> None:
-    x_mm, y_mm = np.meshgrid(np.arange(16) * 4.0, np.arange(3) * 4.0)
-    green = np.random.default_rng(4).standard_normal((48, 3, 60)) * np.exp(-np.arange(60) / 15)
-    with h5py.File(lab / "bank.h5", "w") as file:
-        file["green"], file["position_mm"] = green, np.column_stack([x_mm.ravel(), y_mm.ravel()])
-        file.attrs["sample_rate_hz"] = 2000.0
-    (lab / "scene.toml").write_text(SCENE, encoding="utf-8")
-    files = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--rig", str(lab / "rig.toml")]
-    assert run(["render", *files, "--out", str(lab / "drive.h5"), "--wav", str(lab / "drive.wav")]) == 0
-    meant = soundfile.read(lab / "drive.wav", dtype="float32")[0].T[[1, 2, 0]]
-    command = [sys.executable, "-m", "wavefocus", "play", *files, "--json"]
-    begun, told = play_whole(server, command)
-    assert json.loads(told)["least_ahead_ms"] > 0
-    heard = sounding(server.played.read(begun, int(server.played.frame_at(time.monotonic_ns()))))[:3]
-    loud = np.flatnonzero(np.abs(meant).max(axis=0))
-    meant = meant[:, loud[0] : loud[-1] + 1]
-    assert heard.shape == meant.shape
-    np.testing.assert_allclose(heard, meant, rtol=0, atol=1e-6)

@@ -187,7 +187,7 @@ def needed_by(scene_files: Sequence[Path], blueprint: Blueprint) -> frozenset[in
     position_mm, coarse = plan.position_mm, bool(len(check_rows(blueprint.configuration)))
     needed: set[int] = set()
     for file in scene_files:
-        scene = load_scene(file, allow_large=True)
+        scene = load_scene(file)
         try:
             rows = scene_rows(scene, position_mm, coarse=coarse)
         except InputError as wrong:

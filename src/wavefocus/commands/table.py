@@ -48,7 +48,6 @@ CLUSTER = argument(
     "--cluster", default="", metavar="ADDRESS",
     help="A dask scheduler, tcp://HOST:8786, or local, local:N: processes here.",
 )  # fmt: skip
-LARGE = switch("--allow-large", help="Allow scenes of over an hour, 8 GiB of drives or a million path points.")
 (JSON_LINES,) = options_of(SessionOptions, "as_json")
 
 
@@ -161,11 +160,10 @@ USE = (
             SCENE, FROM_BANK,
             _out("DRIVE.h5", "The drive file to write."),
             file("--wav", metavar="FILE", help="Also write the drives as a WAV file."),
-            *options_of(RenderOptions, "method", "tolerance_db", "device"),
+            *options_of(RenderOptions),
             file("--rig", dest="rig_file", metavar="RIG.toml",
                  help="Keep to this rig's limits too: volts, coil power."),
-            file("--picture", metavar="FILE.png", help="Draw the scene before and after snapping."),
-            LARGE, FORCE, JSON,
+            FORCE, JSON,
         ),
         RenderOptions,
     ),
@@ -182,13 +180,12 @@ USE = (
         ),
     ),
     Command(
-        "play", "play:play", "Play drives, or a scene of any length, on the rig.\n\nCtrl-C mutes at once.",
+        "play", "play:play", "Play drives on the rig.\n\nCtrl-C mutes at once.",
         (
-            file("what", metavar="DRIVE.h5|SCENE.toml", help="A drive file; or, with --bank, a scene file."),
+            file("drive_file", metavar="DRIVE.h5", help="The drive file."),
             ON_RIG,
-            number("--loop", 1, whole=True, default=1, help="How many times, without a gap; of a drive."),
+            number("--loop", 1, whole=True, default=1, help="How many times, without a gap."),
             *options_of(LiveOptions, "gain_db"),
-            file("--bank", metavar="BANK.h5", help="The bank to render a scene from while it is played."),
             switch("--lines", "watched", help="End, muted, when standard input closes; a JSON line when it plays."),
             JSON,
         ),
@@ -219,15 +216,13 @@ USE = (
             argument("--positions", default="", metavar="I,J,...",
                      help="Bank rows to scan, or every:N for one of N, or path for those that the scene needs; by "
                      "default all."),
-            file("--against", metavar="verify.json",
-                 help="Also state what has changed since this earlier verification."),
             switch("--linearity", help="Also play the scene 12 dB quieter, at up to 24 positions, and compare."),
             number("--correct", 1, 20, whole=True, dest="corrections", default=0, metavar="N",
                    help="Correct the drive by scans of foci and quiet places, at most N times; the best is kept in "
                    "drive-corrected.h5."),
             argument("--control", choices=("scene", "all"), default="scene",
                      help="Where a correction is judged: foci and quiet places, or all scanned positions."),
-            LARGE, FORCE, JSON,
+            FORCE, JSON,
         ),
     ),
     Command(
@@ -378,7 +373,6 @@ GENERAL = {
     name: one.settings["help"]
     for one in (
         FORCE,
-        LARGE,
         CLUSTER,
         *options_of(DoctorOptions, "as_lines"),
         *options_of(SessionOptions, "accept_drift", "accept_calibration"),

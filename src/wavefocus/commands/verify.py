@@ -37,7 +37,6 @@ from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rendering.verify import symptom_words
-from wavefocus.rendering.verify.changes import change_lines, changes_since
 from wavefocus.rendering.verify.correction import (
     MIN_CONTROLS,
     control_rows,
@@ -60,8 +59,6 @@ from wavefocus.rendering.verify.record import (
     REPORT_NAME,
     SCAN_NAME,
     STOP_NAME,
-    VerificationRecord,
-    read_record,
     write_record,
 )
 from wavefocus.rendering.verify.results import Correction, Figure, Sentinel
@@ -93,19 +90,16 @@ def verify(
     out: Path,
     positions: str,
     *,
-    against: Path | None = None,
     linearity: bool = False,
     corrections: int = 0,
     control: str = "scene",
     force: bool = False,
-    allow_large: bool = False,
     as_json: bool,
 ) -> Exit:
     """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
 
-    With an earlier record to compare `against`, what has changed since is stated; with `linearity` the scene is also
-    played 12 dB quieter at some positions; with `corrections` the drive is corrected by further scans, so many at most,
-    of the scene's foci and quiet places, or of `control` "all".
+    With `linearity` the scene is also played 12 dB quieter at some positions; with `corrections` the drive is corrected
+    by further scans, so many at most, of the scene's foci and quiet places, or of `control` "all".
     The bank's sentinel position is measured again first; its drift is stated.
 
     A scan that was interrupted goes on where it was.
@@ -113,8 +107,7 @@ def verify(
     A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
     """
     results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, CORRECTED_NAME, *PICTURE_NAMES)
-    inputs = input_files(scene_file, bank, rig_file, against)
-    before = None if against is None else read_record(against)
+    inputs = input_files(scene_file, bank, rig_file)
     journals = JOURNAL_NAME, QUIET_JOURNAL_NAME
     working_files = (LOG_NAME, STOP_NAME, *journals)
     # Without a record, results beside a journal are of a verification that ended while it published them.
@@ -122,7 +115,7 @@ def verify(
         require_output_folder(out, (), inputs, force=force, may_exist=(*working_files, *results))
     else:
         require_output_folder(out, results, inputs, force=force, may_exist=working_files)
-    scene = load_scene(scene_file, allow_large=allow_large)
+    scene = load_scene(scene_file)
     with open_bank(bank) as view:
         with spinner("verifying the rows of the bank"):
             view.require_sound()
@@ -140,8 +133,7 @@ def verify(
             with staged_folder(out, RECORD_NAME, results) as staged:
                 asked = linearity, force, corrections, control
                 work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, *asked)
-                earlier = None if before is None else (str(against), before)
-                verification, record = work.run(rows, str(rig_file), earlier)
+                verification, record = work.run(rows, str(rig_file))
             for name in journals:
                 (out / name).unlink(missing_ok=True)
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
@@ -157,13 +149,9 @@ def verify(
         say(drift_sentence(verification.drift))
     for line in correction_lines(verification.correction) if verification.correction is not None else ():
         say(line)
-    if (changes := verification.changes) is not None:
-        say(f"since {changes.made:%Y-%m-%d %H:%M} ({changes.against}):")
-        for line in change_lines(changes):
-            say(f"  {line}")
     say(f"report: {out / REPORT_NAME}")
     if as_json:
-        found = {key: record[key] for key in ("symptoms", "actuators", "drift", "changes", "correction")}
+        found = {key: record[key] for key in ("symptoms", "actuators", "drift", "correction")}
         files = {"report": str(out / REPORT_NAME), "record": str(out / RECORD_NAME)}
         print(json.dumps({**files, **verification.numbers(), **found, "sources": record["source_figures"]}))
     return code
@@ -184,10 +172,8 @@ class _Work:
     corrections: int
     control: str
 
-    def run(
-        self, rows: list[int] | None, rig_name: str, earlier: tuple[str, VerificationRecord] | None
-    ) -> tuple[Verification, dict[str, Any]]:
-        """Render, predict, scan, compare, also with an `earlier` file, and report into `out`.
+    def run(self, rows: list[int] | None, rig_name: str) -> tuple[Verification, dict[str, Any]]:
+        """Render, predict, scan, compare, and report into `out`.
 
         Returns what was found, and the content of ``verify.json``.
         """
@@ -226,10 +212,6 @@ class _Work:
             )
             verification = replace(verification, correction=correction)
             names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
-            if earlier is not None:
-                file, before = earlier
-                changes = changes_since(before, file, verification, self.scene.name, names)
-                verification = replace(verification, changes=changes)
             report(1, 3)
             build_report(
                 out,

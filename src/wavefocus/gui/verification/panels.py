@@ -35,10 +35,7 @@ class VerdictPanel(Themed, QWidget):
         self.summary = ui.label("Summary", any_width=True)
         self.findings = ui.label("Findings", wraps=True, selectable=True)
         self.findings.setStyleSheet(f"color: {self.theme.fault};")
-        self.changes = ui.label("Changes since an earlier verification", wraps=True)
-        ui.column(
-            ui.row(self.verdict, (self.summary, 1), spacing=8), self.findings, self.changes, owner=self, spacing=2
-        )
+        ui.column(ui.row(self.verdict, (self.summary, 1), spacing=8), self.findings, owner=self, spacing=2)
 
     def show_results(self, results: Results) -> None:
         record, theme = results.record, self.theme
@@ -48,9 +45,9 @@ class VerdictPanel(Themed, QWidget):
         self.summary.setToolTip(
             f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{results.folder}"
         )
-        for label, lines in ((self.findings, _findings(record)), (self.changes, _changes(record))):
-            label.setText("\n".join(lines))
-            label.setVisible(bool(lines))
+        lines = _findings(record)
+        self.findings.setText("\n".join(lines))
+        self.findings.setVisible(bool(lines))
 
 
 class FiguresPanel(Themed, QWidget):
@@ -109,15 +106,6 @@ def _findings(record: VerificationRecord) -> list[str]:
         if one.passed is False and one.value is not None and one.limit is not None
     ]
     return [*beyond, *(f"▲ {sentence(symptom)} {remedy(symptom)}" for symptom in record.symptoms)]
-
-
-def _changes(record: VerificationRecord) -> list[str]:
-    from wavefocus.rendering.verify.changes import change_lines
-
-    if record.changes is None:
-        return []
-    since = record.changes.made.astimezone().strftime("%d %b %Y %H:%M")
-    return [f"Since {since}: {'; '.join(change_lines(record.changes))}."]
 
 
 def _when(record: VerificationRecord) -> str:

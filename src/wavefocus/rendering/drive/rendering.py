@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,6 @@ from wavefocus.rendering.drive.accumulate import BLOCKS_AHEAD, BlockAccumulator
 from wavefocus.rendering.drive.coil_limits import (
     DriveLimits,
     Limiting,
-    Reached,
     RunningLevels,
     require_finite,
     rms_window,
@@ -58,12 +57,8 @@ class SceneRenderer:
     method: Eq. (16) or eq. (9), see `sample_scene`.
     tolerance_db: Allows single precision as long as the proved bound on the relative L2 error of the drives stays below
         it, < 0. Without it all is computed in double precision, to 1e-12 of direct evaluation.
-    interpolation_tolerance: Largest relative error of the Green's functions between the bank's positions, > 0: the
-        median along the paths, in every band that the scene makes use of. Without it an error above 5 % is warned
-        about.
     interface: Outputs whose full scale is not to be exceeded between the samples of the drives either, as long as the
         limits keep the samples themselves within it.
-    gain: Factor on the drives before they are limited, > 0.
     device: Where to compute, by the array API; by default on this processor.
 
     Raises InputError: the scene does not fit the bank, or a parameter is out of range.
@@ -80,15 +75,11 @@ class SceneRenderer:
         *,
         method: Method | None = None,
         tolerance_db: float | None = None,
-        interpolation_tolerance: float | None = None,
         interface: Interface | None = None,
-        gain: float = 1.0,
         device: Device | None = None,
     ) -> None:
-        if not (math.isfinite(gain) and gain > 0):
-            raise InputError(f"gain is {gain}; it must be a finite number above 0")
-        self._scene, self._bank, self._gain, self._device = scene, bank, gain, device
-        self._tolerance, self._interpolation_tolerance = tolerance_of(tolerance_db), interpolation_tolerance
+        self._scene, self._bank, self._device = scene, bank, device
+        self._tolerance = tolerance_of(tolerance_db)
         self._limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
         self._interface, self._rate_hz = interface, float(bank.sample_rate_hz)
         self._rate = None if interface is None else InterfaceRate(self._rate_hz, interface.rate_hz)
@@ -116,10 +107,15 @@ class SceneRenderer:
     @property
     def peak_v(self) -> float:
         """Largest magnitude of the drives within their limits."""
-        return float(self._levels.peaks_v.max()) * self._gain * self.report.scale
+        return float(self._levels.peaks_v.max()) * self.report.scale
 
     def collect(self, on_progress: OnProgress | None = None) -> Drive:
-        """Make all drives in memory. Raises InputError: as `prepare`, or they do not fit into memory."""
+        """Make all drives in memory.
+
+        on_progress: Called with samples done and samples in all.
+
+        Raises InputError: a row on a path cannot be used, a drive does not fit into float64, or all into memory.
+        """
         try:
             drive_v = np.empty(self.shape)
 
@@ -132,17 +128,14 @@ class SceneRenderer:
             raise InputError(
                 f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene"
             ) from error
-        if self._gain * report.scale != 1.0:
-            drive_v *= self._gain * report.scale
-        sampled = self.sampled
-        return Drive(
-            drive_v, self._rate_hz, sampled.start_s, sampled.method, report.scale, report.omitted_bound, *sampled.foci,
-            drive_unit=drive_unit(self._bank), quiet=report.quiet_tracks,
-            focus_mm=sampled.focus_mm,
-        )  # fmt: skip
+        if report.scale != 1.0:
+            drive_v *= report.scale
+        return replace(
+            self._drive(drive_v), scale=report.scale, omitted_bound=report.omitted_bound, quiet=report.quiet_tracks
+        )
 
     def write(self, path: Path, on_progress: OnProgress | None = None, *, force: bool = False) -> RenderReport:
-        """Make all drives in a drive file, in constant memory. Raises InputError: as `prepare` and `write_drive`."""
+        """Make all drives in a drive file, in constant memory. Raises InputError: as `collect` and `write_drive`."""
         sampled = self.sampled
         with drive_in_blocks(
             path, self.shape, sample_rate_hz=self._rate_hz, start_s=sampled.start_s, method=sampled.method,
@@ -151,29 +144,16 @@ class SceneRenderer:
             small = 8 * self.shape[0] * self.shape[1] <= MAX_WHOLE_BYTES
             report = self._prepared(on_progress, written.put, written.whole if small else None)
             written.finish(
-                self._gain * report.scale, scale=report.scale, omitted_bound=report.omitted_bound,
-                quiet=report.quiet_tracks,
-            )  # fmt: skip
+                report.scale, scale=report.scale, omitted_bound=report.omitted_bound, quiet=report.quiet_tracks
+            )
         return report
 
-    def prepare(self, on_progress: OnProgress | None = None) -> RenderReport:
-        """Make all drives, keep none, and find by how much they have to be scaled.
-
-        on_progress: Called with samples done and samples in all.
-
-        Raises InputError: a row on a path cannot be used, a drive does not fit into float64, or an interpolation is
-        beyond its tolerance.
-        """
-        return self._prepared(on_progress, None, None)
-
     def _prepared(
-        self, on_progress: OnProgress | None, put: Put | None, whole: Callable[[], Float64Array] | None
+        self, on_progress: OnProgress | None, put: Put, whole: Callable[[], Float64Array] | None
     ) -> RenderReport:
-        """As `prepare`; `put` takes the drives without gain and limits, and `whole` gives them back."""
+        """Make all drives; `put` takes them without limits, and `whole` gives them back."""
         signals = [source.signal for source in self.sampled.sources]
-        errors, remarks = judged_errors(
-            self._scene, self._bank, self.sampled.interpolation, signals, self._interpolation_tolerance
-        )
+        errors, remarks = judged_errors(self._scene, self._bank, self.sampled.interpolation, signals)
         between = self._made(on_progress, put)
         if self._bound() > self._tolerance:
             self._single = False
@@ -187,18 +167,18 @@ class SceneRenderer:
         return self._report
 
     def unlimited_blocks(self, ahead: int = 1) -> Iterator[Float64Array]:
-        """Yield the drives without gain and limits, in single precision where a tolerance is given.
+        """Yield the drives without limits, in single precision where a tolerance is given.
 
         ahead: Most blocks whose rows are loaded together.
         """
         yield from self._accumulator.blocks(ahead)
 
     def _drive(self, drive_v: Float64Array) -> Drive:
-        """The drive that was made, for the levels at its quiet places."""
+        """The drive that was made, without limits and quiet places."""
         sampled = self.sampled
         return Drive(
             drive_v, self._rate_hz, sampled.start_s, sampled.method, 1.0, 0.0, *sampled.foci,
-            focus_mm=sampled.focus_mm,
+            drive_unit=drive_unit(self._bank), focus_mm=sampled.focus_mm,
         )  # fmt: skip
 
     def _new_accumulator(self) -> BlockAccumulator:
@@ -209,7 +189,7 @@ class SceneRenderer:
         return RunningLevels(actuators, None if self._limits.rms_v is None else rms_window(samples, self._rate_hz))
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _made(self, on_progress: OnProgress | None, put: Put | None) -> Float64Array | None:
+    def _made(self, on_progress: OnProgress | None, put: Put) -> Float64Array | None:
         """Make all drives, and find their levels; returns the largest magnitudes at the interface's rate."""
         self._levels = self._new_levels()
         blocks = self._watched(on_progress, put)
@@ -219,15 +199,14 @@ class SceneRenderer:
             pass
         return None
 
-    def _watched(self, on_progress: OnProgress | None, put: Put | None) -> Iterator[Float64Array]:
+    def _watched(self, on_progress: OnProgress | None, put: Put) -> Iterator[Float64Array]:
         done, samples = 0, self.shape[1]
         for block in self.unlimited_blocks(BLOCKS_AHEAD):
             self._levels.add(block)
             # Where single precision overflows, all is made again.
             if not (self._single or np.isfinite(self._levels.norms).all()):
                 require_finite(block)
-            if put is not None:
-                put(done, block)
+            put(done, block)
             done += block.shape[1]
             yield block
             if on_progress is not None:
@@ -238,13 +217,10 @@ class SceneRenderer:
         return relative_bound(self._accumulator.error, norm_of(self._levels.norms))
 
     def _limiting(self, between_v: Float64Array | None) -> Limiting:
-        reached = [
-            Reached(level.key, level.limit_v, level.each_v * self._gain, level.summed)
-            for level in self._levels.against(self._limits)
-        ]
+        reached = self._levels.against(self._limits)
         if self._interface is None or between_v is None:
             return strictest(reached)
-        return self._interface.strictest(reached, self._levels.peaks_v * self._gain, between_v * self._gain)
+        return self._interface.strictest(reached, self._levels.peaks_v, between_v)
 
 
 def render_with_report(
@@ -253,7 +229,6 @@ def render_with_report(
     *,
     method: Method | None = None,
     tolerance_db: float | None = None,
-    interpolation_tolerance: float | None = None,
     interface: Interface | None = None,
     device: Device | None = None,
     on_progress: OnProgress | None = None,
@@ -262,9 +237,6 @@ def render_with_report(
 
     on_progress: Called with samples done and samples in all.
     """
-    renderer = SceneRenderer(
-        scene, bank, method=method, tolerance_db=tolerance_db, interpolation_tolerance=interpolation_tolerance,
-        interface=interface, device=device,
-    )  # fmt: skip
+    renderer = SceneRenderer(scene, bank, method=method, tolerance_db=tolerance_db, interface=interface, device=device)
     drive = renderer.collect(on_progress)
     return drive, renderer.report

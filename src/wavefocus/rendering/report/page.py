@@ -23,7 +23,6 @@ from wavefocus.rendering.report.html import html_page
 from wavefocus.rendering.report.waves import wave_figures, waves_of, waves_picture
 from wavefocus.rendering.report.words import figure_lines, remarks
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
-from wavefocus.rendering.verify.changes import change_lines
 from wavefocus.rendering.verify.correction import correction_lines
 from wavefocus.rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
 from wavefocus.rendering.verify.symptom_words import remedy, sentence
@@ -75,7 +74,6 @@ def build_report(
         remarks=remarks(verification, drive, scan),
         sentence=sentence,
         remedy=remedy,
-        changes=verification.changes and change_lines(verification.changes),
         correction=verification.correction and correction_lines(verification.correction),
         pictures=pictures,
         figures=[

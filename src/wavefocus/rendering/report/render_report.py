@@ -120,7 +120,6 @@ class RenderReport:
         paths keep to the positions, or the bank has too few of them.
     tail: Ends of some of the Green's functions, and an estimate of the response beyond them.
     quiet: Places that are kept quiet, and what that costs; None where there is none.
-    sources: As they were sampled.
     """
 
     warnings: tuple[str, ...]
@@ -134,7 +133,6 @@ class RenderReport:
     interpolation_errors: InterpolationErrors | None = None
     tail: ResponseTail | None = None
     quiet: QuietFigures | None = None
-    sources: tuple[SampledSource, ...] = ()
 
     @property
     def quiet_tracks(self) -> tuple[QuietTrack, ...]:
@@ -195,7 +193,6 @@ def report_render(
         interpolation_errors=errors,
         tail=tail,
         quiet=quiet,
-        sources=tuple(sources),
     )
 
 

@@ -109,7 +109,6 @@ class Scene:
     sources: At least one; their drives add.
     regularisation: Saturation and normalisation, the same for all sources.
     output: Interpolation and limits.
-    allow_large: It may be larger than the limits of `wavefocus.rendering.scene.size`.
     quiet: Places that are kept quiet.
     """
 
@@ -117,7 +116,6 @@ class Scene:
     sources: Sequence[Source]
     regularisation: Regularisation = field(default_factory=Regularisation)
     output: Output = field(default_factory=Output)
-    allow_large: bool = False
     quiet: Sequence[QuietPlace] = ()
 
     @property
@@ -143,15 +141,13 @@ def _check(allowed: bool, name: str, value: float | None, words: str) -> None:
 
 
 @checked
-def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
+def load_scene(path: str | Path) -> Scene:
     """Read a scene file with all that it names.
 
     Parameters
     ----------
     path
         A scene file (docs/reference/scene-file.md).
-    allow_large
-        Whether the scene may be larger than the limits against slips of the decimal point.
 
     Returns
     -------
@@ -174,18 +170,18 @@ def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
     1.0
     """
     file = Path(path)
-    return build_scene(validated(SceneConfig, read_toml(file, "scene"), str(file)), file, allow_large=allow_large)
+    return build_scene(validated(SceneConfig, read_toml(file, "scene"), str(file)), file)
 
 
-def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:
+def read_scene(text: str, path: Path) -> Scene:
     """Make the scene of a text, as `load_scene` would of a file of that text.
 
     Raises InputError: anything in the text or in the files that it names is wrong.
     """
-    return build_scene(validated(SceneConfig, parse_toml(text, str(path)), str(path)), path, allow_large=allow_large)
+    return build_scene(validated(SceneConfig, parse_toml(text, str(path)), str(path)), path)
 
 
-def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -> Scene:
+def build_scene(config: SceneConfig, file: Path) -> Scene:
     """Make the scene of a validated scene file.
 
     Raises InputError: a file that the scene names is missing or cannot be understood.
@@ -196,7 +192,7 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
         with naming_key(file, key):
             built.append(
                 Source(
-                    path=build_path(table.path, file, f"{key}.path", allow_large=allow_large),
+                    path=build_path(table.path, file, f"{key}.path"),
                     signal=build_signal(table.signal, file, f"{key}.signal"),
                     start_s=table.start_s,
                     speed_mm_s=table.speed_mm_s or 0.0,
@@ -206,26 +202,23 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
                     repeat=table.repeat,
                 )
             )
-    quiet = [
-        build_quiet(place, file, f"quiet[{index}]", allow_large=allow_large) for index, place in enumerate(config.quiet)
-    ]
+    quiet = [build_quiet(place, file, f"quiet[{index}]") for index, place in enumerate(config.quiet)]
     return Scene(
         name=config.scene.name,
         sources=tuple(built),
         regularisation=config.regularisation,
         output=config.output,
-        allow_large=allow_large,
         quiet=tuple(quiet),
     )
 
 
-def build_quiet(table: QuietTable, file: Path, key: str, *, allow_large: bool = False) -> QuietPlace:
+def build_quiet(table: QuietTable, file: Path, key: str) -> QuietPlace:
     """Make the quiet place of a validated table; raises InputError: a file that it names cannot be understood."""
     path = PointTable(at_mm=table.at_mm) if table.at_mm is not None else table.path
     assert path is not None  # the table has one of both
     with naming_key(file, key):
         return QuietPlace(
-            path=build_path(path, file, f"{key}.path", allow_large=allow_large),
+            path=build_path(path, file, f"{key}.path"),
             speed_mm_s=table.speed_mm_s or 0.0,
             radius_mm=table.radius_mm,
             level_db=table.level_db,
@@ -244,10 +237,9 @@ PATHS: Mapping[str, Callable[..., paths.Path]] = {
 """Paths by the kind of a table, whose keys are their parameters; `signals.SIGNALS` has the signals."""
 
 
-def build_path(table: PathTable, file: Path, key: str, *, allow_large: bool = False) -> paths.Path:
+def build_path(table: PathTable, file: Path, key: str) -> paths.Path:
     """Make the path of a table named `key` in `file`. Raises InputError: a file that it names cannot be used."""
-    may_be_large = {"allow_large": allow_large} if table.kind in ("svg", "text") else {}
-    return PATHS[table.kind](**_parameters(table, file, key), **may_be_large)
+    return PATHS[table.kind](**_parameters(table, file, key))
 
 
 def build_signal(table: SignalTable, file: Path, key: str) -> Signal:

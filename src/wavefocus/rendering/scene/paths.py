@@ -198,7 +198,6 @@ class TextPath(DrawnPath):
     string: The text, in characters that DejaVu Sans has; it comes with matplotlib.
     height_mm: Height of the drawn outlines' bounding box, > 0.
     centre_mm: Centre of that box, in millimetres.
-    allow_large: It may have more than `MAX_LETTERS` letters.
 
     Raises InputError: the text is too long, is blank or has a character without an outline, or a figure is out of
     range.
@@ -207,17 +206,14 @@ class TextPath(DrawnPath):
     string: str
     height_mm: float
     centre_mm: PointMm = (0.0, 0.0)
-    allow_large: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
         if not (math.isfinite(self.height_mm) and self.height_mm > 0):
             raise InputError(f"height_mm is {self.height_mm}; it must be a finite number above 0")
         object.__setattr__(self, "centre_mm", check_point(self.centre_mm, "centre_mm"))
-        if len(self.string) > MAX_LETTERS and not self.allow_large:
-            raise InputError(
-                f"string has {len(self.string)} letters; more than {MAX_LETTERS} must be allowed with --allow-large"
-            )
+        if len(self.string) > MAX_LETTERS:
+            raise InputError(f"string has {len(self.string)} letters; at most {MAX_LETTERS} are allowed")
         contours = _contours(self.string)
         corners = np.concatenate(contours)
         low, high = corners.min(axis=0), corners.max(axis=0)

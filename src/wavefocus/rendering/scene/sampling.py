@@ -22,13 +22,12 @@ from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.signals import MAX_SAMPLES
-from wavefocus.rendering.scene.size import check_scene_size, points_and_travel
+from wavefocus.rendering.scene.size import MAX_PATH_POINTS, check_scene_size, points_and_travel
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
 
 Method = Literal["sampled", "exact"]
 
-MAX_POINTS = 10**8
 SAMPLES_AT_ONCE = 2**16
 
 
@@ -189,10 +188,10 @@ def point_count(source: Source, index: int) -> int:
         return int(points)
     if source.step_mm <= 0:
         raise InputError(f"step_mm of source {index} is {source.step_mm:g}; on a path it must be above 0")
-    if points > MAX_POINTS:
+    if points > MAX_PATH_POINTS:
         raise InputError(
             f"step_mm of source {index} is {source.step_mm:g}, which makes {points:.3g} path points; at most"
-            f" {MAX_POINTS} are allowed"
+            f" {MAX_PATH_POINTS} are allowed"
         )
     if points > 1 and source.speed_mm_s <= 0:
         raise InputError(f"speed_mm_s of source {index} is {source.speed_mm_s:g}; on a path it must be above 0")

@@ -17,7 +17,6 @@ from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
 from wavefocus.rendering.scene.quiet_places import places_of
-from wavefocus.rendering.scene.sampling import MAX_POINTS
 from wavefocus.rendering.scene.size import MAX_PATH_POINTS
 from wavefocus.storage.errors import InputError
 
@@ -56,13 +55,13 @@ def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False)
     path: set[int] = set()
     checks: set[int] = set()
     for source in scene.sources:
-        points_mm, step_mm = _along(source.path, grid.spacing_mm, allow_large=scene.allow_large)
+        points_mm, step_mm = _along(source.path, grid.spacing_mm)
         rows = _nearby_rows(tree, points_mm, nearest.nodes(points_mm).distance_mm + step_mm)
         path |= rows | method.needed_rows(grid, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
     for place in places_of(scene):
         # Between positions a quiet place takes the best interpolation, whatever the scene's is.
-        points_mm, step_mm = _along(place.path, grid.spacing_mm, allow_large=scene.allow_large)
+        points_mm, step_mm = _along(place.path, grid.spacing_mm)
         away_mm = nearest.nodes(points_mm).distance_mm
         reach_mm = away_mm + step_mm + place.radius_mm
         rows = _nearby_rows(tree, points_mm, reach_mm)
@@ -78,16 +77,16 @@ def _method(name: str, *, coarse: bool) -> type[Interpolation]:
     return interpolation_method(("waves" if coarse else "kernel") if name == "auto" else name)
 
 
-def _along(path: Path, spacing_mm: float, *, allow_large: bool) -> tuple[Float64Array, float]:
+def _along(path: Path, spacing_mm: float) -> tuple[Float64Array, float]:
     """Points along a path so close that none on it is further than the returned distance from one of them."""
     if path.length_mm <= 0 or spacing_mm <= 0:
         return path.point_at(np.zeros(1)), 0.0
     # Points per grid spacing at which a path is looked at; what lies between them is covered by a margin.
     steps = path.length_mm / spacing_mm * 32
-    if steps > (MAX_POINTS if allow_large else MAX_PATH_POINTS):
+    if steps > 32 * MAX_PATH_POINTS:
         raise InputError(
-            f"a path is {path.length_mm:.4g} mm long and is looked at in {steps:.4g} points; more than"
-            f" {MAX_PATH_POINTS} must be allowed with --allow-large, more than {MAX_POINTS} cannot be"
+            f"a path is {path.length_mm:.4g} mm long, {steps / 32:.4g} grid spacings; at most {MAX_PATH_POINTS} points"
+            " are allowed"
         )
     count = max(2, math.ceil(steps) + 1)
     along_mm = np.linspace(0.0, path.length_mm, count)

@@ -10,11 +10,10 @@ from wavefocus.rendering.scene.signals import MAX_SAMPLES, signal_size
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
 
-MAX_SECONDS = 3600.0
 MAX_DRIVE_BYTES = 8 * 2**30
 MAX_PATH_POINTS = 10**6
 MAX_SIGNAL_SAMPLES = 5 * 10**7
-"""Limits that `Scene.allow_large` lifts: an hour, 8 GiB of drives, some hundred MB of memory for points and signals."""
+"""Limits of a scene: 8 GiB of drives, some hundred MB of memory for points and signals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,22 +60,17 @@ def scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int
 
 
 def check_scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int) -> SceneSize:
-    """Find the size of a scene; beyond the limits it must be allowed.
-
-    Raises InputError: a limit is exceeded and the scene is not allowed to be large, or is too large to be allowed.
-    """
+    """Find the size of a scene. Raises InputError: it is beyond a limit."""
     size = scene_size(scene, sample_rate_hz=sample_rate_hz, taps=taps, actuators=actuators)
     limits = (
-        (size.seconds, MAX_SECONDS, f"{MAX_SECONDS:g} s of drives"),
+        (size.samples, MAX_SAMPLES, f"{MAX_SAMPLES} samples"),
         (size.drive_bytes, MAX_DRIVE_BYTES, f"{size_words(MAX_DRIVE_BYTES)} of drives"),
         (size.path_points, MAX_PATH_POINTS, f"{MAX_PATH_POINTS} path points"),
         (size.signal_samples, MAX_SIGNAL_SAMPLES, f"{MAX_SIGNAL_SAMPLES} samples of signals"),
     )
-    if max(size.samples, size.signal_samples) > MAX_SAMPLES:
-        raise InputError(f"the scene makes {size}; at most {MAX_SAMPLES} samples are allowed")
     for value, limit, words in limits:
-        if value > limit and not scene.allow_large:
-            raise InputError(f"the scene makes {size}; more than {words} must be allowed with --allow-large")
+        if value > limit:
+            raise InputError(f"the scene makes {size}; at most {words} are allowed: split it")
     return size
 
 

@@ -27,12 +27,12 @@ MAX_COORDINATE = 1e100
 """Squares and cubes of coordinates must stay within the range of numbers."""
 
 
-def flatten(data: str, tolerance: float, most_points: float = MAX_POINTS) -> list[Float64Array]:
+def flatten(data: str, tolerance: float) -> list[Float64Array]:
     """Turn path data into polylines, one per `M` that draws something.
 
     Raises InputError: the data does not follow the path grammar, is empty, or makes too many points.
     """
-    pen = _Pen(tolerance, most_points)
+    pen = _Pen(tolerance)
     at, command = 0, ""
     while not _END.match(data, at):
         match = _COMMAND.match(data, at)
@@ -70,11 +70,10 @@ def _arguments(data: str, at: int, command: str) -> tuple[list[float], int]:
 class _Pen:
     """Position and strokes of the drawing; complex numbers are points."""
 
-    def __init__(self, tolerance: float, most_points: float) -> None:
+    def __init__(self, tolerance: float) -> None:
         self.strokes: list[list[tuple[float, float]]] = []
         self._tolerance = tolerance
         self._points = 0
-        self._most_points = most_points
         self._at = self._start = self._handle = 0j
         self._handle_kind, self._closed = "", False
 
@@ -114,10 +113,8 @@ class _Pen:
 
     def _count(self, points: int) -> None:
         self._points += points
-        if self._points > self._most_points:
-            raise InputError(
-                f"the path data makes more than {self._most_points} points; more must be allowed with --allow-large"
-            )
+        if self._points > MAX_POINTS:
+            raise InputError(f"the path data makes more than {MAX_POINTS} points; draw it with fewer")
 
     def _begin(self, point: complex) -> None:
         self._count(1)
@@ -194,7 +191,6 @@ class SvgPath(DrawnPath):
     path_id: The `id` of the `path` element; empty: the first one.
     scale: Millimetres per drawing unit, > 0.
     origin_mm: Place of the drawing's (0, 0) on the surface, in millimetres.
-    allow_large: More points are allowed than `wavefocus.rendering.scene.svg.MAX_POINTS`.
 
     Raises InputError: the file cannot be read, has no such path, its path data is malformed, or it makes too many
     points.
@@ -204,7 +200,6 @@ class SvgPath(DrawnPath):
     path_id: str = ""
     scale: float = 1.0
     origin_mm: PointMm = (0.0, 0.0)
-    allow_large: bool = False
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and self.scale > 0):
@@ -215,9 +210,8 @@ class SvgPath(DrawnPath):
         try:
             if not MIN_SCALE < enlarged < 1.0 / MIN_SCALE:
                 raise InputError(f"scale and transforms enlarge it {enlarged:.3g} times; use a scale nearer to 1")
-            most_points = math.inf if self.allow_large else MAX_POINTS
             # Largest distance of the flattened path from the curve: a thousandth of the default grid spacing.
-            drawn = flatten(data, 0.005 / enlarged, most_points)
+            drawn = flatten(data, 0.005 / enlarged)
             strokes = []
             for stroke in drawn:
                 moved = stroke @ transform[:, :2].T + transform[:, 2]

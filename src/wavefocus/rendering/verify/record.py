@@ -17,7 +17,6 @@ from wavefocus.config.messages.codec import Instant, Message, MessageError, Numb
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
-    Changes,
     Correction,
     Figure,
     PointMm,
@@ -116,7 +115,6 @@ class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", ta
     actuators, source_figures: Of each actuator against the bank, and along the path of each source; records of before
         have none.
     drift: Of the bank's sentinel position; None where it was not measured again.
-    changes: Since an earlier verification; None where none was named.
     correction: Of the drive by further scans; None where none was asked for.
     """
 
@@ -142,7 +140,6 @@ class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", ta
     actuators: tuple[ActuatorFigures, ...] = ()
     source_figures: tuple[SourceFigures, ...] = ()
     drift: SentinelDrift | None = None
-    changes: Changes | None = None
     correction: Correction | None = None
 
     @cached_property
@@ -240,14 +237,10 @@ def write_record(
         actuators=verification.actuators,
         source_figures=verification.sources,
         drift=verification.drift,
-        changes=verification.changes,
         correction=verification.correction,
     )
     content: dict[str, Any] = to_record(record)
     content["symptoms"] = [with_words(symptom) for symptom in content["symptoms"]]
-    if content["changes"] is not None:
-        for key in ("symptoms_gone", "symptoms_new"):
-            content["changes"][key] = [with_words(symptom) for symptom in content["changes"][key]]
     write_whole(out_dir / RECORD_NAME, json.dumps(content, allow_nan=False, indent=1) + "\n")
     return content
 

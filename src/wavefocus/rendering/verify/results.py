@@ -1,9 +1,8 @@
-"""What a verification finds: figures, symptoms, drift, changes. Plain data, which every other module here imports."""
+"""What a verification finds: figures, symptoms, drift. Plain data, which every other module here imports."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Literal
 
 import numpy as np
@@ -71,11 +70,6 @@ class Symptom:
     positions: tuple[int, ...] = ()
     shift_mm: PointMm | None = None
 
-    @property
-    def identity(self) -> tuple[SymptomCode, tuple[int, ...], tuple[int, ...]]:
-        """What makes two symptoms the same cause, whatever their sizes."""
-        return self.code, self.actuators, self.positions
-
 
 @dataclass(frozen=True)
 class ActuatorFigures:
@@ -114,35 +108,6 @@ class SentinelDrift:
     correlation: Number
     speed_percent: float | None
     verdict: str
-
-
-@dataclass(frozen=True)
-class Change:
-    """A figure then and now, None where it was not found; `noted` where it changed by more than scans differ."""
-
-    name: str
-    unit: str
-    before: float | None
-    now: float | None
-    noted: bool
-
-
-@dataclass(frozen=True)
-class Changes:
-    """What has changed since an earlier verification.
-
-    against, made: File and time of the earlier record.
-    inputs: Names of scene, bank and rig that are others now.
-    symptoms_gone, symptoms_new: By code, actuators and positions; sentences in records of earlier versions.
-    figures: All figures, those of each source and of each actuator included.
-    """
-
-    against: str
-    made: datetime
-    inputs: tuple[str, ...]
-    symptoms_gone: tuple[Symptom | str, ...]
-    symptoms_new: tuple[Symptom | str, ...]
-    figures: tuple[Change, ...]
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.linearity import linearity_figures, nonlinear_share
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
-    Changes,
     Correction,
     Figure,
     Sentinel,
@@ -77,7 +76,6 @@ class Verification:
     symptoms: What is wrong with the rig or the bank, as far as the scan shows it, the largest cause first.
     actuators: Each actuator against the bank; empty where the error is not explained.
     drift: Of the bank's sentinel position; None where it was not measured again.
-    changes: Since an earlier verification; None where there is none to compare with.
     correction: Of the drive by further scans; None where none was asked for.
     """
 
@@ -89,7 +87,6 @@ class Verification:
     symptoms: tuple[Symptom, ...]
     actuators: tuple[ActuatorFigures, ...]
     drift: SentinelDrift | None = None
-    changes: Changes | None = None
     correction: Correction | None = None
 
     @property

@@ -1,4 +1,4 @@
-"""Error of the bank between its positions by frequency, and the warning or refusal that follows."""
+"""Error of the bank between its positions by frequency, and the warning that follows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.reader import DamagedError
 
 WORTH_SAYING = 0.05
-"""Error from which a render says something where no tolerance is given."""
+"""Error from which a render says something."""
 MAX_POINTS = 128
 SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
 BANDS = 6
@@ -106,17 +106,14 @@ class InterpolationErrors:
 
 
 def judged_errors(
-    scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array], tolerance: float | None
+    scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array]
 ) -> tuple[InterpolationErrors | None, list[str]]:
     """Estimate the error along a scene's paths, and warn of one worth saying.
 
-    Returns None where every point lies on a position, or the bank has too few of them. Raises InputError: the tolerance
-    is not above 0, or a band exceeds it.
+    Returns None where every point lies on a position, or the bank has too few of them.
     """
-    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
-        raise InputError(f"interpolation_tolerance is {tolerance}; it must be a finite number above 0")
     errors = errors_at(bank, kind, scene_points(scene), signals)
-    return errors, [] if errors is None else _remarks(errors, kind, tolerance)
+    return errors, [] if errors is None else _remarks(errors, kind)
 
 
 def errors_at(
@@ -146,22 +143,19 @@ def errors_at(
     )  # fmt: skip
 
 
-def _remarks(errors: InterpolationErrors, kind: Interpolation, tolerance: float | None) -> list[str]:
+def _remarks(errors: InterpolationErrors, kind: Interpolation) -> list[str]:
     frequency_hz, error = errors.largest
     remedy = (
         "use 'auto', or measure a finer grid"
         if isinstance(kind, GridInterpolation) and errors.choice is None
         else "measure a finer grid, or lower the band"
     )
-    what = (
-        f"interpolation {errors.kind!r} between the grid positions is wrong by about {_percent(error)} at"
-        f" {frequency_hz:.3g} Hz (median along the paths)"
-    )
-    if tolerance is not None and error > tolerance:
-        raise InputError(f"{what}; interpolation_tolerance allows {_percent(tolerance)}; {remedy}")
     said = [*kind.remarks]
-    if tolerance is None and error > WORTH_SAYING:
-        said.append(f"{what}; {remedy}")
+    if error > WORTH_SAYING:
+        said.append(
+            f"interpolation {errors.kind!r} between the grid positions is wrong by about {_percent(error)} at"
+            f" {frequency_hz:.3g} Hz (median along the paths); {remedy}"
+        )
     return said
 
 
