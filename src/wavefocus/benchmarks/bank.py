@@ -34,7 +34,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     """Commit, write and read."""
     positions = 40 if quick else 1500
     with tempfile.TemporaryDirectory(dir=out) as folder:
-        seconds = commit_s(Path(folder), positions)
+        seconds = _commit_s(Path(folder), positions)
         open_s = _seconds(_read_all, Path(folder) / "bank.h5")
     work = f"{positions} positions of {ACTUATORS} x {TAPS} float32"
     points = [
@@ -56,7 +56,7 @@ def _figures(seconds: list[float]) -> dict[str, float]:
     return {"median_ms": median, "99_%_ms": most, "worst_ms": worst}
 
 
-def commit_s(folder: Path, positions: int) -> dict[str, list[float]]:
+def _commit_s(folder: Path, positions: int) -> dict[str, list[float]]:
     """Seconds of each commit of the bank, and of each write through plain h5py, turn by turn, by method."""
     generator = np.random.default_rng(1)
     position_mm = np.column_stack([np.arange(positions, dtype=np.float64), np.zeros(positions)])

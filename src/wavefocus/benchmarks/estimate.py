@@ -35,7 +35,7 @@ Method = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Workload:
+class _Workload:
     """Records with their true Green's functions."""
 
     excitation: PlayedExcitation
@@ -47,7 +47,7 @@ class Workload:
 
 def run(out: Path, *, quick: bool = False) -> Findings:
     """Time every estimator in turns on one thread; then the hours of campaigns."""
-    work = make_workload(records=8 if quick else 20)
+    work = _make_workload(records=8 if quick else 20)
     records, sweep = len(work.truth), work.excitation
     estimator = SequentialEstimator(sweep, TAPS)
     methods: dict[str, Method] = {
@@ -81,7 +81,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     return Findings(points, "the plate's true Green's functions, relative L2 in band", notes)
 
 
-def make_workload(records: int, seed: int = 0) -> Workload:
+def _make_workload(records: int, seed: int = 0) -> _Workload:
     """Records of random damped modes, clocks in step, noise on both channels."""
     draw = np.random.default_rng(seed)
     excitation = PlayedExcitation(10_000.0, 20.0, 500.0, 3.0, 0.5, 1.0, 3)
@@ -103,10 +103,10 @@ def make_workload(records: int, seed: int = 0) -> Workload:
     reference_noise_v = np.sqrt((signal**2).mean()) * 10 ** (-REFERENCE_SNR_DB / 20)
     response += noise_v[:, None] * draw.standard_normal(response.shape)
     reference = placed + reference_noise_v * draw.standard_normal(response.shape)
-    return Workload(excitation, truth, reference.astype(np.float32), response.astype(np.float32), noise_v)
+    return _Workload(excitation, truth, reference.astype(np.float32), response.astype(np.float32), noise_v)
 
 
-def _limit_db(work: Workload, estimator: SequentialEstimator) -> NDArray[np.float64]:
+def _limit_db(work: _Workload, estimator: SequentialEstimator) -> NDArray[np.float64]:
     """Error that white noise alone leaves: least squares from a noise-free reference, in expectation.
 
     The trace of the estimate's covariance over the band, by the fit's own unbiased in-band projection: noise

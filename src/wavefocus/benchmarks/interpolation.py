@@ -44,18 +44,18 @@ QUICK_MM = 36.0
 def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     """Measure errors and times."""
     rig = VirtualRig()
-    position_mm, points_mm = default_grid(rig), random_points(300)
+    position_mm, points_mm = default_grid(rig), _random_points(300)
     if quick:
         position_mm = position_mm[(np.abs(position_mm) < QUICK_MM).all(axis=1)]
         points_mm = points_mm[(np.abs(points_mm) < QUICK_MM - 4.0).all(axis=1)]
     truth = _transfer(true_bank(rig, points_mm, None), range(len(points_mm)))
     banks = {error_db: true_bank(rig, position_mm, error_db) for error_db in (None, -60.0)}
     points = [point for error_db, bank in banks.items() for point in errors_of(bank, error_db, points_mm, truth)]
-    points += render_times(banks[-60.0])
+    points += _render_times(banks[-60.0])
     return Findings(points, "the plate's true transfer functions")
 
 
-def random_points(count: int) -> Float64Array:
+def _random_points(count: int) -> Float64Array:
     """Points over the area of the default grid, its rim included."""
     points = np.random.default_rng(7).uniform((-112.0, -61.0), (112.0, 61.0), (8 * count, 2))
     return points[Outline.stadium(250.0, 150.0).contains(points, MARGIN_MM)][:count]
@@ -102,7 +102,7 @@ def _summed(kind: Interpolation, nodes: Nodes, bank: GreenArray) -> Complex128Ar
     return np.asarray(np.einsum("pn,pnfa->pfa", nodes.weights, values))
 
 
-def render_times(bank: GreenArray) -> list[Entry]:
+def _render_times(bank: GreenArray) -> list[Entry]:
     """Time to render 2.4 s of a source on a circle of 30 mm at 8 cm/s, exactly."""
     source = Source(Circle((0.3, 1.1), 30.0), Noise((50.0, 450.0), 3.0, 1), 0.0, 80.0, 4.0)
     scenes = {name: Scene("circle", (source,), output=Output(interpolation=name)) for name in METHODS}

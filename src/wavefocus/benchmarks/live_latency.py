@@ -60,7 +60,7 @@ BLOCK_S, INTERFACE_HZ, LOOK_AHEAD_S = 0.005, 48_000, 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class LatencyCase:
+class _LatencyCase:
     """Sources at a time on a rig, and the latency wanted, in ms."""
 
     rig: str
@@ -74,8 +74,8 @@ class LatencyCase:
         return {"sources": self.sources, "independent": self.independent}
 
 
-TEN, INDEPENDENT = LatencyCase("virtual", 10, 20.0), LatencyCase("virtual", QUIET_SOURCES, 25.0, independent=True)
-ONE = (LatencyCase("virtual", 1, 20.0), LatencyCase("emulated", 1, 20.0))
+TEN, INDEPENDENT = _LatencyCase("virtual", 10, 20.0), _LatencyCase("virtual", QUIET_SOURCES, 25.0, independent=True)
+ONE = (_LatencyCase("virtual", 1, 20.0), _LatencyCase("emulated", 1, 20.0))
 
 
 def run(out: Path | None = None, *, quick: bool = False, seconds: float | None = None) -> Findings:
@@ -150,12 +150,12 @@ def _response(drive_v: Float64Array, green: NDArray[Any], now_s: float) -> Float
     return np.asarray(np.einsum("sit,it->s", windows, green, optimize=True))
 
 
-def _latency(bank: Path, folder: Path, case: LatencyCase, seconds: float) -> Entry:
+def _latency(bank: Path, folder: Path, case: _LatencyCase, seconds: float) -> Entry:
     lab = folder / case.rig
     if not lab.exists():
         run_command("init", lab, "--rig", case.rig)
     with _environment(case.rig) as environment:
-        session = LatencySession(bank, lab / "rig.toml", AHEAD_MS[case.rig], environment)
+        session = _LatencySession(bank, lab / "rig.toml", AHEAD_MS[case.rig], environment)
         session.play(case, seconds)
     return Entry(
         work="position to drive sample written",
@@ -184,7 +184,7 @@ def _environment(rig: str) -> Iterator[Mapping[str, str]]:
 
 
 @dataclass
-class LatencySession:
+class _LatencySession:
     """``wavefocus live`` as a process, its states, and the memory of all its processes."""
 
     bank: Path
@@ -197,7 +197,7 @@ class LatencySession:
     stall_s: float = 0.0
     """Longest time by which the process that sends positions, and sleeps else, woke too late."""
 
-    def play(self, case: LatencyCase, seconds: float) -> None:
+    def play(self, case: _LatencyCase, seconds: float) -> None:
         """Move sources for so long, then end."""
         independent = ["--independent"] if case.independent else []
         arguments = ["live", self.bank, "--rig", self.rig_file, "--json", "--ahead-ms", self.ahead_ms, *independent]

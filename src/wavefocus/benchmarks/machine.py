@@ -82,7 +82,7 @@ def _commit() -> str | None:
 
 
 @dataclass(frozen=True, slots=True)
-class CommandRun:
+class _CommandRun:
     """Standard output of a command, seconds, and peak memory of its largest process."""
 
     stdout: str
@@ -91,7 +91,7 @@ class CommandRun:
     peak_bytes: float
 
 
-def run_command(*arguments: object) -> CommandRun:
+def run_command(*arguments: object) -> _CommandRun:
     """Run ``wavefocus`` with arguments."""
     child = [sys.executable, "-m", "wavefocus.benchmarks.machine", *map(str, arguments)]
     began = time.monotonic()
@@ -101,7 +101,7 @@ def run_command(*arguments: object) -> CommandRun:
         raise RuntimeError(f"wavefocus {' '.join(map(str, arguments))}: {done.stderr.strip()}")
     *lines, figures = done.stdout.splitlines()
     processor_s, peak = map(float, figures.split())
-    return CommandRun("\n".join(lines), wall_s, processor_s, peak)
+    return _CommandRun("\n".join(lines), wall_s, processor_s, peak)
 
 
 def _peak_bytes() -> int:

@@ -49,7 +49,7 @@ STEPS = (1, 2, 4, 6)
 SEEDS, QUICK_SEEDS = 8, 2
 
 
-def figure_3a(paper: Paper) -> Picture:
+def _figure_3a(paper: Paper) -> Picture:
     """Field of an impulse around the focus instant, relative to its value at the focus."""
     bank, surface = paper.bank, paper.surface()
     row = row_at(bank, *FOCUS_MM)
@@ -66,7 +66,7 @@ def figure_3a(paper: Paper) -> Picture:
     return canvas.picture()
 
 
-def figure_3b(paper: Paper) -> Picture:
+def _figure_3b(paper: Paper) -> Picture:
     """Field of a focus near an actuator with and without saturation, and the actuators' relative rms drive."""
     bank, surface = paper.bank, paper.surface()
     row = row_at(bank, 86.0, 40.0)
@@ -104,7 +104,7 @@ def figure_3b(paper: Paper) -> Picture:
     return canvas.picture()
 
 
-def figure_3c(paper: Paper) -> Picture:
+def _figure_3c(paper: Paper) -> Picture:
     """Normalisation n(x) over the surface."""
     bank, surface = paper.bank, paper.surface()
     gains = {"range of n(x) with saturation": focus_gain_map(bank, SATURATION),
@@ -128,7 +128,7 @@ def figure_3c(paper: Paper) -> Picture:
     return canvas.picture()
 
 
-def figure_3d(paper: Paper) -> Picture:
+def _figure_3d(paper: Paper) -> Picture:
     """A focus scanned on the virtual rig and its prediction: at the focus instant, and waveforms."""
     bank, surface = paper.bank, paper.surface()
     row = row_at(bank, *FOCUS_MM)
@@ -176,7 +176,7 @@ def figure_3d(paper: Paper) -> Picture:
     return canvas.picture()
 
 
-def figure_4a(paper: Paper) -> Picture:
+def _figure_4a(paper: Paper) -> Picture:
     """Focus instants of a source on a circle, and the largest magnitude over all of them."""
     bank, path = paper.bank, Circle((0.0, 0.0), 30.0, 1.0)
     drive = moving_drive(bank, path, Impulse(), 80.0, 4.0)
@@ -205,7 +205,7 @@ def figure_4a(paper: Paper) -> Picture:
     return canvas.picture()
 
 
-def figure_4b(paper: Paper) -> Picture:
+def _figure_4b(paper: Paper) -> Picture:
     """Largest magnitude over the focus instants of sources that draw letters and an emoji."""
     surface, panels = paper.surface(), []
     for name, path in (("letters", TextPath("TR", 44.0, (0.0, 0.0))), ("emoji", smiling_face(30.0))):
@@ -221,7 +221,7 @@ def figure_4b(paper: Paper) -> Picture:
     return canvas.picture()
 
 
-def figure_4c(paper: Paper) -> Picture:
+def _figure_4c(paper: Paper) -> Picture:
     """A line of six points: fields of impulses, waveforms of bursts at the points, and their average spectrum."""
     bank, surface, seeds = paper.bank, paper.surface(), QUICK_SEEDS if paper.quick else SEEDS
     fast, slow = line_scene(bank, 250.0, 0.015), line_scene(bank, 100.0, 0.050)
@@ -267,7 +267,7 @@ def figure_4c(paper: Paper) -> Picture:
     return canvas.picture()
 
 
-def figure_4d(paper: Paper) -> Picture:
+def _figure_4d(paper: Paper) -> Picture:
     """Crosstalk of impulses along a line of 30 rows over speed and path sample distance; correlation over distance."""
     bank = paper.bank
     line = [row_at(bank, x, 0.0) for x in np.arange(-58.0, 60.0, 4.0)]
@@ -295,6 +295,6 @@ def figure_4d(paper: Paper) -> Picture:
 
 
 FIGURES = {
-    "3A": figure_3a, "3B": figure_3b, "3C": figure_3c, "3D": figure_3d,
-    "4A": figure_4a, "4B": figure_4b, "4C": figure_4c, "4D": figure_4d,
+    "3A": _figure_3a, "3B": _figure_3b, "3C": _figure_3c, "3D": _figure_3d,
+    "4A": _figure_4a, "4B": _figure_4b, "4C": _figure_4c, "4D": _figure_4d,
 }  # fmt: skip

@@ -150,7 +150,7 @@ def smiling_face(radius_mm: float) -> Strokes:
 
 
 @dataclass(frozen=True, slots=True)
-class LineScene:
+class _LineScene:
     """Figure 4C: bursts along a line."""
 
     drive: Drive
@@ -159,12 +159,12 @@ class LineScene:
     responses: Float64Array
 
 
-def line_scene(bank: GreenArray, speed_mm_s: float, burst_s: float) -> LineScene:
+def line_scene(bank: GreenArray, speed_mm_s: float, burst_s: float) -> _LineScene:
     """Six points 24 mm apart, a white burst at each."""
     drive = _bursts(bank, speed_mm_s, burst_s, 3)
     impulses = moving_drive(bank, LINE, Impulse(), speed_mm_s, 24.0)
     fields = fields_at(impulses, bank, impulses.focus_sample.tolist())
-    return LineScene(drive, drive.focus_position, fields, _at_points(drive, bank))
+    return _LineScene(drive, drive.focus_position, fields, _at_points(drive, bank))
 
 
 def line_spectrum(bank: GreenArray, speed_mm_s: float, burst_s: float, seeds: int) -> PathSpectrum:

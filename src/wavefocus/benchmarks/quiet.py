@@ -53,19 +53,19 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         rig = VirtualRig(RIGS[name])
         position_mm = default_grid(rig)
         banks[name] = rig, true_bank(rig, position_mm[(np.abs(position_mm) < AREA_MM).all(axis=1)], QUICK_ERROR_DB)
-    points = [one for name, (_, bank) in banks.items() for one in random_layouts(name, bank, 4 if quick else 10)]
+    points = [one for name, (_, bank) in banks.items() for one in _random_layouts(name, bank, 4 if quick else 10)]
     points += [cross(name, bank) for name, (_, bank) in banks.items()]
     points += [disc(name, bank, places) for name, (_, bank) in banks.items() for places in (CROSS[:1], CROSS)]
-    points += [off_grid(name, rig, bank) for name, (rig, bank) in banks.items()]
+    points += [_off_grid(name, rig, bank) for name, (rig, bank) in banks.items()]
     speeds_mm_s = (100.0,) if quick else (25.0, 100.0, 400.0)
     points += [moving(name, banks[name][1], speed) for name in PLATES[:1] for speed in speeds_mm_s]
-    points += [one for name in PLATES[:1] for one in run_times(banks[name][1], 1 if quick else 3)]
+    points += [one for name in PLATES[:1] for one in _run_times(banks[name][1], 1 if quick else 3)]
     return Findings(
         points, notes=[f"Levels are in dB; at most {CAP:g} times the energy of plain time reversal is spent."]
     )
 
 
-def random_layouts(plate: str, bank: GreenArray, count: int) -> list[Entry]:
+def _random_layouts(plate: str, bank: GreenArray, count: int) -> list[Entry]:
     """Points at -30 dB in random directions, by number and distance of the fingers."""
     rng, points = np.random.default_rng(5), []
     for fingers, distance_mm in FINGERS:
@@ -119,7 +119,7 @@ def disc(plate: str, bank: GreenArray, places: Sequence[tuple[float, float]]) ->
     )  # fmt: skip
 
 
-def off_grid(plate: str, rig: VirtualRig, bank: GreenArray) -> Entry:
+def _off_grid(plate: str, rig: VirtualRig, bank: GreenArray) -> Entry:
     """Four points at 24 mm in the middle of grid cells: the level by the plate's own Green's functions there."""
     focus_mm = _on_grid(bank, (0.0, 0.0))
     places = [tuple((_on_grid(bank, focus_mm + np.array(one)) + 2.0).tolist()) for one in CROSS]
@@ -152,7 +152,7 @@ def moving(plate: str, bank: GreenArray, speed_mm_s: float) -> Entry:
     )  # fmt: skip
 
 
-def run_times(bank: GreenArray, repeats: int) -> list[Entry]:
+def _run_times(bank: GreenArray, repeats: int) -> list[Entry]:
     """Time to render 4 s, without quiet places and with four: points of the bank, off the grid, and moving."""
     focus_mm = _on_grid(bank, (0.0, 0.0))
     noise = Noise((50.0, 450.0), 4.0, 1)

@@ -62,11 +62,11 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     """Run all workloads."""
     repeats = 1 if quick else 7
     bank = modal_bank(columns=50 if not quick else 20, rows=30 if not quick else 20)
-    points = [point for workload in workloads(bank, quick=quick) for point in compare_drives(workload, repeats)]
+    points = [point for workload in workloads(bank, quick=quick) for point in _compare_drives(workload, repeats)]
     for path_points in (500,) if quick else (500, 5000):
-        points += compare_exact(circle(f"path, M = {path_points}, dt = 2 ms", bank, path_points, 0.2), repeats)
+        points += _compare_exact(circle(f"path, M = {path_points}, dt = 2 ms", bank, path_points, 0.2), repeats)
     points += compare_fields(bank, repeats, seconds=1.0 if quick else 4.0)
-    points += precision_points(quick=quick)
+    points += _precision_points(quick=quick)
     notes = [
         "`times` is the peer's time, by the wall or the CPU, whichever is less, over ours; `CPU times` the ratio of",
         "the CPU times. The peer comes first: NumPy and SciPy in float64, adjacent segments that use the same row",
@@ -76,7 +76,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     return Findings(points, "convolution in float64", notes)
 
 
-def compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
+def _compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
     """Time the drive by each method."""
     scene, bank = workload.scene, workload.bank
     samples = len(workload.segments()[2])
@@ -105,7 +105,7 @@ def compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
     return [point.against(found[MERGED]) for point in points]
 
 
-def compare_exact(workload: RenderWorkload, repeats: int) -> list[Entry]:
+def _compare_exact(workload: RenderWorkload, repeats: int) -> list[Entry]:
     """Time the exact moving source, bilinear in space, against the merging peer; its truth is direct summation."""
     name = f"exact moving source, bilinear, {workload.name}"
     samples = len(workload.segments()[2])
@@ -180,7 +180,7 @@ def _field(drive: Any, bank: GreenArray | BankSpectra, positions: list[int], **o
     return Prediction(drive, bank, positions, **options).field().field
 
 
-def precision_points(*, quick: bool) -> list[Entry]:
+def _precision_points(*, quick: bool) -> list[Entry]:
     """Measure all methods against direct summation of eq. (9).
 
     All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's

@@ -139,7 +139,7 @@ def sum_directly(workload: RenderWorkload, samples: int) -> Float64Array:
     signal = source.signal.samples(RATE_HZ)
     along = np.minimum(source.speed_mm_s * np.arange(samples) / RATE_HZ, source.path.length_mm)
     nodes = Bilinear(PositionGrid(bank.position_mm)).nodes(source.path.point_at(along))
-    known = {int(row): normalised_green(bank, int(row)) for row in np.unique(np.append(nodes.rows, nodes.nearest))}
+    known = {int(row): _normalised_green(bank, int(row)) for row in np.unique(np.append(nodes.rows, nodes.nearest))}
     drive = np.zeros((ACTUATORS, samples + TAPS - 1))
     for s in range(samples):
         green = sum(w * known[int(row)][0] for row, w in zip(nodes.rows[s], nodes.weights[s], strict=True))
@@ -148,7 +148,7 @@ def sum_directly(workload: RenderWorkload, samples: int) -> Float64Array:
     return drive
 
 
-def normalised_green(bank: GreenArray, row: int) -> tuple[Float64Array, float]:
+def _normalised_green(bank: GreenArray, row: int) -> tuple[Float64Array, float]:
     """One row in float64, and n(x) of eq. (15)."""
     green = bank.values[row].astype(np.float64)
     return green, 1.0 / float(np.sum(green**2))
@@ -168,7 +168,7 @@ def sampled_runs(workload: RenderWorkload) -> Iterator[Run]:
     for first, end in pairwise(edges):
         row = int(rows[first])
         emitted = signal[instants[first] : instants[end]]
-        yield row, int(instants[first]), emitted * normalised_green(workload.bank, row)[1]
+        yield row, int(instants[first]), emitted * _normalised_green(workload.bank, row)[1]
 
 
 def bilinear_runs(workload: RenderWorkload, samples: int) -> Iterator[Run]:
@@ -176,7 +176,7 @@ def bilinear_runs(workload: RenderWorkload, samples: int) -> Iterator[Run]:
     source, bank = workload.source, workload.bank
     along_mm = np.minimum(source.speed_mm_s * np.arange(samples) / RATE_HZ, source.path.length_mm)
     nodes = Bilinear(PositionGrid(bank.position_mm)).nodes(source.path.point_at(along_mm))
-    gains = {int(row): normalised_green(bank, int(row))[1] for row in np.unique(nodes.nearest)}
+    gains = {int(row): _normalised_green(bank, int(row))[1] for row in np.unique(nodes.nearest)}
     emitted = source.signal.samples(RATE_HZ)[:samples] * np.array([gains[int(row)] for row in nodes.nearest])
     for row in np.unique(nodes.rows).tolist():
         weights = np.where(nodes.rows == row, nodes.weights, 0.0).sum(axis=1)

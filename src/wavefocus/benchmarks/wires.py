@@ -146,7 +146,7 @@ def opened(sides: EmulatedInstruments, post_roll_s: float = 0.4) -> Iterator[Set
         setup.close()
 
 
-def positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple[NDArray[np.float64], int]:
+def _positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple[NDArray[np.float64], int]:
     """Seconds from one undisturbed position's start to the next, and of how many a record was repeated."""
     position_mm = np.column_stack([4.0 * np.arange(positions), np.zeros(positions)])
     plan = Plan(position_mm, np.array(ACTUATOR_MM), np.arange(positions), sweep, TAPS, "0" * 64)
@@ -167,7 +167,7 @@ def positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple[
     return np.array([starts[row + 1] - starts[row] for row in quiet]), len(disturbed)
 
 
-def clock_errors(
+def _clock_errors(
     setup: Setup, sides: EmulatedInstruments, records: int, sweep: PlayedExcitation
 ) -> tuple[Float64Array, Float64Array]:
     """Errors of the clock ratio in ppm and of the start offset in samples, of each record."""
@@ -198,13 +198,13 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     positions, records, averages, sweep_s = (3, 2, 1, 0.3) if quick else (13, 12, 3, 1.0)
     short, sweep = excitation(0.3, 1), excitation(sweep_s, averages)
     with closing(EmulatedInstruments()) as sides, opened(sides) as setup:
-        position_s, repeated = positions_s(setup, positions, short)
+        position_s, repeated = _positions_s(setup, positions, short)
         samples = record_samples(setup, short.averages * short.period_samples, RATE_HZ)
         beyond_s = position_s - len(ACTUATOR_MM) * samples / RATE_HZ
-        ratio_ppm, offset = clock_errors(setup, sides, records, sweep)
+        ratio_ppm, offset = _clock_errors(setup, sides, records, sweep)
     # The interface answers within four periods, so a record needs no long post-roll.
     with closing(EmulatedInstruments(1024)) as sides, opened(sides, 0.1) as setup:
-        position_s, _ = positions_s(setup, 3 if quick else 5, sweep)
+        position_s, _ = _positions_s(setup, 3 if quick else 5, sweep)
     sounding = position_s / (len(ACTUATOR_MM) * sweep.averages * sweep.period_samples / RATE_HZ)
     return Findings(
         [

@@ -36,12 +36,12 @@ class SerialPort:
     interface: int | None = None
 
 
-def serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
+def _serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
     """All serial ports that are present now. Raises InstrumentError."""
     try:
         from serial.tools.list_ports import comports
     except ImportError as missing:
-        raise pyserial_missing(instrument, "looking for serial ports") from missing
+        raise _pyserial_missing(instrument, "looking for serial ports") from missing
     return tuple(
         SerialPort(
             str(port.device),
@@ -72,7 +72,7 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
             raise InstrumentError(instrument, "opening", "port is empty", "write its path into the rig file, port")
         return port
     wanted = port.removeprefix(BY_SERIAL_NUMBER).strip()
-    listed = tuple(serial_ports(instrument) if present is None else present)
+    listed = tuple(_serial_ports(instrument) if present is None else present)
     found = _with_serial_number(listed, wanted)
     if len(found) == 1:
         return found[0].device
@@ -117,7 +117,7 @@ def _interface_of(several: Sequence[SerialPort], port: SerialPort) -> int:
     return sorted(several, key=lambda other: (len(other.device), other.device)).index(port)
 
 
-def pyserial_missing(instrument: str, doing: str) -> InstrumentError:
+def _pyserial_missing(instrument: str, doing: str) -> InstrumentError:
     """What to say where pyserial is not installed."""
     return MissingPackageError(instrument, doing, "the package pyserial is not installed", "pip install pyserial")
 
@@ -248,7 +248,7 @@ class SerialLine:
         try:
             import serial
         except ImportError as missing:
-            raise pyserial_missing(self._instrument, f"opening {self._name}") from missing
+            raise _pyserial_missing(self._instrument, f"opening {self._name}") from missing
         # termios.error is none of the OSErrors; it comes from tcflush when a port has gone. Windows has no termios.
         # A port that another thread closes meanwhile has no descriptor left: pyserial fails with a TypeError then.
         self._failures = (serial.SerialException, OSError, ValueError, TypeError, AttributeError, *_termios_errors())

@@ -119,12 +119,12 @@ def in_time(instrument: str, operation: str, ask: Callable[[], Answer], limit_s:
     try:
         return thread.call(ask, limit_s)
     except HungError:
-        raise InstrumentLostError(instrument, operation, hung_cause(limit_s), REMEDY) from None
+        raise InstrumentLostError(instrument, operation, _hung_cause(limit_s), REMEDY) from None
     finally:
         thread.abandon()
 
 
-def hung_cause(limit_s: float) -> str:
+def _hung_cause(limit_s: float) -> str:
     """What happened to a call that hangs, in words."""
     return f"the call did not come back within {limit_s:.3g} s"
 
@@ -218,7 +218,7 @@ class _Bounded(Instrument, Generic[Device]):
         try:
             return self._thread.call(ask, limit_s, wait_before_s=wait_before_s, needs_thread=needs_thread)
         except HungError:
-            cause = hung_cause(limit_s)
+            cause = _hung_cause(limit_s)
             self._hung = f"{operation} hangs: {cause}"
             raise self._lost(operation, cause) from None
         except InstrumentError as failure:

@@ -40,7 +40,7 @@ def claimed(name: str) -> Iterator[None]:
         given_up_s = time.monotonic() + _WAIT_S
         while not file.try_lock():
             if time.monotonic() >= given_up_s:
-                holder = claim_holder(name) or owner.Owner("this computer", 0)
+                holder = _claim_holder(name) or owner.Owner("this computer", 0)
                 raise BankBusyError(
                     f"{name} is held by process {holder.pid or 'unknown'} on {holder.host}; wait until it has finished "
                     "or stop it, then try again"
@@ -53,7 +53,7 @@ def claimed(name: str) -> Iterator[None]:
             owner.remove_owner(path)
 
 
-def claim_holder(name: str) -> owner.Owner | None:
+def _claim_holder(name: str) -> owner.Owner | None:
     """The process that holds a name now; None where none does."""
     path = _lock_file(name)
     return owner.bank_owner(path) if path.is_file() else None

@@ -141,7 +141,7 @@ def format_of(path: Path) -> tuple[str | None, bool]:
         return hdf5_reading.text(file, "format"), CONTENTS in file.attrs
 
 
-def expected_sha256(dataset: h5py.Dataset) -> str | None:
+def _expected_sha256(dataset: h5py.Dataset) -> str | None:
     """Read the checksum that a dataset carries; None when it carries none."""
     if VALUES not in dataset.attrs:
         return None
@@ -155,7 +155,7 @@ def expected_sha256(dataset: h5py.Dataset) -> str | None:
 
 def require_values(dataset: h5py.Dataset, found: str) -> None:
     """Refuse a dataset whose values have another checksum than it carries; it may carry none."""
-    expected = expected_sha256(dataset)
+    expected = _expected_sha256(dataset)
     if expected is not None and found != expected.lower():
         raise InputError(
             f"{hdf5_reading.path_of(dataset)} is damaged: the checksum of {dataset.name} does not hold; make it anew or"
@@ -173,7 +173,7 @@ def require_all(file: h5py.File, apart: str) -> bool:
     for name, found in _objects(file):
         if not isinstance(found, h5py.Dataset):
             continue
-        expected = expected_sha256(found)
+        expected = _expected_sha256(found)
         complete &= expected is not None
         if expected is not None and name != apart:
             require_values(found, _dataset_sha256(hdf5_reading.plain_dataset(file, name)))

@@ -156,7 +156,7 @@ def plain_dataset(
 def _require_true_chunks(dataset: h5py.Dataset) -> None:
     """Refuse compressed chunks that are larger than what they unfold to: they unfold to more than they declare."""
     declared = _bytes_of(dataset, dataset.chunks)
-    largest = max((size for _, size in stored_pieces(dataset)), default=0)
+    largest = max((size for _, size in _stored_pieces(dataset)), default=0)
     if largest > declared + declared // 100 + _FILTER_BYTES:
         raise InputError(
             f"{path_of(dataset)}: {dataset.name} has a compressed chunk of {_size(largest)} where {_size(declared)} are"
@@ -164,7 +164,7 @@ def _require_true_chunks(dataset: h5py.Dataset) -> None:
         )
 
 
-def stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
+def _stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
     """(offset, size) of each piece of a dataset's values in the file."""
     pieces: list[tuple[int, int]] = []
     if dataset.chunks is not None:
@@ -349,7 +349,7 @@ def require_sound_texts(file: h5py.File) -> None:
 
     def note(_: str, found: object) -> None:
         if isinstance(found, h5py.Dataset):
-            values.extend(stored_pieces(found))
+            values.extend(_stored_pieces(found))
 
     file.visititems(note)
     end, path = 0, path_of(file)
@@ -362,13 +362,13 @@ def require_sound_texts(file: h5py.File) -> None:
                 at = content.find(b"GCOL")
                 while at >= 0:  # also where no writer would put it: HDF5 follows a damaged address anywhere
                     heap_bytes = int.from_bytes(content[at + 8 : at + 16], "little")
-                    if not heap_is_sound(content[at : at + heap_bytes]):
+                    if not _heap_is_sound(content[at : at + heap_bytes]):
                         raise InputError(f"{path} is damaged: its texts are not readable; restore a copy")
                     at = content.find(b"GCOL", at + heap_bytes)
             end = max(end, start + count)
 
 
-def heap_is_sound(content: bytes) -> bool:
+def _heap_is_sound(content: bytes) -> bool:
     """Whether the objects of a global heap collection fit into it.
 
     HDF5 keeps texts there without a checksum, and 2.0 never returns from one whose sizes are wrong (HDF5 file

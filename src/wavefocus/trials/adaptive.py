@@ -6,7 +6,6 @@ A track is a pure function of the answers given to it, so that a session resumes
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +16,6 @@ from wavefocus.trials.order import Trial, draws_of
 from wavefocus.trials.psychometric import share_right
 
 Float64Array = NDArray[np.float64]
-
-
-class Track(Protocol):
-    """One adaptive sequence of levels."""
-
-    def next_level(self) -> float | None:
-        """The level to be answered now, one of the ladder; None where the track has ended."""
-
-    def answered(self, correct: bool) -> None:
-        """Take whether the answer to that level was right."""
-
-    @property
-    def threshold(self) -> float | None:
-        """log10 of the threshold's level as estimated now; None where too little was answered."""
 
 
 def track_of(adaptive: AdaptiveTable, levels: Sequence[float]) -> Track:
@@ -55,10 +40,12 @@ class UpDown:
         """Levels at which the direction changed."""
 
     def next_level(self) -> float | None:
+        """The level to be answered now, one of the ladder; None where the track has ended."""
         ended = self._trials >= self._rules.trials or len(self.reversals) >= self._rules.reversals
         return None if ended else self._ladder[self._at]
 
     def answered(self, correct: bool) -> None:
+        """Take whether the answer to that level was right."""
         self._trials += 1
         self._rights, self._wrongs = (self._rights + 1, 0) if correct else (0, self._wrongs + 1)
         if self._rights == self._rules.right:
@@ -141,6 +128,10 @@ class QuestPlus:
 
 def _x_log_x(x: Float64Array) -> Float64Array:
     return np.asarray(x * np.log(np.where(x > 0, x, 1.0)))
+
+
+Track = UpDown | QuestPlus
+"""One adaptive sequence of levels."""
 
 
 class AdaptiveOrder:

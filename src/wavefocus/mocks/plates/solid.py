@@ -28,7 +28,7 @@ PRESSURE_SPEED_M_S = 9.4
 
 
 @dataclass(frozen=True, slots=True)
-class SolidWave(DampedWave):
+class _SolidWave(DampedWave):
     """Shear or pressure wave of the solid.
 
     shear_speed_m_s: Speed of the solid's shear wave.
@@ -99,7 +99,7 @@ class SolidPlate(InfinitePlate):
                 " speed, for the bulk modulus would be negative"
             )
         loss = change.loss * damping_per_s
-        waves = SolidWave(shear, loss, shear, is_shear=True), SolidWave(pressure, loss, shear, is_shear=False)
+        waves = _SolidWave(shear, loss, shear, is_shear=True), _SolidWave(pressure, loss, shear, is_shear=False)
         super().__init__(actuator_mm, outline, change.softened(chain), waves)
         self._force, self._oscillation = (
             np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([force_deg, oscillation_deg])

@@ -121,7 +121,7 @@ class _DampedPairs:
     force: Complex128Array
 
 
-def _damped_pairs(modes: RitzModes, wave: DampedWave, admittance: float) -> _DampedPairs:
+def _damped_pairs(modes: _RitzModes, wave: DampedWave, admittance: float) -> _DampedPairs:
     from scipy.linalg import eig, solve
 
     speed, count = wave.speed_m_s, len(modes.stiffness)
@@ -140,21 +140,21 @@ def _damped_pairs(modes: RitzModes, wave: DampedWave, admittance: float) -> _Dam
 
 def _elements_and_modes(
     actuator_mm: Float64Array, outline: Outline, admittance: float
-) -> tuple[Elements, RitzModes, tuple[object, ...]]:
+) -> tuple[Elements, _RitzModes, tuple[object, ...]]:
     """Elements and modes, from the disk or computed, and the facts that they follow from."""
     facts = (SOFT_PLATE, HIGHEST_HZ, outline, admittance, np.asarray(actuator_mm, dtype=np.float64).tolist())
 
     def compute() -> dict[str, NDArray[Any]]:
         triangles = triangulate(outline, spacing_mm(SOFT_PLATE, HIGHEST_HZ))
-        modes = ritz_modes(Elements(triangles), actuator_mm, SOFT_PLATE, admittance, HIGHEST_HZ)
+        modes = _ritz_modes(Elements(triangles), actuator_mm, SOFT_PLATE, admittance, HIGHEST_HZ)
         return _arrays(triangles) | _arrays(replace(modes, shapes=modes.shapes.astype(np.float32)))
 
     kept = _kept("stadium", facts, compute)
     triangles = Triangles(*(kept[item.name] for item in fields(Triangles)))
-    return Elements(triangles), RitzModes(*(kept[item.name] for item in fields(RitzModes))), facts
+    return Elements(triangles), _RitzModes(*(kept[item.name] for item in fields(_RitzModes))), facts
 
 
-def _arrays(part: Triangles | RitzModes | _DampedPairs) -> dict[str, NDArray[Any]]:
+def _arrays(part: Triangles | _RitzModes | _DampedPairs) -> dict[str, NDArray[Any]]:
     return {item.name: getattr(part, item.name) for item in fields(part)}
 
 
@@ -187,7 +187,7 @@ def cache_dir() -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class RitzModes:
+class _RitzModes:
     """A plate of few modes: q'' + (b + c a R) q' + c^2 diag(stiffness) q = c^2 force f, y = shapes q.
 
     shapes, float64 (nodes, modes): Of every mode at the nodes of the elements.
@@ -302,9 +302,9 @@ def spacing_mm(wave: DampedWave, highest_hz: float) -> float:
     return 2e3 * np.pi / abs(complex(wave.wavenumber(highest_hz)).real) / ELEMENTS_PER_WAVELENGTH
 
 
-def ritz_modes(
+def _ritz_modes(
     elements: Elements, actuator_mm: Float64Array, wave: DampedWave, admittance: float, highest_hz: float
-) -> RitzModes:
+) -> _RitzModes:
     """Find the modes that carry the response to some actuators up to a frequency.
 
     elements: On the plate.
@@ -327,7 +327,7 @@ def ritz_modes(
     shapes = space @ turn
     edge = np.unique(elements.rim.indices)
     rim = shapes[edge].T @ (elements.rim[edge][:, edge] @ shapes[edge])
-    return RitzModes(shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
+    return _RitzModes(shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
 
 
 def triangulate(outline: Outline, spacing: float) -> Triangles:

@@ -100,7 +100,7 @@ class ThinRectangle(ModalPlate):
 
 
 @dataclass(frozen=True, slots=True)
-class FlexuralWave:
+class _FlexuralWave:
     """One of the two waves of the infinite thin plate. Raises ValueError.
 
     (k^2 - k1^2) (k^2 - k2^2) = k^4 + j (w / kappa) k^2 / Q - (w / kappa)^2 has the roots k1^2 = (w / kappa) e^{-j phi},
@@ -158,5 +158,5 @@ class InfiniteGlass(InfinitePlate):
         change: PlateChange = UNCHANGED,
     ) -> None:
         facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2
-        waves = [FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]
+        waves = [_FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]
         super().__init__(actuator_mm, outline, chain, tuple(waves))

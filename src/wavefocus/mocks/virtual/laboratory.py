@@ -131,7 +131,7 @@ EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole att
 # A normal distribution as 65,536 equally likely values (the middle quantiles, unit variance). Drawing
 # from it is six times faster than a ziggurat, and after a 16-bit converter no test can distinguish them.
 @cache
-def normal_values() -> Float32Array:
+def _normal_values() -> Float32Array:
     """The values, in their order."""
     from scipy.special import ndtri  # the clock and the patch bay shall not wait for it
 
@@ -174,4 +174,4 @@ def normal(generator: np.random.Generator, samples: int) -> Float32Array:
     """
     words = np.asarray(generator.bit_generator.random_raw(-(-samples // 4)), dtype="<u8")
     # No index can be out of bounds, and numpy's check for it would cost as much as the rest.
-    return normal_values().take(words.view("<u2")[:samples], mode="wrap")
+    return _normal_values().take(words.view("<u2")[:samples], mode="wrap")

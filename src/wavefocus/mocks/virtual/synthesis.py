@@ -53,7 +53,7 @@ def chain_response(frequency_hz: Float64Array) -> Complex128Array:
     return response
 
 
-def actuator_gains(actuators: int, spread_db: float, seed: int) -> Float64Array:
+def _actuator_gains(actuators: int, spread_db: float, seed: int) -> Float64Array:
     """Gain of each actuator, evenly spread in decibels; the polarity is the same for all.
 
     actuators: Number of actuators.
@@ -116,7 +116,7 @@ class Synthesis:
     def __init__(self, settings: VirtualSettings) -> None:
         self._settings = settings
         actuator_mm = np.asarray(settings.actuator_mm, dtype=np.float64).reshape(-1, 2)
-        gains = actuator_gains(settings.actuators, settings.gain_spread_db, settings.seed)
+        gains = _actuator_gains(settings.actuators, settings.gain_spread_db, settings.seed)
         if settings.actuator_strength is not None:
             gains = gains * np.asarray(settings.actuator_strength, dtype=np.float64)
         self._velocity_per_volt = settings.velocity_scale * gains

@@ -18,7 +18,6 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
 
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 
@@ -261,41 +260,8 @@ class EmulatedSerial:
             self._bell.send(b"!")
 
 
-class Wire(Protocol):
-    """The instrument's end of a serial line; only one thread uses it."""
-
-    @property
-    def address(self) -> str:
-        """What the client opens."""
-        ...
-
-    def plug(self) -> None:
-        """Make the port appear."""
-        ...
-
-    def unplug(self) -> None:
-        """Make the port vanish, with whatever has it open."""
-        ...
-
-    def free(self) -> None:
-        """Give the address up, for good."""
-        ...
-
-    def receive(self, timeout_s: float, wake: socket.socket) -> bytes:
-        """What has come in; waits up to `timeout_s`, or until there is something to read at `wake`."""
-        ...
-
-    def send(self, data: bytes) -> None:
-        """Send; what the client does not take is lost, as with a device that has no handshake."""
-        ...
-
-    def baud(self) -> int | None:
-        """Bits per second that the client has chosen; None where it cannot be read."""
-        ...
-
-
 class PtyWire:
-    """A pseudo-terminal; POSIX only. Raises OSError.
+    """A pseudo-terminal; POSIX only. What the client does not take is lost, as without handshake. Raises OSError.
 
     link: Where the port appears: a symbolic link, the same after each unplugging.
     """
@@ -308,9 +274,11 @@ class PtyWire:
 
     @property
     def address(self) -> str:
+        """What the client opens."""
         return str(self._link)
 
     def plug(self) -> None:
+        """Make the port appear."""
         import tty
 
         far, near = os.openpty()
@@ -324,6 +292,7 @@ class PtyWire:
         fresh.replace(self._link)
 
     def unplug(self) -> None:
+        """Make the port vanish, with whatever has it open."""
         self._link.unlink(missing_ok=True)
         ends, self._ends = self._ends, None
         for end in ends or ():
@@ -333,6 +302,7 @@ class PtyWire:
         """Nothing is kept once it is unplugged."""
 
     def receive(self, timeout_s: float, wake: socket.socket) -> bytes:
+        """What has come in; waits up to `timeout_s`, or until there is something to read at `wake`."""
         sources: list[int | socket.socket] = [wake] if self._ends is None else [wake, self._ends[0]]
         ready, _, _ = select.select(sources, [], [], timeout_s)
         if self._ends is None or self._ends[0] not in ready:
@@ -340,11 +310,13 @@ class PtyWire:
         return os.read(self._ends[0], CHUNK)
 
     def send(self, data: bytes) -> None:
+        """Send to the client."""
         if self._ends is not None:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._ends[0], data)
 
     def baud(self) -> int | None:
+        """Bits per second that the client has chosen; None where it cannot be read."""
         if self._ends is None:
             return None
         import termios
@@ -369,6 +341,7 @@ class TcpWire:
 
     @property
     def address(self) -> str:
+        """See `PtyWire`, here and below."""
         return f"socket://{self._at[0]}:{self._at[1]}"
 
     def plug(self) -> None:
@@ -436,3 +409,7 @@ class TcpWire:
             one.close()
             raise
         return one
+
+
+Wire = PtyWire | TcpWire
+"""The instrument's end of a serial line; only one thread uses it."""

@@ -169,7 +169,7 @@ def ordered(values: Any, path: Path, options: ImportOptions) -> Any:
     return array.transpose([axes.index(name) for name in AXES])
 
 
-def frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64Array:
+def _frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64Array:
     """Frequencies in Hz that --frequencies gives, float64 (samples,)."""
     if options.frequencies is None:
         raise InputError(
@@ -238,7 +238,7 @@ def _axis(
         rate_hz = options.sample_rate_hz or rate_hz
         found = numbers("frequency_hz")
         if found is None or options.frequencies:
-            found = frequencies_of(options, path, samples)
+            found = _frequencies_of(options, path, samples)
         if found.size != samples:
             raise InputError(
                 f"{path}: frequency_hz has {found.size} values and the responses {samples}; as many needed"

@@ -38,7 +38,7 @@ _LITTLE_ENDIAN, _IEEE, _HEADER_LINES = 1, 2, 11
 _END = f"{-1:6d}\n"
 
 
-def actuator_node(rows: ExportedRows, actuator: int) -> int:
+def _actuator_node(rows: ExportedRows, actuator: int) -> int:
     """Node number of an actuator: positions are 1 to P by their row in the bank, actuators come after them."""
     return rows.bank.positions + 1 + actuator
 
@@ -85,7 +85,7 @@ def _units_and_nodes(rows: ExportedRows) -> Iterator[str]:
         yield _node(number, place_mm)
     for actuator, place_mm in enumerate(rows.bank.actuator_mm):
         if np.isfinite(place_mm).all():
-            yield _node(actuator_node(rows, actuator), place_mm)
+            yield _node(_actuator_node(rows, actuator), place_mm)
     yield _END
 
 
@@ -113,7 +113,7 @@ def _header(rows: ExportedRows, row: int, actuator: int, status: int) -> str:
         rows.publication.get("title", "NONE")[:80],
         rows.publication.get("licence", "NONE")[:80],
         f"{TIME_RESPONSE:5d}{0:10d}{1:5d}{0:10d} {'POSITION':<10}{row + 1:10d}{NORMAL:4d}"
-        f" {'ACTUATOR':<10}{actuator_node(rows, actuator):10d}{NORMAL:4d}",
+        f" {'ACTUATOR':<10}{_actuator_node(rows, actuator):10d}{NORMAL:4d}",
         f"{_SINGLE if rows.binary else _DOUBLE:10d}{bank.taps:10d}{_EVEN:10d}"
         f"{0:13.5E}{1 / bank.sample_rate_hz:13.5E}{0:13.5E}",
         f"{TIME:10d}{0:5d}{0:5d}{0:5d} {'Time':<20} {'s':<20}",

@@ -135,10 +135,10 @@ def _write(path: Path, samples: Any, rate_hz: int) -> str:
     """Write a file; returns its SHA-256."""
     with sound_failures(path):
         soundfile.write(path, samples.astype(np.float32), rate_hz, subtype="FLOAT", format="WAV")
-    return checksum_of(path)
+    return _checksum_of(path)
 
 
-def checksum_of(path: Path) -> str:
+def _checksum_of(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -187,7 +187,7 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     shape = (len(sounds.position_m), len(sounds.actuator_m))
     paths = {name: _inside(folder, name) for name in files}
     for name in paths.keys() & sounds.checksums.keys():
-        if checksum_of(paths[name]) != sounds.checksums[name]:
+        if _checksum_of(paths[name]) != sounds.checksums[name]:
             raise InputError(
                 f"{paths[name]} is not the file that {TABLE_NAME} describes (sha256); export the bank again, or restore"
                 " the folder"

@@ -81,7 +81,7 @@ class RowShape:
         """Checksums of a position's chunks from its ledger row; None when the row does not hold."""
         name, _, version, *place = ROW_HEAD.unpack_from(row)
         expected = (self.format.row_name, ROW_VERSION, [position, *self.dimensions])
-        if (name, version, place) != expected or not seal_holds(row):
+        if (name, version, place) != expected or not _seal_holds(row):
             return None
         return struct.unpack_from(f"<{len(self.format.datasets)}I", row, self.format.crc_at)
 
@@ -112,7 +112,7 @@ class RowShape:
 
     def decode_journal(self, content: Bytes) -> Replacement | None:
         """Read a journal; None where it is empty or not whole."""
-        if content[:8] != self.format.journal_name or not seal_holds(content):
+        if content[:8] != self.format.journal_name or not _seal_holds(content):
             return None
         position, view, size = int.from_bytes(content[16:24], "little"), memoryview(content), self.chunk_bytes
         starts = [PAGE + index * size for index in range(len(self.format.datasets))]
@@ -157,7 +157,7 @@ def sealed(content: bytearray) -> bytes:
     return bytes(content)
 
 
-def seal_holds(content: Bytes) -> bool:
+def _seal_holds(content: Bytes) -> bool:
     """Whether a page is as it was sealed."""
     return int.from_bytes(content[_CRC_FIELD], "little") == _checksum(memoryview(content))
 

@@ -118,7 +118,7 @@ class NiOutputs:
         clock = WallClock()
         due_s = clock.now_s()
         # The last one also where nothing changes, for the device may have lost its power.
-        for step_v in ramp_steps(self._level, volts, self._settings.slew_v_per_s) or [volts]:
+        for step_v in _ramp_steps(self._level, volts, self._settings.slew_v_per_s) or [volts]:
             clock.sleep(due_s - clock.now_s())
             with self._session.explaining(doing):
                 writer = AnalogMultiChannelWriter(self._task.out_stream, auto_start=True)
@@ -141,7 +141,7 @@ class NiOutputs:
             raise InstrumentError(self._session.instrument, doing, cause, "check what is wired to the line")
 
 
-def ramp_steps(start_v: Sequence[float], stop_v: Sequence[float], slew_v_per_s: float) -> list[tuple[float, ...]]:
+def _ramp_steps(start_v: Sequence[float], stop_v: Sequence[float], slew_v_per_s: float) -> list[tuple[float, ...]]:
     """Voltages of a straight ramp, `RAMP_STEP_S` apart, its last step at the end; none where nothing changes.
 
     slew_v_per_s: Fastest change of any output, > 0.

@@ -36,7 +36,7 @@ class CallDetails(NamedTuple):
     compression: Any
 
 
-def open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> Any:
+def _open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> Any:
     """A fresh channel, with nothing in common with an earlier one to the same server.
 
     The nidaqmx package gives its calls no deadline. Here each has one: the time that the call itself asks for
@@ -178,7 +178,7 @@ class NiSession:
 
     def _opened_channel(self, address: str, answer_s: float, tls: TlsFiles | None) -> Any:
         try:
-            return open_channel(address, answer_s, tls)
+            return _open_channel(address, answer_s, tls)
         except OSError as failure:
             cause = f"{failure.filename} cannot be read ({failure.strerror})"
             remedy = f"correct tls_root, tls_certificate and tls_key of [{self._role}]"

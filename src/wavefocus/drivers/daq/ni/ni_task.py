@@ -22,7 +22,7 @@ END_TOLERANCE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class CountScale:
+class _CountScale:
     """Counts of one input.
 
     step_v: Volts per count, > 0.
@@ -48,7 +48,7 @@ class CountScale:
         return over_range
 
 
-def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None) -> CountScale:
+def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None) -> _CountScale:
     """The scale of an input from its properties in NI-DAQmx.
 
     The volts that NI-DAQmx delivers are codes put through a polynomial, the device's calibration. With its linear
@@ -61,18 +61,18 @@ def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None)
     codes = 2 ** (bits - 1)
     nominal_v = range_v / codes
     if coefficients is None or len(coefficients) < 2 or not coefficients[1] > 0:
-        return CountScale(nominal_v, -codes, codes - 1)
+        return _CountScale(nominal_v, -codes, codes - 1)
     # Codes of fewer bits may sit at the upper end of a wider word.
     shift = max(0, round(math.log2(nominal_v / coefficients[1])))
     step_v = coefficients[1] * 2**shift
     if abs(step_v / nominal_v - 1) > STEP_TOLERANCE:
-        return CountScale(nominal_v, -codes, codes - 1)
+        return _CountScale(nominal_v, -codes, codes - 1)
     ends = [np.polynomial.polynomial.polyval(code * 2**shift, coefficients) for code in (-codes, codes - 1)]
     inside = math.floor(range_v / step_v + 1e-6)
     lowest, highest = -inside, inside
     if all(abs(abs(end) / range_v - 1) < END_TOLERANCE for end in ends):
         lowest, highest = max(lowest, round(ends[0] / step_v)), min(highest, round(ends[1] / step_v))
-    return CountScale(step_v, lowest, highest)
+    return _CountScale(step_v, lowest, highest)
 
 
 # The estimator finds clock ratios within 500 ppm; what the device's own divider takes of that is refused beforehand.
@@ -197,7 +197,7 @@ class RecordTask:
                 self._session.owned = owned
             raise
 
-    def _scale(self, channel: Any, range_v: float) -> CountScale:
+    def _scale(self, channel: Any, range_v: float) -> _CountScale:
         return count_scale(range_v, round(channel.ai_resolution), self._session.coefficients_of(channel))
 
     def _close_after(self, failure: BaseException) -> None:
