@@ -35,21 +35,16 @@ Result = TypeVar("Result")
 
 LOCAL = "local"
 MAX_PROCESSES = 256
-CONNECTING_S = 20.0
 LOOKS_EVERY_S = 2.0
 GIVES_UP_S = 60.0
 """Without a worker or a scheduler: another worker may join, a scheduler be slow."""
-DASHBOARD = "127.0.0.1:0"
-"""Any free port that this machine alone can reach."""
-PARTS_PER_THREAD = 2
-"""Under way at a time: one that is worked on, one that waits for it."""
 POSITIONS_AT_ONCE = 4
 PARTS_AT_ONCE = 4
 """In one task, which costs the scheduler some milliseconds."""
 
 
 @contextmanager
-def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
+def cluster_client(address: str) -> Iterator[Any]:
     """Connect to a cluster, or start one of processes on this machine.
 
     Raises InputError: dask is missing, no scheduler answers at the address, or a local cluster's number is none.
@@ -59,8 +54,7 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
     distributed.Client
     """
     local = address.partition(":")[0] == LOCAL
-    if local and ":" in address:
-        workers = _processes(address)
+    workers = _processes(address) if local and ":" in address else os.cpu_count() or 1
     try:
         distributed: Any = import_module("distributed")  # types come with it, or not: it need not be there
     except ImportError as error:
@@ -74,15 +68,15 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
             if local:
                 where = opened.enter_context(
                     distributed.LocalCluster(
-                        n_workers=workers or os.cpu_count() or 1,
+                        n_workers=workers,
                         threads_per_worker=1,
-                        dashboard_address=DASHBOARD,
+                        dashboard_address="127.0.0.1:0",
                         silence_logs=logging.CRITICAL,
                     )
                 )
             else:
                 where = address
-            client = opened.enter_context(distributed.Client(where, timeout=CONNECTING_S, set_as_default=False))
+            client = opened.enter_context(distributed.Client(where, timeout=20.0, set_as_default=False))
         except (OSError, ValueError, TimeoutError, RuntimeError) as error:
             what = "could not be started" if local else "no scheduler answers there"
             raise InputError(f"--cluster {address}: {what}: {error}") from None
@@ -108,7 +102,8 @@ def spread(
     Raises InputError: A worker raised it. Raises WavefocusError: workers were lost, again and again.
     """
     under_way: deque[Any] = deque()
-    most = PARTS_PER_THREAD * max(1, sum(client.nthreads().values()))
+    # One part is worked on, one waits.
+    most = 2 * max(1, sum(client.nthreads().values()))
     try:
         for part in parts:
             under_way.append(client.submit(function, *part, pure=False))
@@ -122,16 +117,14 @@ def spread(
                 client.cancel(list(under_way), force=True)
 
 
-def estimate_on_cluster(
-    address: str, raw: Path, positions: Sequence[int], workers: int | None
-) -> Iterator[PositionResult]:
+def estimate_on_cluster(address: str, raw: Path, positions: Sequence[int]) -> Iterator[PositionResult]:
     """Estimate positions on a cluster, in their order; each by itself, so that it is the same as here."""
     file = identity_of(raw)
     parts = [
         (file, list(positions[first : first + POSITIONS_AT_ONCE]))
         for first in range(0, len(positions), POSITIONS_AT_ONCE)
     ]
-    with cluster_client(address, workers) as client:
+    with cluster_client(address) as client:
         for results in spread(client, estimated_part, parts, stopped=f"estimating {raw}"):
             yield from results
 
@@ -151,51 +144,24 @@ def _result(client: Any, future: Any, stopped: str) -> Any:
     import distributed
     from distributed.comm.core import CommClosedError
 
-    alone_since_s: float | None = None
+    served_s = time.monotonic()
     while True:
         try:
             return future.result(timeout=LOOKS_EVERY_S)
         except WavefocusError:
             raise
         except distributed.KilledWorker:
-            raise WavefocusError(
-                f"{stopped}: workers of the cluster were lost, again and again; look at their logs, and start it again"
-            ) from None
+            lost = "workers of the cluster were lost, again and again"
         except (distributed.client.FutureCancelledError, CommClosedError):
-            raise _scheduler_lost(stopped) from None
+            lost = "the scheduler of the cluster is gone"
         except (TimeoutError, distributed.TimeoutError):
-            if client.status not in ("running", "connecting"):
-                raise _scheduler_lost(stopped) from None
-        workers = _workers_left(client)
-        if workers:
-            alone_since_s = None
-            continue
-        now_s = time.monotonic()
-        if alone_since_s is None:
-            alone_since_s = now_s
-            what = "no worker is left" if workers == 0 else "the scheduler does not answer"
-            say(f"cluster: {what}; waiting for {GIVES_UP_S:g} s")
-        elif now_s - alone_since_s > GIVES_UP_S:
-            if workers is None:
-                raise _scheduler_lost(stopped)
-            raise WavefocusError(
-                f"{stopped}: no worker of the cluster is left; look at their logs, start some with: dask worker, and "
-                "start it again"
-            )
-
-
-def _workers_left(client: Any) -> int | None:
-    """Number of workers; None where the scheduler does not answer."""
-    if client.status != "running":
-        return None
-    try:
-        return len(client.sync(client.scheduler.identity, callback_timeout=CONNECTING_S)["workers"])
-    except Exception:  # whatever a broken connection raises: it is asked again
-        return None
-
-
-def _scheduler_lost(stopped: str) -> WavefocusError:
-    return WavefocusError(f"{stopped}: the scheduler of the cluster is gone; look at its log, and start it again")
+            reached = client.status == "running"
+            if reached and client.scheduler_info()["workers"]:
+                served_s = time.monotonic()
+            if time.monotonic() - served_s <= GIVES_UP_S:
+                continue
+            lost = "no worker of the cluster is left" if reached else "the scheduler of the cluster is gone"
+        raise WavefocusError(f"{stopped}: {lost}; look at their logs, and start it again") from None
 
 
 Identity = tuple[str, int, int]

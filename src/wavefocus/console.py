@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from rich.progress import Task
     from rich.status import Status
 
-# Without a terminal (a log file, a service) a line this often shows progress.
-LINE_EVERY_S = 30.0
-MIN_BAR = 10
-
 
 class _StandardError(io.TextIOBase):
     """Standard error as it is now; what cannot be written to a terminal that is gone is dropped.
@@ -173,7 +169,7 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
-        BarColumn(bar_width=None, table_column=Column(min_width=MIN_BAR, ratio=1)),
+        BarColumn(bar_width=None, table_column=Column(min_width=10, ratio=1)),
         MofNCompleteColumn(table_column=Column(no_wrap=True, min_width=2 * len(str(total)) + 1)),
         *([RateColumn(table_column=Column(ratio=3, **rest))] if timed else []),  # type: ignore[arg-type]
         TextColumn("{task.fields[note]}", markup=False, table_column=Column(ratio=3, **rest)),  # type: ignore[arg-type]
@@ -211,7 +207,7 @@ def _line_reporter(what: str, pace: Pace, *, timed: bool) -> Report:
     def report(done: int, total: int, note: str = "") -> None:
         nonlocal last_s
         rate, now_s = pace.per_s(done, total), time.monotonic()
-        if now_s - last_s < LINE_EVERY_S:
+        if now_s - last_s < 30.0:
             return
         last_s = now_s
         if not timed:

@@ -114,10 +114,6 @@ def interrupt() -> None:
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-LOOKS_EVERY_S = 0.1
-_READS_BYTES = 4096
-
-
 @contextmanager
 def _ended_by(happens: Callable[[threading.Event], bool], name: str, *, join: bool) -> Iterator[None]:
     """End the block with KeyboardInterrupt once a thread's function returns True; the event it gets says to give up."""
@@ -149,7 +145,7 @@ def ended_by_file(path: Path) -> AbstractContextManager[None]:
     path.unlink(missing_ok=True)
 
     def appears(over: threading.Event) -> bool:
-        while not over.wait(LOOKS_EVERY_S):
+        while not over.wait(0.1):
             if path.exists():
                 with suppress(OSError):
                     path.unlink()
@@ -171,7 +167,7 @@ def ended_by_input() -> AbstractContextManager[None]:
     def ends(_over: threading.Event) -> bool:
         # Not through sys.stdin: a thread that waits in its lock would not let the interpreter end.
         with suppress(OSError):  # it cannot be read any more: closed as well
-            while os.read(source, _READS_BYTES):
+            while os.read(source, 4096):
                 pass
         return True
 

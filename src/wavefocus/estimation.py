@@ -145,7 +145,7 @@ def estimate_into(
             with watch("estimate", header.positions, done=first) as show:
                 if to_do and estimator is not None:
                     results = (
-                        estimate_on_cluster(cluster, raw, to_do, workers)
+                        estimate_on_cluster(cluster, raw, to_do)
                         if cluster
                         else estimate_positions(recordings, estimator, to_do, count)
                     )

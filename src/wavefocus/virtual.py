@@ -11,16 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded, evaluate
-from wavefocus.acquisition.engine.campaign import Campaign
-from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
+from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.campaign.blueprint import blueprint_of
-from wavefocus.campaign.session_files import opened_raw, with_bank
-from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, unvouched_rows
+from wavefocus.campaign.session_files import opened_campaign, with_bank
 from wavefocus.config.loading import validated
-from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Progress, State
+from wavefocus.config.messages.campaign import Event, Progress, State
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.configuration import Configuration, configuration_of
@@ -171,17 +169,11 @@ class VirtualBench:
 
         with (
             BankWriter.open(path, plan_sha256=blueprint.plan.sha256) as writer,
-            opened_raw(blueprint, self._setup, writer) as raw,
-            EventLog(log_path(path)) as log,
-            EventLog(drift_path(path), Drift, CrosstalkMeasured) as drift,
+            opened_campaign(blueprint, self._setup, writer, StopRequest(), {"on_progress": show}, earlier) as (
+                campaign,
+                _,
+            ),
         ):
-            publish = EventPublisher({"the event log": log, "the drift history": drift, "on_progress": show})
-            for event in earlier:
-                publish(event)
-            unvouched = unvouched_rows(path)
-            campaign = Campaign(
-                blueprint.plan, self._setup, writer, publish, StopRequest(), raw=raw, unvouched=unvouched
-            )
             if campaign.run(rows).state is State.STOPPED:
                 raise KeyboardInterrupt
         return open_bank(path)

@@ -18,10 +18,8 @@ from wavefocus.configuration import (
     check_rows,
     configuration_from_json,
     load_run,
-    named_rig,
     plan_differences,
     plate_behind,
-    with_rig,
 )
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -81,25 +79,6 @@ def blueprint_from_bank(path: Path) -> Blueprint:
     return blueprint
 
 
-def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
-    """The campaign of a bank with another rig file: other ports, names and limits, but rows of the same kind.
-
-    Raises InputError: the rig file is wrong, or its rows would differ in kind from the bank's; the message names the
-    keys.
-    """
-    own = blueprint_from_bank(path)
-    rig = named_rig(rig_file)
-    changed = blueprint_of(with_rig(own.configuration, rig, str(rig_file)))
-    calibrated = rig.calibration.measured != own.configuration.rig.calibration.measured
-    if changed.plan.sha256 != own.plan.sha256 and not calibrated:  # another calibration has words of its own
-        keys = listed_differences(plan_differences(own.configuration, changed.configuration))
-        raise InputError(
-            f"{rig_file}: differs from the rig that {path} was measured with in {keys}; ports, addresses, device "
-            "names, limits and time-outs may change, these may not: undo the change, or start a new bank"
-        )
-    return changed
-
-
 MAX_DIFFERENCES = 5
 """Differences of two plans that are named one by one."""
 
@@ -112,8 +91,13 @@ def require_same_plan(bank: Path, configuration: Configuration, plan_sha256: str
     with open_bank(bank) as view:
         if view.plan_sha256 == plan_sha256 or view.rig_json is None or view.run_json is None:
             return
-        differences = plan_differences(bank_configuration(view), configuration)
-    if differences:  # else it is of another version, and refused by its hash when it is opened
+        own = bank_configuration(view)
+    refuse_differences(bank, own, configuration)
+
+
+def refuse_differences(bank: Path, own: Configuration, configuration: Configuration) -> None:
+    """Refuse a configuration whose plan is not the bank's own; one of another version is refused by its hash."""
+    if differences := plan_differences(own, configuration):
         raise InputError(
             f"{bank} belongs to another plan; it differs in {listed_differences(differences)}; resume it from the bank "
             "alone, undo the change, or name a new bank"

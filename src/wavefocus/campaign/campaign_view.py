@@ -34,8 +34,6 @@ _SHOWN_STATES = frozenset({State.PAUSING, State.PAUSED, State.SUSPENDED, State.S
 
 _WAITING = frozenset({State.PAUSED, State.SUSPENDED, State.RECOVERING})
 
-# A rig on a virtual clock lives through hours in seconds; then both clocks are shown.
-_SAME_CLOCK = 0.2
 
 # A rig on a virtual clock takes hundreds of records a second; no eye follows more than this.
 _RECORDS_SHOWN_EVERY_S = 0.1
@@ -98,7 +96,8 @@ def remaining(event: Progress) -> str:
     """What is left by the latest positions on the wall's clock; where the rig's differs, on that too."""
     wall_s, rig_s = event.wall_remaining_s, event.remaining_s
     note = f"about {a_while(wall_s)} left, finished at {finish_clock(wall_s)}" if wall_s > 0 else ""
-    if rig_s <= 0 or abs(rig_s - wall_s) < _SAME_CLOCK * rig_s:
+    # A rig on a virtual clock lives through hours in seconds; then both clocks are shown.
+    if rig_s <= 0 or abs(rig_s - wall_s) < 0.2 * rig_s:
         return note
     return f"{note} (rig's clock: {hours(rig_s)} left)".strip()
 

@@ -84,9 +84,6 @@ def _taken(path: Path) -> Mapping[str, object]:
         own.unlink(missing_ok=True)
 
 
-BEATS_EVERY_S = 1.0
-
-
 def heartbeat_path(bank: Path) -> Path:
     """Where a bank's heartbeat is: ``plate.h5`` -> ``plate.h5.heartbeat``."""
     return bank.with_name(bank.name + ".heartbeat")
@@ -107,12 +104,6 @@ def read_heartbeat(bank: Path) -> Heartbeat | None:
     with suppress(MessageError):
         return from_record(Heartbeat, read_whole(heartbeat_path(bank)) or {})
     return None
-
-
-LISTENS_EVERY_S = 0.2
-# A single failure may be a file that somebody holds open, on Windows.
-FAILURES_TOLD_AFTER = 3
-ENDS_WITHIN_S = 5.0
 
 
 class CampaignControl:
@@ -144,7 +135,7 @@ class CampaignControl:
         self._over = True
         self._wake.set()
         # A disk that hangs must not hold up the way out.
-        self._thread.join(ENDS_WITHIN_S)
+        self._thread.join(5.0)
 
     def _attend(self) -> None:
         beats_s = time.monotonic()
@@ -152,11 +143,11 @@ class CampaignControl:
             order = self._take()
             if order is not None:
                 self._carry_out(order)
-            woken = self._wake.wait(LISTENS_EVERY_S)
+            woken = self._wake.wait(0.2)
             self._wake.clear()
             if order is not None or woken or time.monotonic() >= beats_s:
                 self._beat()
-                beats_s = time.monotonic() + BEATS_EVERY_S
+                beats_s = time.monotonic() + 1.0
         self._take()
         self._beat()
 
@@ -184,7 +175,8 @@ class CampaignControl:
     def _report_failure(self, sentence: str) -> None:
         """Report a failure that lasts, once."""
         self._failures += 1
-        if self._failures == FAILURES_TOLD_AFTER:
+        # A single failure may be a file that somebody holds open, on Windows.
+        if self._failures == 3:
             say(sentence)
 
 

@@ -112,7 +112,7 @@ def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint,
 def _wanted(banks: Sequence[Path], run_file: Path | None) -> Configuration:
     if run_file is None:
         return blueprint_from_bank(banks[0]).configuration
-    return with_chosen_schedule(blueprint_of(load_run(run_file)), banks[0]).configuration
+    return with_chosen_schedule(load_run(run_file), blueprint_from_bank(banks[0]).configuration)
 
 
 def _require_same_kind(bank: Path, own: Configuration, wanted: Configuration, source: str) -> None:

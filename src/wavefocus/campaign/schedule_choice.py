@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
-from wavefocus.campaign.blueprint import Blueprint, bank_configuration, blueprint_of
+from wavefocus.campaign.blueprint import Blueprint
 from wavefocus.config.messages.campaign import Event, Fault, ScheduleSettled
+from wavefocus.configuration import Configuration
 from wavefocus.console import say
 from wavefocus.rig.setup import open_setup
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 
 
@@ -43,16 +42,13 @@ def _say_fault(event: Event) -> None:
         say(f"{event.instrument}: {event.operation}: {event.cause}" + ("; repeated" if event.retried else ""))
 
 
-def with_chosen_schedule(blueprint: Blueprint, bank: Path) -> Blueprint:
+def with_chosen_schedule(asked: Configuration, own: Configuration) -> Configuration:
     """Use the schedule that a bank of an earlier version has settled, where the run file still asks for the same."""
-    run = blueprint.configuration.run
-    if run.settled is not None or run.capture.excitation != "staggered":
-        return blueprint
-    with open_bank(bank) as content:
-        held = bank_configuration(content).run
-    asked = run.capture.model_dump(exclude={"keep_raw"})
-    if held.settled is None or held.settled.asked.model_dump(exclude={"keep_raw"}) != asked:
-        return blueprint
+    run, held = asked.run, own.run
+    if run.settled is not None or held.settled is None or run.capture.excitation != "staggered":
+        return asked
+    without = {"keep_raw"}
+    if held.settled.asked.model_dump(exclude=without) != run.capture.model_dump(exclude=without):
+        return asked
     capture = held.capture.model_copy(update={"keep_raw": run.capture.keep_raw})
-    settled = run.with_schedule(capture, held.settled.reason)
-    return blueprint_of(replace(blueprint.configuration, run=settled))
+    return replace(asked, run=run.with_schedule(capture, held.settled.reason))

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from wavefocus.acquisition.engine.campaign import Campaign
+from wavefocus.acquisition.engine.session import LOG, EventPublisher, StopRequest
 from wavefocus.acquisition.plays import raw_header, require_same
 from wavefocus.acquisition.setup import Setup
 from wavefocus.campaign.blueprint import (
     Blueprint,
     bank_configuration,
+    blueprint_from_bank,
     blueprint_of,
-    require_same_plan,
+    listed_differences,
+    refuse_differences,
 )
 from wavefocus.campaign.schedule_choice import compared_schedules, with_chosen_schedule
-from wavefocus.campaign.sidecar_files import raw_path
-from wavefocus.config.messages.campaign import Event
-from wavefocus.configuration import DEFAULT_CHECKS, check_rows
+from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, raw_path, unvouched_rows
+from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Subscriber
+from wavefocus.configuration import (
+    DEFAULT_CHECKS,
+    Configuration,
+    check_rows,
+    named_rig,
+    plan_differences,
+    with_rig,
+)
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import with_one_calibration
 from wavefocus.rig.input_delay import with_stated_delay
@@ -41,38 +53,97 @@ def with_bank(
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, with_stated_delay(blueprint.bank_header(), blueprint.configuration.rig))
             return blueprint, earlier
-    blueprint = with_chosen_schedule(_without_later_checks(blueprint, bank), bank)
-    blueprint = with_one_calibration(blueprint, bank, run_file, accept=accept_calibration)
-    require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)
-    return blueprint, ()
+    return _as_begun(blueprint, bank, run_file, accept_calibration=accept_calibration), ()
+
+
+def _as_begun(blueprint: Blueprint, bank: Path, run_file: Path, *, accept_calibration: bool) -> Blueprint:
+    """The campaign of a run file as its bank has begun it.
+
+    Raises InputError: the bank is of another plan or calibration.
+    """
+    with open_bank(bank) as view:
+        if view.rig_json is None or view.run_json is None:
+            return blueprint  # made by other means; refused in its own words when it is opened
+        own, sha256 = bank_configuration(view), view.plan_sha256
+    asked = blueprint.configuration
+    configuration = with_chosen_schedule(_with_begun_checks(asked, own, bank), own)
+    if configuration is not asked:
+        blueprint = blueprint_of(configuration)
+    blueprint = with_one_calibration(blueprint, bank, run_file, own.rig, sha256, accept=accept_calibration)
+    if blueprint.plan.sha256 != sha256:
+        refuse_differences(bank, own, blueprint.configuration)
+    return blueprint
+
+
+def resumed_campaign(bank: Path, rig_file: Path | None, *, accept_calibration: bool) -> Blueprint:
+    """The campaign of a bank; with another rig file other ports, names and limits, but rows of the same kind.
+
+    Raises InputError: the rig file is wrong, or its rows would differ in kind from the bank's; the message names the
+    keys.
+    """
+    own = blueprint_from_bank(bank)
+    if rig_file is None:
+        return own
+    rig, own_rig = named_rig(rig_file), own.configuration.rig
+    changed = blueprint_of(with_rig(own.configuration, rig, str(rig_file)))
+    calibrated = rig.calibration.measured != own_rig.calibration.measured
+    if changed.plan.sha256 != own.plan.sha256 and not calibrated:  # another calibration has words of its own
+        keys = listed_differences(plan_differences(own.configuration, changed.configuration))
+        raise InputError(
+            f"{rig_file}: differs from the rig that {bank} was measured with in {keys}; ports, addresses, device "
+            "names, limits and time-outs may change, these may not: undo the change, or start a new bank"
+        )
+    return with_one_calibration(changed, bank, rig_file, own_rig, own.plan.sha256, accept=accept_calibration)
 
 
 EARLIER_CHECKS = (None, 12)
 """Check positions of banks that earlier versions began where the run states none."""
 
 
-def _without_later_checks(blueprint: Blueprint, bank: Path) -> Blueprint:
-    """The campaign with the bank's check positions, where an earlier version began it with none, or with fewer."""
-    checks = len(check_rows(blueprint.configuration))
-    if checks != DEFAULT_CHECKS:
-        return blueprint
-    with open_bank(bank) as view:
-        if view.run_json is None:
-            return blueprint
-        begun_with = bank_configuration(view).run.grid.check_positions
-        regular_mm, own_mm = blueprint.plan.position_mm[:-checks], np.asarray(view.position_mm)
-        if begun_with not in EARLIER_CHECKS or not np.array_equal(
-            own_mm[: len(own_mm) - (begun_with or 0)], regular_mm
-        ):
-            return blueprint
+def _with_begun_checks(asked: Configuration, own: Configuration, bank: Path) -> Configuration:
+    """The configuration with the bank's check positions, where an earlier version began it with none, or with fewer."""
+    checks, begun_with = len(check_rows(asked)), own.run.grid.check_positions
+    if checks != DEFAULT_CHECKS or begun_with not in EARLIER_CHECKS:
+        return asked
+    own_mm = np.asarray(own.position_mm)
+    if not np.array_equal(own_mm[: len(own_mm) - (begun_with or 0)], asked.position_mm[:-checks]):
+        return asked
     say(
         f"{bank} was begun by an earlier version, with {begun_with or 'no'} check positions: it goes on with its own"
         f" positions, and the {checks} check positions that the run asks for now are left out (wavefocus extend adds"
         " them)"
     )
-    run = blueprint.configuration.run
-    run = run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": begun_with})})
-    return blueprint_of(replace(blueprint.configuration, run=run, position_mm=own_mm))
+    run = asked.run.model_copy(update={"grid": asked.run.grid.model_copy(update={"check_positions": begun_with})})
+    return replace(asked, run=run, position_mm=own_mm)
+
+
+@contextmanager
+def opened_campaign(
+    blueprint: Blueprint,
+    setup: Setup,
+    bank: BankWriter,
+    stop: StopRequest,
+    subscribers: Mapping[str, Subscriber],
+    earlier: Sequence[Event] = (),
+    report: Callable[[str], object] = LOG.error,
+) -> Iterator[tuple[Campaign, RawWriter | None]]:
+    """A campaign that logs next to its bank, and its raw file where it keeps recordings; `earlier` happened before.
+
+    report: Receives what a subscriber cannot take.
+
+    Raises InputError: see `opened_raw`.
+    """
+    path = bank.path
+    with (
+        opened_raw(blueprint, setup, bank) as raw,
+        EventLog(log_path(path)) as log,
+        EventLog(drift_path(path), Drift, CrosstalkMeasured) as drift,
+    ):
+        publish = EventPublisher({"the event log": log, "the drift history": drift, **subscribers}, report)
+        for event in earlier:
+            publish(event)
+        unvouched = unvouched_rows(path)
+        yield Campaign(blueprint.plan, setup, bank, publish, stop, raw=raw, unvouched=unvouched), raw
 
 
 def opened_raw(

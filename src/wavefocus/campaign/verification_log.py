@@ -20,9 +20,6 @@ from wavefocus.exits import exit_code, sentence
 from wavefocus.rendering.verify.record import LOG_NAME
 from wavefocus.storage.sidecar_files import create
 
-# Followers look twenty times a second; more lines would only fill the disk.
-TELLS_EVERY_S = 0.1
-
 
 class VerifyLog:
     """Writes the log of one verification; a context manager, and a subscriber of the scan's events.
@@ -51,7 +48,8 @@ class VerifyLog:
         def report(done: int, total: int) -> None:
             nonlocal told_s
             rate, now_s = pace.per_s(done, total), time.monotonic()
-            if done < total and now_s - told_s < TELLS_EVERY_S:
+            # Followers look twenty times a second; more lines would only fill the disk.
+            if done < total and now_s - told_s < 0.1:
                 return
             told_s = now_s
             self._write(VerifyStep(_now(), name, done, total, round((total - done) / rate, 1) if rate > 0 else None))

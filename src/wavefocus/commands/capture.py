@@ -3,43 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wavefocus.acquisition.drift_watch import DriftError, SentinelUnusableError
-from wavefocus.acquisition.engine.campaign import Campaign
-from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
+from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.acquisition.plays import without_recordings
 from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration.crosstalk import REMEDY
-from wavefocus.campaign.blueprint import (
-    Blueprint,
-    blueprint_from_bank,
-    blueprint_from_files,
-    blueprint_with_rig,
-)
+from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, command_line, resume_line
-from wavefocus.campaign.session_files import opened_raw, with_bank
-from wavefocus.campaign.sidecar_files import (
-    EventLines,
-    EventLog,
-    drift_path,
-    log_path,
-    read_drift,
-    unvouched_rows,
-)
+from wavefocus.campaign.session_files import opened_campaign, resumed_campaign, with_bank
+from wavefocus.campaign.sidecar_files import EventLines, log_path, read_drift
 from wavefocus.commands.status import is_paused, order
-from wavefocus.config.messages.campaign import (
-    CrosstalkMeasured,
-    Drift,
-    Event,
-    State,
-    Subscriber,
-)
+from wavefocus.config.messages.campaign import Event, State, Subscriber
 from wavefocus.console import print_line, progress, say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import stop_on_signals
@@ -48,7 +29,7 @@ from wavefocus.input_files import parse_positions
 from wavefocus.options import SessionOptions
 from wavefocus.rig.alive import AliveSignal
 from wavefocus.rig.awake import kept_awake
-from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
+from wavefocus.rig.calibration_validity import refuse_other_devices
 from wavefocus.rig.notifications import messenger_for
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.origins import origins_of
@@ -98,15 +79,8 @@ def resume(bank: Path, *, options: SessionOptions) -> Exit:
     """
     if is_paused(bank):
         return order(bank, "go-on", as_json=options.as_json)
-    return _session(_from_bank(bank, options), bank, None, options)
-
-
-def _from_bank(bank: Path, options: SessionOptions) -> Blueprint:
-    rig_file = options.rig_file
-    if rig_file is None:
-        return blueprint_from_bank(bank)
-    blueprint = blueprint_with_rig(bank, rig_file)
-    return with_one_calibration(blueprint, bank, rig_file, accept=options.accept_calibration)
+    blueprint = resumed_campaign(bank, options.rig_file, accept_calibration=options.accept_calibration)
+    return _session(blueprint, bank, None, options)
 
 
 def extend(
@@ -145,7 +119,7 @@ def remeasure(
     Valid rows are replaced by others only where `replace` says so, or where the latest measurement of the sentinel
     speaks against them.
     """
-    blueprint = _from_bank(bank, options)
+    blueprint = resumed_campaign(bank, options.rig_file, accept_calibration=options.accept_calibration)
     rows = parse_positions(positions, blueprint.plan.positions) if positions else []
     wanted = _status_bits(words) if words or not positions else Status.NOT_MEASURED
     with open_bank(bank) as view:
@@ -191,32 +165,24 @@ def _session(
         stop_on_signals(stop),
         CampaignControl(bank, stop) as control,
         open_setup(blueprint.configuration.rig, blueprint.configuration.run, bank=writer) as setup,
-        opened_raw(blueprint, setup, writer) as raw,
-        EventLog(log_path(bank)) as log,
-        EventLog(drift_path(bank), Drift, CrosstalkMeasured) as drift,
         progress("capture", plan.positions, timed=False) as report,
+        ExitStack() as opened,
     ):
+        if writer.status.any():
+            refuse_other_devices(
+                blueprint.configuration.rig, setup.instruments, bank, accept=options.accept_calibration
+            )
         subscribers: dict[str, Subscriber] = {
-            "the event log": log,
-            "the drift history": drift,
             "the heartbeat": control,
             "the progress display": CampaignView(report),
             "the sending of messages": messenger,
         }
         if options.as_json:
             subscribers["standard output"] = EventLines(print_line, "standard output")
-        publish = EventPublisher(subscribers, say)
-
-        if writer.status.any():
-            refuse_other_devices(
-                blueprint.configuration.rig, setup.instruments, bank, accept=options.accept_calibration
-            )
-        for event in earlier:
-            publish(event)
+        campaign, raw = opened.enter_context(opened_campaign(blueprint, setup, writer, stop, subscribers, earlier, say))
         if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
             say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
             rows = [*plan.to_do(writer.status).tolist(), *bare]
-        campaign = Campaign(plan, setup, writer, publish, stop, raw=raw, unvouched=unvouched_rows(bank))
         ended = campaign.run(rows, accept_drift=options.accept_drift, replaceable=replaceable)
         if ended.state is State.STOPPED:
             say(f"nothing measured is lost; go on with: {resume_line(bank, rig_file)}")

@@ -36,10 +36,6 @@ from wavefocus.storage.errors import InputError, WavefocusError
 # The bank is this good at the default noise, or the demo has failed.
 BANK_LIMIT_DB = -55.0
 PLATE = "stadium"
-# Some hundred positions in place of 1500.
-QUICK_SPACING_MM = 16.0
-# Away from the scene's path one of so many positions is scanned: the maps stay readable, the scan takes half the time.
-SCANNED_EVERY = 4
 
 _MARKER = "made-by-wavefocus-demo"
 
@@ -71,9 +67,7 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
         "Predict ten positions of its field": lambda: prediction.predict(
             drive, bank, out / "field.h5", some, as_json=False
         ),
-        "Play it on the rig, scan it, compare": lambda: _verify(
-            scene, bank, out / "verify", 1 if quick else SCANNED_EVERY
-        ),
+        "Play it on the rig, scan it, compare": lambda: _verify(scene, bank, out / "verify", 1 if quick else 4),
     }
     worst, begun_s = Exit.DONE, time.monotonic()
     for name, work in steps.items():
@@ -91,7 +85,7 @@ def _configure(out: Path, plate: str, *, quick: bool) -> None:
     init.init(out, "virtual")
     changes = {'plate = "soft"': f'plate = "{plate}"'}
     if quick:
-        changes["spacing_mm = 4.0"] = f"spacing_mm = {QUICK_SPACING_MM:g}"
+        changes["spacing_mm = 4.0"] = "spacing_mm = 16"
     text = (out / "run.toml").read_text(encoding="utf-8")
     for old, new in changes.items():
         text = text.replace(old, new)

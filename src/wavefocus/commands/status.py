@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,147 +50,131 @@ def status(bank: Path, *, as_json: bool) -> None:
 
     Raises InputError: the bank cannot be read.
     """
+    owner, beat = bank_owner(bank), read_heartbeat(bank)
+    stands = campaign_status(bank, owner, beat)
+    facts = {**_bank_facts(bank), **_campaign_facts(bank, owner, beat, stands)}
+    if as_json:
+        print(json.dumps(facts))
+        return
+    for line in [*_bank_sentences(facts), *_campaign_sentences(facts, beat, stands)]:
+        answer(line)
+
+
+def _bank_facts(bank: Path) -> dict[str, Any]:
     with open_bank(bank) as view:
-        counts = status_counts(view.status)
-        broken = np.flatnonzero(view.broken).tolist()
+        counts, broken = status_counts(view.status), np.flatnonzero(view.broken).tolist()
         counts["damaged"] = len(broken)
         counts["not-measured"] -= len(broken)
-        total = view.positions
-        done = total - counts["not-measured"] - len(broken)
-        snr_db = median_of_pairs(view.quality.get("snr_db"), view.status)
-        error_db = median_noise_error_db(view)
-        plan_sha256 = view.plan_sha256
-        run_json = view.run_json
-        imported = view.import_facts
         moved_mm = view.quality["moved_mm"]
-        check_rows = list(view.check_rows)
-        notes, unknown = view.notes, view.unknown_attributes
-        delay_s, origins = view.inter_channel_delay_s, origins_of(view)
-    moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
-    owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
-    stands, leak = campaign_status(bank, owner, beat), read_crosstalk(bank)
-    progress, record, kept = stands.progress, stands.record, stands.kept
-    facts: dict[str, object] = {
-        "bank": str(bank),
-        "positions": total,
-        "check_positions": check_rows,
-        "done": done,
-        "counts": counts,
-        "damaged_positions": broken,
-        "median_snr_db": snr_db,
-        "median_noise_error_db": error_db,
+        moved = np.flatnonzero(moved_mm > 0).tolist()
+        return {
+            "bank": str(bank),
+            "positions": view.positions,
+            "check_positions": list(view.check_rows),
+            "done": view.positions - counts["not-measured"] - len(broken),
+            "counts": counts,
+            "damaged_positions": broken,
+            "median_snr_db": median_of_pairs(view.quality.get("snr_db"), view.status),
+            "median_noise_error_db": median_noise_error_db(view),
+            "moved_positions": row_ranges(moved),
+            "moved_mm": float(np.nanmax(moved_mm)) if moved else 0.0,
+            "plan_sha256": view.plan_sha256,
+            "inter_channel_delay_s": view.inter_channel_delay_s,
+            "origins": [asdict(origin) for origin in origins_of(view)],
+            "import_report": view.import_facts or None,
+            "notes": [asdict(note) for note in view.notes],
+            "unknown_attributes": list(view.unknown_attributes),
+        }
+
+
+def _campaign_facts(
+    bank: Path, owner: Owner | None, beat: Heartbeat | None, stands: CampaignStatus
+) -> dict[str, object]:
+    progress, record, leak = stands.progress, stands.record, read_crosstalk(bank)
+    return {
         "state": stands.state,
         "state_since": stands.since and instant(stands.since),
         "state_reason": stands.reason if stands.since else None,
         "recovering": None if stands.recovering is None else to_record(stands.recovering),
         "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
         "last_sign_of_life": _life_facts(beat),
-        "silent": owner is not None and _is_silent(beat),
+        "silent": owner is not None and beat is not None and beat.is_silent(),
         "positions_per_hour": progress and progress.positions_per_hour,
         "remaining_s": progress.remaining_s if progress else stands.planned_s,
         "wall_positions_per_hour": progress and progress.wall_positions_per_hour,
         "wall_remaining_s": progress and progress.wall_remaining_s,
         "record": record and {"position": record.position, "number": record.record, "of": record.records},
         "last_event_at": stands.last_event_at and instant(stands.last_event_at),
-        "suspect_positions": suspect_rows(drift),
-        "moved_positions": moved,
-        "crosstalk": None if leak is None else to_record(leak),
-        "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
-        "plan_sha256": plan_sha256,
-        "inter_channel_delay_s": delay_s,
-        "origins": [asdict(origin) for origin in origins],
-        "import_report": imported or None,
-        "notes": [asdict(note) for note in notes],
-        "unknown_attributes": list(unknown),
+        "suspect_positions": suspect_rows(read_drift(bank)),
+        "crosstalk": None if leak is None else to_record(leak) | {"sentence": leak.reason or sentence(leak)},
+        "kept_positions": [{"position": position, "reason": reason} for position, reason in stands.kept.items()],
     }
-    if as_json:
-        print(json.dumps(facts))
-        return
-    words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
-    answer(f"{bank}: {done} of {total} positions measured ({words})")
-    if check_rows:
-        answer(f"positions {row_ranges(check_rows)} lie off the grid and only judge what is interpolated between it")
+
+
+def _bank_sentences(facts: Mapping[str, Any]) -> Iterator[str]:
+    bank, notes, imported = facts["bank"], facts["notes"], facts["import_report"]
+    words = ", ".join(f"{count} {word}" for word, count in facts["counts"].items() if count)
+    yield f"{bank}: {facts['done']} of {facts['positions']} positions measured ({words})"
+    if rows := facts["check_positions"]:
+        yield f"positions {row_ranges(rows)} lie off the grid and only judge what is interpolated between it"
     if imported:
-        answer(str(imported.get("paragraph", "")))
-    for origin in origins:
-        source = "an earlier plan of this bank" if origin.bank == bank.name else origin.bank
-        answer(f"positions {origin.rows} were taken over from {source} ({origin.plan_sha256[:8]})")
+        yield str(imported.get("paragraph", ""))
+    for origin in facts["origins"]:
+        source = "an earlier plan of this bank" if origin["bank"] == Path(bank).name else origin["bank"]
+        yield f"positions {origin['rows']} were taken over from {source} ({origin['plan_sha256'][:8]})"
     for note in notes[-MAX_NOTES:]:
-        answer(f"note {note.at[:16].replace('T', ' ')}: {note.text}")
+        yield f"note {note['at'][:16].replace('T', ' ')}: {note['text']}"
     if len(notes) > MAX_NOTES:
-        answer(f"and {len(notes) - MAX_NOTES} earlier notes; --json has all")
-    if unknown:
-        answer(f"attributes that somebody has added: {', '.join(unknown)}")
-    if delay_s is not None:
-        answer(f"the response is sampled {1e6 * delay_s:.2f} us after the reference, as the recorder stated")
-    if broken:
-        answer(
+        yield f"and {len(notes) - MAX_NOTES} earlier notes; --json has all"
+    if unknown := facts["unknown_attributes"]:
+        yield f"attributes that somebody has added: {', '.join(unknown)}"
+    if (delay_s := facts["inter_channel_delay_s"]) is not None:
+        yield f"the response is sampled {1e6 * delay_s:.2f} us after the reference, as the recorder stated"
+    if broken := facts["damaged_positions"]:
+        yield (
             f"the checksums of positions {row_ranges(broken)} do not hold; measure them again with: "
             f"wavefocus resume {bank}"
         )
-    if snr_db is not None:
-        answer(f"median signal-to-noise ratio of the records {snr_db:.1f} dB over all pairs")
-    if error_db is not None:
-        answer(f"error of the rows from white noise, as it follows from that: median {error_db:.1f} dB")
-    if moved:
-        answer(f"measured up to {np.nanmax(moved_mm):.2g} mm off their position, where there was light: {moved}")
-    for position, reason in list(kept.items())[:MAX_LINES]:
-        answer(f"position {position} stayed as the bank had it: {reason}")
+    if (snr_db := facts["median_snr_db"]) is not None:
+        yield f"median signal-to-noise ratio of the records {snr_db:.1f} dB over all pairs"
+    if (error_db := facts["median_noise_error_db"]) is not None:
+        yield f"error of the rows from white noise, as it follows from that: median {error_db:.1f} dB"
+    if moved := facts["moved_positions"]:
+        yield f"measured up to {facts['moved_mm']:.2g} mm off their position, where there was light: {moved}"
+
+
+def _campaign_sentences(facts: Mapping[str, Any], beat: Heartbeat | None, stands: CampaignStatus) -> Iterator[str]:
+    bank, kept, owner = facts["bank"], facts["kept_positions"], facts["owner"]
+    to_go = facts["positions"] - facts["done"]
+    for one in kept[:MAX_LINES]:
+        yield f"position {one['position']} stayed as the bank had it: {one['reason']}"
     if len(kept) > MAX_LINES:
-        answer(f"and {len(kept) - MAX_LINES} more stayed as the bank had them: {row_ranges(list(kept))}")
-    if suspect := suspect_rows(drift):
-        answer(
+        rows = row_ranges([one["position"] for one in kept])
+        yield f"and {len(kept) - MAX_LINES} more stayed as the bank had them: {rows}"
+    if suspect := facts["suspect_positions"]:
+        yield (
             f"the sentinel position had changed after positions {suspect} were measured: put it right, then "
             f"wavefocus remeasure {bank} --positions {suspect}"
         )
-    if leak is not None:
-        answer(leak.reason or sentence(leak))
-    if owner is None:
-        if beat is not None and beat.state not in ("finished", "idle"):
-            # The heartbeat of a process that was killed keeps its last state.
-            answer(f"last sign of life {beat.age_words()}: {beat.state}: {beat.reason}")
-        if imported:
-            return
-        left = f"; go on with: {resume_line(bank, None)}" if done < total else ""
-        if left and _names_rig_file(run_json):
-            left += " (with --rig RIG.toml where the rig file was corrected)"
-        answer(f"no process owns the bank: no process is measuring{left}")
+    if facts["crosstalk"]:
+        yield facts["crosstalk"]["sentence"]
+    if owner is not None:
+        yield from _running_sentences(f"process {owner['pid']} on {owner['host']}", stands, beat, to_go)
         return
-    _print_running(owner, stands, beat, total - done)
+    if beat is not None and beat.state not in ("finished", "idle"):
+        # The heartbeat of a process that was killed keeps its last state.
+        yield f"last sign of life {beat.age_words()}: {beat.state}: {beat.reason}"
+    if not facts["import_report"]:
+        left = f"; go on with: {resume_line(Path(bank), None)}" if to_go else ""
+        yield f"no process owns the bank: no process is measuring{left}"
 
 
-def _names_rig_file(run_json: str | None) -> bool:
-    """Whether a bank's run was measured with a rig file; False where it cannot be understood."""
-    try:
-        run = json.loads(run_json or "{}")
-    except (ValueError, RecursionError):
-        return False
-    return isinstance(run, dict) and run.get("rig", "virtual") != "virtual"
-
-
-def _print_pace(stands: CampaignStatus, to_go: int) -> None:
-    """Report the time left; a finish only where the session goes on."""
-    progress = stands.progress
-    if progress is None or stands.progress_at is None:
-        if stands.planned_s is not None:
-            answer(f"{to_go} positions to go, {a_while(stands.planned_s)} as planned")
-        return
-    at = stands.progress_at.astimezone()
-    if stands.state in (State.RUNNING, State.STOPPING):
-        left = f", {time_left}" if (time_left := remaining(progress)) else ""
-        answer(f"{progress.per_hour:.0f} positions an hour{left} (last position {at:%H:%M:%S})")
-    else:
-        wall = a_while(progress.wall_remaining_s)
-        answer(f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})")
-
-
-def _print_running(owner: Owner, stands: CampaignStatus, beat: Heartbeat | None, to_go: int) -> None:
-    who = f"process {owner.pid} on {owner.host}"
-    if _is_silent(beat) and beat is not None:
+def _running_sentences(who: str, stands: CampaignStatus, beat: Heartbeat | None, to_go: int) -> Iterator[str]:
+    if beat is not None and beat.is_silent():
         silence = hours(beat.age_s())
         if beat.age_s() < 0:
             silence = f"an unknown time (its last sign of life is {beat.age_words()})"
-        answer(
+        yield (
             f"{who} owns the bank but has been silent for {silence}: it is held, or its machine is asleep "
             f"or hung; it last said {beat.state}: {beat.reason}"
         )
@@ -196,26 +182,38 @@ def _print_running(owner: Owner, stands: CampaignStatus, beat: Heartbeat | None,
     if stands.state is State.RECOVERING and stands.since is not None:
         since = stands.since.astimezone()
         tries = (stands.recovering and stands.recovering.tries) or "no"
-        answer(
+        yield (
             f"{who} is recovering since {since:%H:%M:%S}: {stands.reason} "
             f"({tries} tries so far); it goes on by itself when the instrument is back"
         )
     elif stands.state is State.RUNNING:
-        answer(f"{who} is measuring")
+        yield f"{who} is measuring"
     else:
-        answer(f"{who} is {stands.state}: {stands.reason}")
+        yield f"{who} is {stands.state}: {stands.reason}"
     if beat is not None:
         at = "" if beat.position is None else f", at position {beat.position}"
         if stands.record is not None and beat.position == stands.record.position:
             at += f", record {stands.record.record} of {stands.record.records}"
-        answer(f"last sign of life {beat.age_words()}{at}")
+        yield f"last sign of life {beat.age_words()}{at}"
         if beat.fault:
-            answer(f"last fault: {beat.fault}")
-    _print_pace(stands, to_go)
+            yield f"last fault: {beat.fault}"
+    yield from _pace_sentences(stands, to_go)
 
 
-def _is_silent(beat: Heartbeat | None) -> bool:
-    return beat is not None and beat.is_silent()
+def _pace_sentences(stands: CampaignStatus, to_go: int) -> Iterator[str]:
+    """The time left; a finish only where the session goes on."""
+    progress = stands.progress
+    if progress is None or stands.progress_at is None:
+        if stands.planned_s is not None:
+            yield f"{to_go} positions to go, {a_while(stands.planned_s)} as planned"
+        return
+    at = stands.progress_at.astimezone()
+    if stands.state in (State.RUNNING, State.STOPPING):
+        left = f", {time_left}" if (time_left := remaining(progress)) else ""
+        yield f"{progress.per_hour:.0f} positions an hour{left} (last position {at:%H:%M:%S})"
+    else:
+        wall = a_while(progress.wall_remaining_s)
+        yield f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})"
 
 
 def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
@@ -235,7 +233,6 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 
 # The states in which an order is carried out, and those in which it will be, in words.
 CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}
-LOOKS_EVERY_S = 0.1
 WAITS_S = 15.0
 
 
@@ -267,7 +264,7 @@ def order(bank: Path, word: Word, *, as_json: bool) -> Exit:
         if time.monotonic() >= until_s:
             break
         if not carried_out:
-            time.sleep(LOOKS_EVERY_S)
+            time.sleep(0.1)
     if received is None:
         withdraw(bank, given)
     line = _line(bank, owner, received, carried_out=carried_out)

@@ -30,9 +30,6 @@ from wavefocus.trials.resuming import Experiment, resume_sequence
 from wavefocus.trials.session import TrialsSession
 from wavefocus.trials.stimuli import Prepared, prepare
 
-# A wait without an end cannot be broken off by Ctrl-C on Windows.
-_LOOKS_EVERY_S = 1.0
-
 
 def trials(trials_file: Path, bank: Path, rig_file: Path, out: Path, options: TrialsOptions) -> int:
     """Carry out the trials of one participant, in a window or by JSON lines; or only prepare the stimuli.
@@ -160,7 +157,8 @@ class _Line:
         """The next order, as of `wavefocus.trials.session.Orders`."""
         while True:
             try:
-                content = self._lines.next(_LOOKS_EVERY_S if timeout_s is None else timeout_s)
+                # A wait without an end cannot be broken off by Ctrl-C on Windows.
+                content = self._lines.next(1.0 if timeout_s is None else timeout_s)
             except TimeoutError:
                 if timeout_s is not None:
                     raise

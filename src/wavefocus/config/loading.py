@@ -105,9 +105,6 @@ def named_file(path: Path, key: str, name: str) -> Path:
     raise InputError(printable(f"{path}: {key} = {shown(name)}: must be a file; none found from {path.parent}/"))
 
 
-SHOWN_AT_ONCE = 3
-"""Mistakes named in one line; the rest are counted."""
-
 UNIT_SUFFIXES = (
     "_m_s_per_v", "_mm_s", "_mrad", "_deg", "_db", "_mm", "_ms", "_hz", "_khz", "_rad", "_mv",
     "_cm", "_um", "_us", "_samples", "_m", "_s", "_v",
@@ -148,7 +145,7 @@ SENTENCES: Mapping[str, str] = {
 def one_line(source: str, failure: ValidationError, model: type[BaseModel], data: object) -> str:
     """Return the mistakes in one line, the first few joined by semicolons."""
     errors = _shown_errors(failure)
-    shown = [sentence(error, model, data) for error in errors[:SHOWN_AT_ONCE]]
+    shown = [sentence(error, model, data) for error in errors[:3]]
     if len(errors) > len(shown):
         shown.append(f"and {len(errors) - len(shown)} more")
     return printable(f"{source}: {'; '.join(shown)}")

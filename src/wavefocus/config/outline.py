@@ -16,8 +16,6 @@ Pair = tuple[float, float]
 Kind = Literal["stadium", "rectangle", "disk", "polygon"]
 EDGE_TOLERANCE_MM = 1e-6
 """A point this far outside still counts as on the outline: a nanometre is rounding, not geometry."""
-MAX_TURN = math.pi + 1e-9
-"""Arcs turn by at most half a circle, so that an arc and its chord enclose all that lies between them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +81,7 @@ class Outline:
         before = (self.segments[-1], *self.segments)
         if any(math.dist(a.end, b.start) > EDGE_TOLERANCE_MM for a, b in zip(before, self.segments, strict=False)):
             raise ValueError("the segments of an outline must follow each other and close")
-        if any(segment.centre is not None and segment.arc[2] > MAX_TURN for segment in self.segments):
+        if any(segment.centre is not None and segment.arc[2] > math.pi + 1e-9 for segment in self.segments):
             raise ValueError("an arc of an outline must run anticlockwise, by half a circle at most")
         if self.area_mm2 <= 0:
             raise ValueError("an outline must enclose an area and run anticlockwise")

@@ -95,10 +95,6 @@ class MessagesSection(Table):
     )
 
 
-# Without thresholds of its own a condition must come back by this share of its limit.
-INSIDE = 0.1
-
-
 class BandSection(Table):
     """Where a value must stay, and within which thresholds it is back."""
 
@@ -130,7 +126,7 @@ class BandSection(Table):
         ):
             limit = data.get(leaves)
             if isinstance(limit, int | float) and not isinstance(limit, bool) and data.get(returns) is None:
-                data[returns] = limit + inwards * INSIDE * abs(limit)
+                data[returns] = limit + inwards * 0.1 * abs(limit)
         return data
 
     @model_validator(mode="after")
@@ -181,7 +177,6 @@ class WatchSection(Table):
 
 
 DEFAULT_ACTUATORS = 20
-DEFAULT_INSET_MM = 6.0
 
 
 class RigSection(Table):
@@ -369,7 +364,7 @@ def _default_actuators(surface: Any) -> list[list[float]]:
         size = Surface()
     if size.kind == "polygon":
         raise mistake("actuators.position_mm", "nothing", "must be given for a polygon, which has no default places")
-    rim = size.inset(min(DEFAULT_INSET_MM, size.width_mm / 4))
+    rim = size.inset(min(6.0, size.width_mm / 4))
     rim_mm = rim.at(np.arange(DEFAULT_ACTUATORS) * rim.perimeter_mm / DEFAULT_ACTUATORS)
     return [[float(x_mm), float(y_mm)] for x_mm, y_mm in np.round(rim_mm, 3) + 0.0]
 

@@ -29,12 +29,8 @@ from wavefocus.config.plate import PlateKeys
 STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""
 
-DEFAULT_STAGGER_OVER_RESPONSE = 1.25
 Waveform = Literal["linear", "multisine"]
 """The modules of `wavefocus.calibration.waveforms`."""
-
-MIN_SWEEP_S = 0.05
-"""A sweep fades in and out over 10 ms each, and must sound in between."""
 
 
 class Grid(Table):
@@ -74,7 +70,8 @@ class Sweep(Table):
     stop_hz: Annotated[Positive, ALWAYS] = Field(
         default=500.0, description="End of the sweep, above start_hz and below half of sample_rate_hz"
     )
-    duration_s: Annotated[Finite, Field(ge=MIN_SWEEP_S, le=3600), ALWAYS] = Field(
+    # It fades in and out over 10 ms each, and must sound in between.
+    duration_s: Annotated[Finite, Field(ge=0.05, le=3600), ALWAYS] = Field(
         default=1.0, description="Duration of one sweep"
     )
     amplitude_v: Annotated[Positive, ALWAYS] = Field(
@@ -143,7 +140,7 @@ class Capture(Table):
         if not isinstance(data, dict) or "stagger_s" in data:
             return data
         try:
-            stagger_s = DEFAULT_STAGGER_OVER_RESPONSE * data.get("taps", 2000) / data.get("sample_rate_hz", 1e4)
+            stagger_s = 1.25 * data.get("taps", 2000) / data.get("sample_rate_hz", 1e4)
         except (TypeError, ZeroDivisionError, OverflowError):
             stagger_s = math.nan
         # Without a response length no stagger follows; the mistake is reported at taps and sample_rate_hz.

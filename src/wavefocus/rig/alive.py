@@ -18,8 +18,6 @@ from wavefocus.storage.errors import InputError
 
 ALIVE_VARIABLE = "WAVEFOCUS_ALIVE_URL"
 """The address of the outside service, for sessions that go on from a bank alone: the bank does not hold it."""
-EVERY_S = 60.0
-ANSWER_S = 20.0
 
 
 class AliveSignal:
@@ -33,7 +31,7 @@ class AliveSignal:
     Raises InputError: the address is not one of a web server.
     """
 
-    def __init__(self, section: MessagesSection, every_s: float = EVERY_S) -> None:
+    def __init__(self, section: MessagesSection, every_s: float = 60.0) -> None:
         self._url = section.alive_url or os.environ.get(ALIVE_VARIABLE, "")
         if self._url and not self._url.startswith(("http://", "https://")):
             raise InputError("messages.alive_url: must begin with http:// or https://")
@@ -75,7 +73,7 @@ class AliveSignal:
         self._file.touch()
 
     def _ask(self) -> None:
-        with urllib.request.urlopen(self._url, timeout=ANSWER_S) as answer:
+        with urllib.request.urlopen(self._url, timeout=20.0) as answer:
             answer.read(1)
 
 

@@ -14,9 +14,6 @@ from wavefocus.config.messages.rig_checks import Finding
 # SetThreadExecutionState, Windows API: the state lasts until it is changed, and is the display's affair no further.
 _ES_CONTINUOUS = 0x80000000
 _ES_SYSTEM_REQUIRED = 0x00000001
-_END_S = 5.0
-# A system without a session manager refuses within milliseconds.
-_REFUSED_S = 0.2
 
 
 @contextmanager
@@ -82,7 +79,8 @@ def _started(command: list[str]) -> subprocess.Popen[bytes] | None:
     except OSError:
         return None
     try:
-        holder.wait(_REFUSED_S)
+        # A system without a session manager refuses within milliseconds.
+        holder.wait(0.2)
     except subprocess.TimeoutExpired:
         return holder
     _end(holder)
@@ -96,7 +94,7 @@ def _end(holder: subprocess.Popen[bytes]) -> None:
     if sys.platform == "darwin":
         holder.terminate()
     try:
-        holder.wait(_END_S)
+        holder.wait(5.0)
     except subprocess.TimeoutExpired:
         holder.kill()
         holder.wait()

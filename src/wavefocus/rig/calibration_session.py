@@ -62,10 +62,6 @@ from wavefocus.options import CalibrationOptions
 from wavefocus.rig.operation import SAMPLE_RATE_HZ
 from wavefocus.storage.errors import InputError
 
-# The listening distance, as a share of the surface's width.
-DISTANCE_SHARE = 0.2
-
-
 MIN_V = 1e-6
 """No converter puts out less."""
 
@@ -120,7 +116,7 @@ def listening(rig: RigConfig, request: CalibrationOptions) -> tuple[float, NDArr
 
     Raises InputError: A place off the surface.
     """
-    distance_mm = DISTANCE_SHARE * rig.surface.width_mm
+    distance_mm = 0.2 * rig.surface.width_mm
     places = listening_places(rig.actuator_mm, distance_mm)
     there = rig.surface.outline.contains(places)
     if "actuators" in request.parts and not there.all():

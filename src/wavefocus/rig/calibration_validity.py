@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from wavefocus.acquisition.setup import identities_of
-from wavefocus.campaign.blueprint import Blueprint, bank_configuration
+from wavefocus.campaign.blueprint import Blueprint
 from wavefocus.config.calibration import PARTS
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import plan_sha256
 from wavefocus.console import say
 from wavefocus.drivers.protocols import DeviceIdentity, Instruments
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 
 ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
@@ -85,15 +84,13 @@ def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity
     return found
 
 
-def with_one_calibration(blueprint: Blueprint, bank: Path, run_file: Path, *, accept: bool) -> Blueprint:
-    """Refuse to go on in a bank with a calibration other than its own, or do so on purpose.
+def with_one_calibration(
+    blueprint: Blueprint, bank: Path, run_file: Path, own: RigConfig, sha256: str | None, *, accept: bool
+) -> Blueprint:
+    """Refuse to go on in a bank, of rig `own`, with a calibration other than its own, or do so on purpose.
 
     Raises InputError: they differ, and nobody accepts it.
     """
-    with open_bank(bank) as view:
-        if view.rig_json is None or view.run_json is None:
-            return blueprint  # made by other means; refused in its own words later
-        own, sha256 = bank_configuration(view).rig, view.plan_sha256
     new = blueprint.configuration.rig
     if new.calibration.measured == own.calibration.measured:
         return blueprint

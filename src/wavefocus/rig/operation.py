@@ -43,13 +43,10 @@ from wavefocus.json_lines import read_order, wrong_order
 from wavefocus.storage.errors import InputError
 
 SAMPLE_RATE_HZ = 10_000.0
-MAX_S = 10.0
 # Below the least step of any converter nothing would be played.
 MIN_LEVEL_V = 1e-6
 # No coordinate comes near it, and its square is finite.
 _LARGEST = 1e9
-# A vibrometer is asked for its light by a serial line, which takes longer than a record.
-_LIGHT_EVERY_S = 2.0
 
 Publish = Callable[[Message], None]
 
@@ -73,7 +70,7 @@ def order_of(content: Mapping[str, object], rig: RigConfig) -> RigOrder:
                 _require("actuator", order.actuator, 0, len(rig.player.channels) - 1)
                 _require("start_hz", order.start_hz, 1.0, SAMPLE_RATE_HZ / 2)
                 _require("stop_hz", order.stop_hz, 1.0, SAMPLE_RATE_HZ / 2)
-                _require("duration_s", order.duration_s, 0.05, MAX_S)
+                _require("duration_s", order.duration_s, 0.05, 10.0)
                 order = replace(order, level_v=_level_v(order.level_v, rig))
                 excitation_of(order, SAMPLE_RATE_HZ)  # refuses a band that no sweep has
     except MessageError as wrong:
@@ -233,7 +230,8 @@ class Operation:
 
     def _light_now(self) -> float | None:
         if self._light is not None and time.monotonic() >= self._light_due_s:
-            self._light_due_s = time.monotonic() + _LIGHT_EVERY_S
+            # It is asked by a serial line, which takes longer than a record.
+            self._light_due_s = time.monotonic() + 2.0
             try:
                 self._level = self._light()
             except InstrumentError:  # it is no instrument of the level; the level goes on without it

@@ -108,9 +108,6 @@ def _two_numbers(text: str) -> tuple[float, float] | None:
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
-LISTENS_EVERY_S = 0.25
-
-
 class LinesOperator:
     """A `wavefocus.acquisition.calibrate_mirror.Operator` that asks another program, by the messages of `calibrate`."""
 
@@ -163,7 +160,7 @@ class LinesOperator:
         """Wait for an answer of one of some kinds; meanwhile report levels if `listens`."""
         while True:
             try:
-                content = self._answers.next(LISTENS_EVERY_S if listens and self._listens else None)
+                content = self._answers.next(0.25 if listens and self._listens else None)
                 if content is None:
                     raise EndedError(f"standard input: ended before {before}")
                 word = content.get("answer")

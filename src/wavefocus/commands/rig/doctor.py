@@ -157,9 +157,6 @@ def _plain(text: str) -> str:
 
 
 PACKAGES = ("wavefocus", "numpy", "scipy", "h5py", "pydantic", "pyserial", "nidaqmx", "grpcio", "sounddevice", "pyusb")
-# A campaign of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
-MIN_FREE_BYTES = 2_000_000_000
-USB_S = 60.0
 
 
 def versions() -> dict[str, str]:
@@ -209,7 +206,8 @@ def _check_packages(rig: RigConfig, findings: RigFindings) -> None:
 def _check_disk(folder: Path, findings: RigFindings) -> None:
     free = shutil.disk_usage(folder).free
     what = f"{free / 1e9:.1f} GB free at {folder}"
-    if free < MIN_FREE_BYTES:
+    # A campaign of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
+    if free < 2e9:
         findings.add(
             "disk", "free space", "warn", what, "make room, or measure to another disk", Act("open-folder", str(folder))
         )
@@ -224,7 +222,7 @@ def _check_usb(rig: RigConfig, findings: RigFindings) -> None:
         return
     from wavefocus.drivers.usb import find_device, list_devices
 
-    plugged_in = findings.ask("usb", "devices", list_devices, USB_S)
+    plugged_in = findings.ask("usb", "devices", list_devices, 60.0)
     if plugged_in is None:
         return
     for device in rig.usb:

@@ -23,7 +23,6 @@ from wavefocus.storage.errors import InputError
 if TYPE_CHECKING:
     from wavefocus.mocks.wire.emulated_rig import EmulatedRig, Wiring
 
-LOOKED_FOR_S = 0.1
 COMMANDS = (
     "unplug ROLE, plug ROLE (mirror, recorder, player, vibrometer); "
     "patch vibrometer | sum | both | output K; spot; help; quit"
@@ -138,7 +137,7 @@ def _carry_out(emulated: EmulatedRig, stop: StopRequest) -> None:
     threading.Thread(target=read, name="keyboard", daemon=True).start()
     while not stop.requested:
         try:
-            line = typed.get(timeout=LOOKED_FOR_S)
+            line = typed.get(timeout=0.1)
         except queue.Empty:
             continue
         words = line.split()

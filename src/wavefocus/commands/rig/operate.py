@@ -24,11 +24,6 @@ from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
 from wavefocus.rig.setup import WatchedVibrometer, in_time_or_failed, open_rig, setup_in_use
 from wavefocus.storage.errors import InputError
 
-# A wait without an end cannot be broken off by Ctrl-C on Windows.
-_LOOKS_EVERY_S = 1.0
-# Longest wait for a mute; a driver that hangs is not waited for.
-_MUTES_WITHIN_S = 5.0
-
 
 def operate(rig_file: Path) -> Exit:
     """Carry out orders until they end; on every way out the outputs are muted and the mirror is parked.
@@ -76,7 +71,7 @@ def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publ
 
     def mute() -> None:
         with suppress(HungError, InstrumentError):  # reported by the next mute: the order itself, or the way out
-            muting.call(player.shut, _MUTES_WITHIN_S)
+            muting.call(player.shut, 5.0)
 
     def overtake(content: Mapping[str, object]) -> None:
         """What shall be silent is so at once, whatever is under way; orders that wait are no longer wanted."""
@@ -89,7 +84,7 @@ def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publ
         operation.look()
         due_s = operation.due_s()
         try:
-            content = orders.next(_LOOKS_EVERY_S if due_s is None else min(due_s, _LOOKS_EVERY_S))
+            content = orders.next(1.0 if due_s is None else min(due_s, 1.0))
         except TimeoutError:
             continue
         except InputError as wrong:
