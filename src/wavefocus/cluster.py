@@ -39,7 +39,7 @@ LOOKS_EVERY_S = 2.0
 GIVES_UP_S = 60.0
 """Without a worker or a scheduler: another worker may join, a scheduler be slow."""
 POSITIONS_AT_ONCE = 4
-PARTS_AT_ONCE = 4
+_PARTS_AT_ONCE = 4
 """In one task, which costs the scheduler some milliseconds."""
 
 
@@ -125,7 +125,7 @@ def estimate_on_cluster(address: str, raw: Path, positions: Sequence[int]) -> It
         for first in range(0, len(positions), POSITIONS_AT_ONCE)
     ]
     with cluster_client(address) as client:
-        for results in spread(client, estimated_part, parts, stopped=f"estimating {raw}"):
+        for results in spread(client, _estimated_part, parts, stopped=f"estimating {raw}"):
             yield from results
 
 
@@ -134,7 +134,9 @@ def field_on_cluster(
 ) -> Iterator[Any]:
     """Predict the parts of a field on a cluster, in their order; float32 arrays (rows, samples)."""
     files, chosen = (identity_of(drive), identity_of(bank)), [list(part) for part in parts]
-    tasks = ((*files, rate_hz, chosen[first : first + PARTS_AT_ONCE]) for first in range(0, len(chosen), PARTS_AT_ONCE))
+    tasks = (
+        (*files, rate_hz, chosen[first : first + _PARTS_AT_ONCE]) for first in range(0, len(chosen), _PARTS_AT_ONCE)
+    )
     for fields in spread(client, field_parts, tasks, stopped=f"predicting {drive}"):
         yield from fields
 
@@ -185,7 +187,7 @@ def field_parts(
     return [prediction.respond(np.asarray(part, dtype=np.int64)).astype(np.float32) for part in parts]
 
 
-def estimated_part(raw: Identity, positions: Sequence[int]) -> list[PositionResult]:
+def _estimated_part(raw: Identity, positions: Sequence[int]) -> list[PositionResult]:
     """Estimate some positions of raw recordings.
 
     Raises InputError: this machine does not have the file, or recordings in it cannot be used.

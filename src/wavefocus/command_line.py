@@ -93,7 +93,7 @@ def pair(text: str) -> tuple[float, float]:
     return first, second
 
 
-def pair_or_file(text: str) -> tuple[float, float] | Path:
+def _pair_or_file(text: str) -> tuple[float, float] | Path:
     """Read two finite numbers; any other text is a path."""
     try:
         return pair(text)
@@ -132,7 +132,7 @@ def _option(one: Field[Any], kind: Any) -> Argument:
         case [type() as plain] if plain is Path:
             return file(name, **settings)
         case [_, type()]:
-            return argument(name, type=pair_or_file, **settings)
+            return argument(name, type=_pair_or_file, **settings)
         case [one_kind] if get_origin(one_kind) is Literal:
             return argument(name, choices=tuple(filter(None, get_args(one_kind))), **settings)
         case [one_kind] if get_args(one_kind) == (float, float):

@@ -36,18 +36,18 @@ def exit_code(failure: BaseException) -> Exit:
             return Exit.STOPPED
         case BankBusyError():
             return Exit.BANK_BUSY
-        case ModuleNotFoundError() if missing_package(failure):
+        case ModuleNotFoundError() if _missing_package(failure):
             return Exit.WRONG_INPUT
         case InputError() | OSError() | MissingPackageError():
             return Exit.WRONG_INPUT
-        case _ if is_beyond_memory(failure):  # what a file asks for can be
+        case _ if _is_beyond_memory(failure):  # what a file asks for can be
             return Exit.WRONG_INPUT
         case InstrumentError() | WavefocusError():
             return Exit.INSTRUMENT_FAILED
     return Exit.DEFECT
 
 
-def is_beyond_memory(failure: BaseException) -> bool:
+def _is_beyond_memory(failure: BaseException) -> bool:
     """Whether the system gave no more memory, or no further thread, which Python reports in words alone."""
     return isinstance(failure, MemoryError) or (
         isinstance(failure, RuntimeError) and str(failure) == "can't start new thread"
@@ -58,12 +58,12 @@ def sentence(failure: BaseException) -> str:
     """The one line that reports an error."""
     if isinstance(failure, KeyboardInterrupt):
         return "stopped by the user"
-    if is_beyond_memory(failure):
+    if _is_beyond_memory(failure):
         return one_line(f"not enough memory: {failure}")
     if isinstance(failure, OSError) and failure.filename is not None:
         denied = permission_words(Path(failure.filename)) if isinstance(failure, PermissionError) else ""
         return one_line(f"{failure.filename}: {failure.strerror}{denied}")
-    if isinstance(failure, ModuleNotFoundError) and (package := missing_package(failure)):
+    if isinstance(failure, ModuleNotFoundError) and (package := _missing_package(failure)):
         installed = f"wavefocus[{EXTRAS[package]}]" if package in EXTRAS else package
         return f'the Python package {package} is not installed: pip install "{installed}"'
     return one_line(str(failure)) or type(failure).__name__
@@ -73,7 +73,7 @@ def account(failure: BaseException, code: Exit, arguments: Sequence[str]) -> str
     """The one line about an error; with the files of the command line where its own text names none."""
     if code is Exit.STOPPED:
         return sentence(KeyboardInterrupt())
-    if code is not Exit.DEFECT and not is_beyond_memory(failure):
+    if code is not Exit.DEFECT and not _is_beyond_memory(failure):
         return sentence(failure)
     named = [word.partition("=")[2] if word.startswith("--") else word for word in arguments]
     files = "".join(f"{word}: " for word in named if Path(word).is_file())
@@ -104,7 +104,7 @@ EXTRAS = {
 }  # fmt: skip
 
 
-def missing_package(failure: ModuleNotFoundError) -> str:
+def _missing_package(failure: ModuleNotFoundError) -> str:
     """The package that is not installed; empty where a module of wavefocus itself is missing, which is a defect."""
     package = (failure.name or "").partition(".")[0]
     return "" if package == "wavefocus" else package

@@ -79,7 +79,7 @@ def blueprint_from_bank(path: Path) -> Blueprint:
     return blueprint
 
 
-MAX_DIFFERENCES = 5
+_MAX_DIFFERENCES = 5
 """Differences of two plans that are named one by one."""
 
 
@@ -106,8 +106,8 @@ def refuse_differences(bank: Path, own: Configuration, configuration: Configurat
 
 def listed_differences(differences: Sequence[Difference]) -> str:
     """Keys and values of the first differences, and how many more there are."""
-    more = len(differences) - MAX_DIFFERENCES
-    return ", ".join(map(str, differences[:MAX_DIFFERENCES])) + (f" and {more} more" if more > 0 else "")
+    more = len(differences) - _MAX_DIFFERENCES
+    return ", ".join(map(str, differences[:_MAX_DIFFERENCES])) + (f" and {more} more" if more > 0 else "")
 
 
 def bank_configuration(bank: Bank) -> Configuration:

@@ -36,11 +36,11 @@ from wavefocus.storage.raw.writer import RawFile, RawWriter, create_raw, open_ra
 
 STEP_MM = 1e-6
 """Positions are the same where they agree to this: they are written as whole numbers of it."""
-POSITIONS_ALONE = ("position_mm", "grid.check_positions")
+_POSITIONS_ALONE = ("position_mm", "grid.check_positions")
 """Keys of a plan that are about positions; how many check positions are the default differs between versions."""
 Taken = dict[int, tuple[int, int]]
 """Row of the new bank to bank and row that it is taken from."""
-TAKEN = (int(Status.VALID), int(Status.DISABLED), int(Status.VALID | Status.DISABLED))
+_TAKEN = (int(Status.VALID), int(Status.DISABLED), int(Status.VALID | Status.DISABLED))
 
 
 def extend(banks: Sequence[Path], out: Path, run_file: Path | None = None) -> Blueprint:
@@ -116,7 +116,7 @@ def _wanted(banks: Sequence[Path], run_file: Path | None) -> Configuration:
 
 
 def _require_same_kind(bank: Path, own: Configuration, wanted: Configuration, source: str) -> None:
-    differences = [one for one in plan_differences(own, wanted) if one.key not in POSITIONS_ALONE]
+    differences = [one for one in plan_differences(own, wanted) if one.key not in _POSITIONS_ALONE]
     if differences:
         raise InputError(
             f"{source}: its rows would be of another kind than those of {bank}, which has "
@@ -139,7 +139,7 @@ def _taken(views: Sequence[Bank], grid_mm: Float64Array) -> tuple[Taken, Float64
     checks, on_grid = set[int](), set(range(len(places)))
     for index, view in enumerate(views):
         status, shared = view.status, 0
-        for own in np.flatnonzero(np.isin(status, TAKEN)).tolist():
+        for own in np.flatnonzero(np.isin(status, _TAKEN)).tolist():
             key = _key(view.position_mm[own])
             if key not in row_at:
                 row_at[key] = len(places)

@@ -96,14 +96,14 @@ def resumed_campaign(bank: Path, rig_file: Path | None, *, accept_calibration: b
     return with_one_calibration(changed, bank, rig_file, own_rig, own.plan.sha256, accept=accept_calibration)
 
 
-EARLIER_CHECKS = (None, 12)
+_EARLIER_CHECKS = (None, 12)
 """Check positions of banks that earlier versions began where the run states none."""
 
 
 def _with_begun_checks(asked: Configuration, own: Configuration, bank: Path) -> Configuration:
     """The configuration with the bank's check positions, where an earlier version began it with none, or with fewer."""
     checks, begun_with = len(check_rows(asked)), own.run.grid.check_positions
-    if checks != DEFAULT_CHECKS or begun_with not in EARLIER_CHECKS:
+    if checks != DEFAULT_CHECKS or begun_with not in _EARLIER_CHECKS:
         return asked
     own_mm = np.asarray(own.position_mm)
     if not np.array_equal(own_mm[: len(own_mm) - (begun_with or 0)], asked.position_mm[:-checks]):
@@ -131,11 +131,11 @@ def opened_campaign(
 
     report: Receives what a subscriber cannot take.
 
-    Raises InputError: see `opened_raw`.
+    Raises InputError: see `_opened_raw`.
     """
     path = bank.path
     with (
-        opened_raw(blueprint, setup, bank) as raw,
+        _opened_raw(blueprint, setup, bank) as raw,
         EventLog(log_path(path)) as log,
         EventLog(drift_path(path), Drift, CrosstalkMeasured) as drift,
     ):
@@ -146,7 +146,7 @@ def opened_campaign(
         yield Campaign(blueprint.plan, setup, bank, publish, stop, raw=raw, unvouched=unvouched), raw
 
 
-def opened_raw(
+def _opened_raw(
     blueprint: Blueprint, setup: Setup, bank: BankWriter
 ) -> AbstractContextManager[RawWriter] | AbstractContextManager[None]:
     """Own the raw file of a campaign that keeps its recordings; it is made while the bank is still empty.

@@ -128,7 +128,7 @@ def campaign_status(bank: Path, owner: Owner | None, beat: Heartbeat | None) -> 
 
 
 # A machine that is busy may miss some beats.
-SILENT_AFTER_S = 15.0
+_SILENT_AFTER_S = 15.0
 
 
 class Heartbeat(Message, frozen=True):
@@ -166,7 +166,7 @@ class Heartbeat(Message, frozen=True):
 
         One that lives writes the time of now: a heartbeat from far ahead was written before the clock was set back.
         """
-        return abs(self.age_s(now)) > SILENT_AFTER_S
+        return abs(self.age_s(now)) > _SILENT_AFTER_S
 
     def age_words(self, now: datetime | None = None) -> str:
         """Its age for people: ``12 s ago``, or that its time is still to come."""

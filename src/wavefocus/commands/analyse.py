@@ -16,7 +16,7 @@ from wavefocus.trials.analysis.results import FORMAT, analysis_of
 from wavefocus.trials.analysis.shares import RIGHT
 from wavefocus.trials.answers import ANSWERS, FACTS, read_answers, read_facts
 
-RESULT = "analysis.json"
+_RESULT = "analysis.json"
 
 
 def analyse(folder: Path, out: Path | None, *, force: bool, as_json: bool) -> None:
@@ -52,8 +52,8 @@ def analyse(folder: Path, out: Path | None, *, force: bool, as_json: bool) -> No
         for picture in pictures:
             (place / f"{picture.name}.png").write_bytes(picture.png)
         names = sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
-        document = {**analysis.document(), "files": [*names, RESULT]}
-        (place / RESULT).write_bytes((json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
+        document = {**analysis.document(), "files": [*names, _RESULT]}
+        (place / _RESULT).write_bytes((json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
     if as_json:
         print(json.dumps({**document, "out": str(out)}))
     whole = next((one for one in analysis.shares if not one.participant and not one.factors), None)
@@ -67,7 +67,7 @@ def analyse(folder: Path, out: Path | None, *, force: bool, as_json: bool) -> No
 def _written(out: Path) -> set[str]:
     """Files that an earlier analysis wrote into a folder."""
     try:
-        document = json.loads(read_regular(out / RESULT))
+        document = json.loads(read_regular(out / _RESULT))
         return {str(one) for one in document["files"]} if document["format"] == FORMAT else set()
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return set()

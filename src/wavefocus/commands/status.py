@@ -50,9 +50,9 @@ def status(bank: Path, *, as_json: bool) -> None:
 
     Raises InputError: the bank cannot be read.
     """
-    owner, beat = bank_owner(bank), read_heartbeat(bank)
+    facts, owner, beat = _bank_facts(bank), bank_owner(bank), read_heartbeat(bank)
     stands = campaign_status(bank, owner, beat)
-    facts = {**_bank_facts(bank), **_campaign_facts(bank, owner, beat, stands)}
+    facts |= _campaign_facts(bank, owner, beat, stands)
     if as_json:
         print(json.dumps(facts))
         return
@@ -232,7 +232,7 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 
 
 # The states in which an order is carried out, and those in which it will be, in words.
-CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}
+_CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}
 WAITS_S = 15.0
 
 
@@ -256,7 +256,7 @@ def order(bank: Path, word: Word, *, as_json: bool) -> Exit:
         beat = read_heartbeat(bank)
         if beat is not None and beat.order == given.number:
             received = beat
-            carried_out = beat.state in CARRIED_OUT[word]
+            carried_out = beat.state in _CARRIED_OUT[word]
         gone = bank_owner(bank) is None
         if gone:
             carried_out = carried_out or (word == "stop" and received is not None)

@@ -232,7 +232,7 @@ def name_calibration(rig_file: Path, name: str) -> None:
     write_whole(rig_file.resolve(), new)
 
 
-HEAD = """\
+_HEAD = """\
 # Measured by wavefocus calibrate; named in rig.toml by [calibration] file, and stronger than what stands there.
 """
 NOTES = {
@@ -248,7 +248,7 @@ def write_calibration(path: Path, record: CalibrationRecord) -> None:
 
     Raises ExistsError: the file is there already. Raises InputError: it cannot be written.
     """
-    text = HEAD + _toml(record)
+    text = _HEAD + _toml(record)
     try:
         with replacement(path, new=True) as temporary:
             temporary.write_bytes(text.encode())

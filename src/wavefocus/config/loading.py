@@ -105,7 +105,7 @@ def named_file(path: Path, key: str, name: str) -> Path:
     raise InputError(printable(f"{path}: {key} = {shown(name)}: must be a file; none found from {path.parent}/"))
 
 
-UNIT_SUFFIXES = (
+_UNIT_SUFFIXES = (
     "_m_s_per_v", "_mm_s", "_mrad", "_deg", "_db", "_mm", "_ms", "_hz", "_khz", "_rad", "_mv",
     "_cm", "_um", "_us", "_samples", "_m", "_s", "_v",
 )  # fmt: skip
@@ -114,7 +114,7 @@ UNIT_SUFFIXES = (
 ADDRESS = re.compile(r"\s*(?!socket)([A-Za-z][A-Za-z0-9+.-]*)://")
 
 # Tables and keys whose values are addresses with passwords in them, also where they stand in a wrong place.
-SECRETS = frozenset({"messages", "message", "urls", "url"})
+_SECRETS = frozenset({"messages", "message", "urls", "url"})
 
 SENTENCES: Mapping[str, str] = {
     "float_type": "must be a number",
@@ -176,7 +176,7 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
 
 def location(error: ErrorDetails, data: object) -> tuple[int | str, ...]:
     """Where a mistake is: keys and numbers of list entries, from the file's top."""
-    steps = without_tags(error["loc"], data)
+    steps = _without_tags(error["loc"], data)
     if error["type"] == "mistake":
         return (*steps, *(part for part in str(error["ctx"]["key"]).split(".") if part))
     tagged = error["type"] == "union_tag_invalid" and isinstance(error["input"], Mapping)
@@ -188,11 +188,11 @@ def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
     steps = location(error, data)
     context: dict[str, Any] = error.get("ctx", {})
     kind = error["type"]
-    secret = not SECRETS.isdisjoint(steps)
+    secret = not _SECRETS.isdisjoint(steps)
     if kind == "extra_forbidden" and secret:
         known = _known_keys(model, steps, data)
         # A key may be a mistaken address itself.
-        steps = steps if known.startswith("did you mean") or steps[-1] in SECRETS else (*steps[:-1], "...")
+        steps = steps if known.startswith("did you mean") or steps[-1] in _SECRETS else (*steps[:-1], "...")
         return f"{dotted(steps)}: unknown key; {known}"
     if kind == "extra_forbidden" and (gone := KEYS.get(str(steps[-1]))):
         return f"{dotted(steps[:-1])}: {refused(str(steps[-1]), gone)}"
@@ -213,7 +213,7 @@ def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
     return f"{dotted(steps)}{holds}: {allowed}"
 
 
-def without_tags(location: Sequence[int | str], data: object) -> tuple[int | str, ...]:
+def _without_tags(location: Sequence[int | str], data: object) -> tuple[int | str, ...]:
     """Drop from an error's location the kinds that pydantic adds after a table chosen by its ``kind``."""
     steps: list[int | str] = []
     here = data
@@ -296,7 +296,7 @@ def _nearest(key: str, known: Sequence[str]) -> str | None:
 
 
 def _stem(key: str) -> str:
-    for suffix in UNIT_SUFFIXES:
+    for suffix in _UNIT_SUFFIXES:
         if key.endswith(suffix) and len(key) > len(suffix):
             return key.removesuffix(suffix)
     return key

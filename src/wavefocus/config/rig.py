@@ -176,7 +176,7 @@ class WatchSection(Table):
     )
 
 
-DEFAULT_ACTUATORS = 20
+_DEFAULT_ACTUATORS = 20
 
 
 class RigSection(Table):
@@ -250,9 +250,9 @@ class Actuators(Table):
     )
 
 
-MAX_SAFE_V = 1.0
+_MAX_SAFE_V = 1.0
 # An output that puts out four times what the rig believes is still within the limit.
-SAFE_SHARE = 0.25
+_SAFE_SHARE = 0.25
 
 
 class RigConfig(Table):
@@ -283,7 +283,7 @@ class RigConfig(Table):
         """A peak in V well below the limits of volts and of rms, and below the ends of the recorder's ranges."""
         recorder = self.recorder
         half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
-        return min(MAX_SAFE_V, SAFE_SHARE * self.player.largest_sine_v, half_range_v)
+        return min(_MAX_SAFE_V, _SAFE_SHARE * self.player.largest_sine_v, half_range_v)
 
     @property
     def is_virtual(self) -> bool:
@@ -302,7 +302,7 @@ class RigConfig(Table):
             data["actuators"] = {**actuators, "position_mm": _default_actuators(data.get("surface", {}))}
         if isinstance(player, dict):
             position_mm = data["actuators"].get("position_mm") if isinstance(data["actuators"], dict) else None
-            count = len(position_mm) if isinstance(position_mm, list | tuple) else DEFAULT_ACTUATORS
+            count = len(position_mm) if isinstance(position_mm, list | tuple) else _DEFAULT_ACTUATORS
             player = {"channels": list(range(count)), **player}
             if isinstance(player["channels"], list | tuple):
                 player.setdefault("loopback_channel", len(player["channels"]))
@@ -365,7 +365,7 @@ def _default_actuators(surface: Any) -> list[list[float]]:
     if size.kind == "polygon":
         raise mistake("actuators.position_mm", "nothing", "must be given for a polygon, which has no default places")
     rim = size.inset(min(6.0, size.width_mm / 4))
-    rim_mm = rim.at(np.arange(DEFAULT_ACTUATORS) * rim.perimeter_mm / DEFAULT_ACTUATORS)
+    rim_mm = rim.at(np.arange(_DEFAULT_ACTUATORS) * rim.perimeter_mm / _DEFAULT_ACTUATORS)
     return [[float(x_mm), float(y_mm)] for x_mm, y_mm in np.round(rim_mm, 3) + 0.0]
 
 

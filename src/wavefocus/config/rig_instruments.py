@@ -15,7 +15,7 @@ from wavefocus.config.fields import ALWAYS, DERIVED, FREE, Finite, NonNegative, 
 from wavefocus.drivers.daq.nidaqmx import ANALOG_INPUT
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, SHUTTERS, VIBROMETERS
 
-DEFAULT_DISTANCE_MM = 1000.0
+_DEFAULT_DISTANCE_MM = 1000.0
 Row = tuple[Finite, Finite, Finite]
 Matrix = tuple[Row, Row, Row]
 
@@ -57,7 +57,7 @@ class MirrorSection(SerialSection):
     """The scanning mirror and the map from the surface to its angles."""
 
     distance_mm: Annotated[Positive, DERIVED] = Field(
-        default=DEFAULT_DISTANCE_MM,
+        default=_DEFAULT_DISTANCE_MM,
         description="Distance from the mirror to the surface's centre, the beam square to it",
     )
     map: Annotated[Matrix | None, DERIVED] = Field(
@@ -86,7 +86,7 @@ class MirrorSection(SerialSection):
     @model_validator(mode="after")
     def _possible(self) -> MirrorSection:
         if self.map is not None:
-            if self.distance_mm != DEFAULT_DISTANCE_MM:
+            if self.distance_mm != _DEFAULT_DISTANCE_MM:
                 raise mistake("distance_mm", self.distance_mm, "must be left out where map is given")
             rows = np.array(self.map)
             scale = np.linalg.norm(rows, axis=1)

@@ -52,7 +52,7 @@ class AliveSignal:
     def _repeat(self, signal: Callable[[], None], key: str) -> None:
         reported = False
         while True:
-            why = failure_of(signal)
+            why = _failure_of(signal)
             if why and not reported:
                 say(f"messages.{key}: no sign of life was given ({why}); it is tried again each minute")
             reported = bool(why)
@@ -77,7 +77,7 @@ class AliveSignal:
             answer.read(1)
 
 
-def failure_of(signal: Callable[[], None]) -> str:
+def _failure_of(signal: Callable[[], None]) -> str:
     """Why a sign of life was not given, without its address; empty where it was."""
     try:
         signal()
@@ -91,7 +91,7 @@ def failure_of(signal: Callable[[], None]) -> str:
 def alive_findings(section: MessagesSection) -> Iterator[Finding]:
     """Give each sign of life once; what came of it."""
     for key, signal in AliveSignal(section).signals().items():
-        why = failure_of(signal)
+        why = _failure_of(signal)
         if why:
             remedy = "correct it, or look whether it can be reached from here"
             yield Finding("messages", key, "fail", why, remedy, Act("edit-rig", f"messages.{key}"))

@@ -127,7 +127,7 @@ def listening(rig: RigConfig, request: CalibrationOptions) -> tuple[float, NDArr
 
 
 # Latencies that scatter by more are reported: one record gives them a thousand times better.
-MAX_SPREAD_S = 1e-6
+_MAX_SPREAD_S = 1e-6
 
 
 class CalibrationSession:
@@ -235,7 +235,7 @@ class CalibrationSession:
         if given_up:
             self.problems.append(f"outputs: {_listed(given_up)} no signal: check the cables, then --only outputs")
         for one in found:
-            if one.spread_s > MAX_SPREAD_S:
+            if one.spread_s > _MAX_SPREAD_S:
                 self.problems.append(
                     f"outputs: the latency of output {one.channel} scatters by {1e6 * one.spread_s:.1f} us: check "
                     "the interface's clock and its buffer"

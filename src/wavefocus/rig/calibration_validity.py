@@ -17,7 +17,7 @@ from wavefocus.console import say
 from wavefocus.drivers.protocols import DeviceIdentity, Instruments
 from wavefocus.storage.errors import InputError
 
-ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
+_ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
 """Whose device a part of a calibration belongs to."""
 
 
@@ -57,7 +57,7 @@ def calibration_warnings(
         if age_days < -1:
             reason = f"{file}: {name} dated {-age_days:.0f} days ahead of this computer's clock: its age is unknown"
             warnings.append(CalibrationWarning(name, reason))
-        if part.identity is None and ROLE_OF[name] in identities:
+        if part.identity is None and _ROLE_OF[name] in identities:
             reason = f"{file}: {name} not comparable: the file names its device only in words ({part.device})"
             warnings.append(CalibrationWarning(name, reason))
     return warnings + [CalibrationWarning(*one) for one in calibrated_elsewhere(rig, identities).items()]
@@ -75,7 +75,7 @@ def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity
         return {}
     found = {}
     for name in PARTS:
-        part, there = getattr(record, name), identities.get(ROLE_OF[name])
+        part, there = getattr(record, name), identities.get(_ROLE_OF[name])
         if part is None or part.identity is None or there is None:
             continue
         if not part.identity.is_same(there):

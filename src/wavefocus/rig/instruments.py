@@ -89,7 +89,7 @@ def open_instruments(openers: Openers) -> tuple[Instruments, VibrometerReading]:
     Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile. Raises InputError: the
     process's address space is limited to less than measuring needs.
     """
-    require_address_space()
+    _require_address_space()
     with ExitStack() as opened:
         vibrometer = in_time("vibrometer", "opening", openers.vibrometer, openers.limit_s)
         mirror = in_time("mirror", "opening", openers.mirror, openers.limit_s)
@@ -105,7 +105,7 @@ def open_instruments(openers: Openers) -> tuple[Instruments, VibrometerReading]:
 def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
     mirror = rig.mirror
     driver: MirrorDriver = mirror.make_driver()
-    with reporting_missing_packages("mirror", mirror.driver):
+    with _reporting_missing_packages("mirror", mirror.driver):
         settings = MirrorSettings(
             mirror.port or "",
             mirror.baud,
@@ -137,13 +137,13 @@ def open_shutter(section: ShutterSection) -> Shutter:
 
         return VirtualShutter()
     driver: ShutterDriver = section.make_driver()
-    with reporting_missing_packages("shutter", section.driver):
+    with _reporting_missing_packages("shutter", section.driver):
         return driver.open()
 
 
 def _recorder(rig: RigConfig) -> Recorder:
     driver: RecorderDriver = rig.recorder.make_driver()
-    with reporting_missing_packages("recorder", rig.recorder.driver):
+    with _reporting_missing_packages("recorder", rig.recorder.driver):
         if isinstance(driver, NiDaqmx):
             name = _task_name(driver.device, driver.address)
             return driver.open(shared=_outputs_in_use(rig), task_name=name)
@@ -180,13 +180,13 @@ def _player(rig: RigConfig, outputs: int) -> Player:
     driver: PlayerDriver = rig.player.make_driver()
     wired_v = rig.player.output_full_scale_v
     further_v = (rig.player.full_scale_v,) * (outputs - len(wired_v))
-    with reporting_missing_packages("player", rig.player.driver):
+    with _reporting_missing_packages("player", rig.player.driver):
         opened: Player = with_defaults(driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz)), Player)
         return opened
 
 
 @contextmanager
-def reporting_missing_packages(role: str, driver: str) -> Iterator[None]:
+def _reporting_missing_packages(role: str, driver: str) -> Iterator[None]:
     """Report a package that a driver imports and that is not installed, as a fault of that instrument.
 
     Raises MissingPackageError.
@@ -205,7 +205,7 @@ def reporting_missing_packages(role: str, driver: str) -> Iterator[None]:
 def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> VibrometerReading:
     """Ask a vibrometer's controller for its settings; a signal too weak is an error unless any level will do."""
     driver: VibrometerDriver = section.make_driver()
-    with reporting_missing_packages("vibrometer", section.driver):
+    with _reporting_missing_packages("vibrometer", section.driver):
         return driver.read(section.port or "", baud=section.baud, identity=section.identity, any_level=any_level)
 
 
@@ -246,7 +246,7 @@ def spare_address_space() -> int | None:
     return limit - pages * resource.getpagesize()
 
 
-def require_address_space() -> None:
+def _require_address_space() -> None:
     """Refuse to open instruments where there may not be enough to put them to rest again.
 
     Raises InputError: less than `MIN_BYTES` are left.

@@ -28,7 +28,7 @@ ADDRESSES_VARIABLE = "WAVEFOCUS_MESSAGES"
 """Addresses, with blanks between, for sessions that go on from a bank alone: the bank does not hold them."""
 CLOSE_S = 20.0
 """At the end of a session so long is waited for messages under way."""
-WAITING = frozenset({State.SUSPENDED, State.RECOVERING})
+_WAITING = frozenset({State.SUSPENDED, State.RECOVERING})
 
 
 class AppriseOutbox:
@@ -137,7 +137,7 @@ class Messenger:
     def _take(self, event: Event) -> None:
         self._status = self._status.after(Logged(datetime.now(UTC), event))
         match event:
-            case StateChanged() if event.state in WAITING:
+            case StateChanged() if event.state in _WAITING:
                 self._since_s = time.monotonic() if self._since_s is None else self._since_s
             case StateChanged():
                 if self._waiting_sent and event.state is State.RUNNING:
@@ -184,7 +184,7 @@ def messenger_for(bank: Path, section: MessagesSection, go_on: str = "") -> Mess
 
 
 REMEDY = "correct the address, or look whether its server can be reached from here"
-EDIT = Act("edit-rig", "messages.urls")
+_EDIT = Act("edit-rig", "messages.urls")
 
 
 def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Finding]:
@@ -193,14 +193,14 @@ def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Findi
     if not urls:
         if send:
             yield Finding(
-                "messages", "addresses", "fail", "there are none", "write messages.urls into the rig file", EDIT
+                "messages", "addresses", "fail", "there are none", "write messages.urls into the rig file", _EDIT
             )
         return
     if not send:
         try:
             AppriseOutbox(urls)
         except InputError as wrong:
-            yield Finding("messages", "addresses", "fail", str(wrong), "correct it", EDIT)
+            yield Finding("messages", "addresses", "fail", str(wrong), "correct it", _EDIT)
             return
         what = f"{len(urls)} given, none tried"
         yield Finding("messages", "addresses", "ok", what, "--test-message sends one to each", Act("test-message"))
@@ -210,9 +210,9 @@ def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Findi
         try:
             refused = AppriseOutbox([url]).send(f"{name}: test", "A test message of wavefocus doctor.")
         except InputError as wrong:
-            yield Finding("messages", f"address {number}", "fail", str(wrong).partition(": ")[2], "correct it", EDIT)
+            yield Finding("messages", f"address {number}", "fail", str(wrong).partition(": ")[2], "correct it", _EDIT)
             continue
         if refused:
-            yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY, EDIT)
+            yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY, _EDIT)
         else:
             yield Finding("messages", f"address {number}", "ok", f"{kind}: took a message")

@@ -34,7 +34,7 @@ from wavefocus.rig.operation import Publish, faulted, level_measured
 from wavefocus.storage.errors import InputError
 
 HELP = 'two numbers move the beam by so many mrad, "= x y" moves it there, Enter alone says: the spot is on the mark'
-CABLES = {
+_CABLES = {
     VIBROMETER: "plug the vibrometer into the response input",
     SUM: "plug the summing box, with all outputs for actuators in it, into the response input",
     BOTH: "plug the loopback into both inputs, reference and response",
@@ -43,7 +43,7 @@ CABLES = {
 
 def cable(source: str) -> str:
     """What is to be plugged, in words."""
-    return CABLES.get(source) or f"plug {source} of the player into the response input"
+    return _CABLES.get(source) or f"plug {source} of the player into the response input"
 
 
 class TerminalOperator:
@@ -162,7 +162,7 @@ class LinesOperator:
             try:
                 content = self._answers.next(0.25 if listens and self._listens else None)
                 if content is None:
-                    raise EndedError(f"standard input: ended before {before}")
+                    raise _EndedError(f"standard input: ended before {before}")
                 word = content.get("answer")
                 if word == tag(Cancel):
                     raise KeyboardInterrupt
@@ -173,7 +173,7 @@ class LinesOperator:
                 return answer
             except TimeoutError:
                 self._publish_level()
-            except EndedError:
+            except _EndedError:
                 raise
             except (InputError, MessageError) as wrong:
                 self._publish(Refused(one_line(str(wrong), 300)))
@@ -187,7 +187,7 @@ class LinesOperator:
             self._publish(faulted(failure))
 
 
-class EndedError(InputError):
+class _EndedError(InputError):
     """Standard input has ended before a question was answered."""
 
 

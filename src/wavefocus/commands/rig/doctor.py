@@ -68,7 +68,7 @@ def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
             identities = examine(rig, openers, publish, play=options.play)
             for finding in shutter_findings(rig):
                 publish(finding)
-        check_surroundings(rig, folder, identities, publish)
+        _check_surroundings(rig, folder, identities, publish)
         for finding in message_findings(rig, rig_file.name, send=options.test_message):
             publish(finding)
         for finding in alive_findings(rig.messages) if options.test_message else ():
@@ -170,7 +170,7 @@ def versions() -> dict[str, str]:
     return facts
 
 
-def check_surroundings(
+def _check_surroundings(
     rig: RigConfig, folder: Path, identities: Mapping[str, DeviceIdentity], publish: Callable[[Finding], None]
 ) -> None:
     """Look at all that is not an instrument."""
