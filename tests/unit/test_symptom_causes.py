@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.unit import analytic_plates as plates
-from tests.unit.analytic_plates import ACTUATORS, Case, Medium, green, outcome, verified
+from tests.unit.analytic_plates import ACTUATORS, Case, Medium, green, verified
 from tests.unit.line_verification import rendered, scan_of
 from wavefocus.rendering.verify.linearity import QUIETER_DB, nonlinear_share
 from wavefocus.rendering.verify.scan import Scan
@@ -27,16 +27,18 @@ def certain(found: Verification) -> set[tuple[str, tuple[int, ...]]]:
 def test_given_an_electric_cause_then_just_its_actuators_are_named(plate: str, kind: int) -> None:
     case = plates.electric(plate, chance(kind), kind, green(plate))
     found = verified(plate, case, chance())
-    assert outcome(case, found) == "named"
+    assert certain(found) == {(case.code, case.actuators)}
+    if case.code in ("level", "delay"):
+        assert found.symptoms[0].value == pytest.approx(case.value, abs=0.5 if case.code == "level" else 0.05)
     assert not found.passed
     assert all(0.95 <= symptom.explained <= 1.0 for symptom in found.symptoms)
 
 
 @pytest.mark.parametrize(("plate", "kind"), [("disk", 0), ("mirrors", 1), ("gel", 3)])
 def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size(plate: str, kind: int) -> None:
-    case = plates.mirrored(plate, chance(kind), kind)
     matrix, offset_mm = plates.affine(plate, chance(kind), kind)
-    (symptom,) = verified(plate, case, chance()).symptoms
+    moved = green(plate, Medium(), plates.places_mm(plate) @ matrix.T + offset_mm)
+    (symptom,) = verified(plate, Case(moved), chance()).symptoms
     assert (symptom.code, symptom.certain) == ("mirror", True)
     np.testing.assert_allclose(np.array(symptom.affine)[:, :2], matrix - np.eye(2), atol=0.01)
     np.testing.assert_allclose(np.array(symptom.affine)[:, 2], offset_mm, atol=0.1)
@@ -45,17 +47,16 @@ def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size
 
 def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named() -> None:
     values = green("gel", Medium(speed=1.02)) * (np.arange(ACTUATORS) != 5)[:, None]
-    found = verified("gel", Case("two", frozenset(), values), chance())
+    found = verified("gel", Case(values), chance())
     assert certain(found) == {("silent", (5,)), ("speed", ())}
     (speed,) = (symptom.value for symptom in found.symptoms if symptom.code == "speed")
     assert speed == pytest.approx(2.0, abs=0.2)
 
 
-@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("cause", ["damping", "cubic", "finger"])
 @pytest.mark.parametrize("plate", ["mirrors", "bending"])
-def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_made(plate: str, number: int) -> None:
-    case, rng = list(plates.unlisted(plate, number + 1, 3))[number]
-    found = verified(plate, case, rng)
+def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_made(plate: str, cause: str) -> None:
+    found = verified(plate, plates.unlisted(plate)[cause], chance())
     assert not any(symptom.certain for symptom in found.symptoms)
     assert [symptom.code for symptom in found.symptoms] in ([], ["unexplained"])
 
@@ -63,25 +64,25 @@ def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_ma
 def test_given_four_causes_at_once_then_none_is_named() -> None:
     levels = np.ones(ACTUATORS)
     levels[:4] = 1.3, 0.75, 1.4, 0.8
-    found = verified("gel", Case("four levels", frozenset(), levels[:, None] * green("gel")), chance())
+    found = verified("gel", Case(levels[:, None] * green("gel")), chance())
     assert not found.passed
     assert [(symptom.code, symptom.certain) for symptom in found.symptoms] == [("unexplained", False)]
 
 
 def test_given_a_scene_played_quieter_then_distortion_is_named_by_it_alone() -> None:
-    case = Case("cubic", frozenset(), green("gel"), lambda response: response + 0.6 * response**3)
-    assert certain(verified("gel", case, chance(), quiet_db=QUIETER_DB)) == {("nonlinear", ())}
+    cubic = plates.unlisted("gel")["cubic"]
+    assert certain(verified("gel", cubic, chance(), quiet_db=QUIETER_DB)) == {("nonlinear", ())}
 
 
 def test_given_the_bank_of_another_plate_then_it_is_called_wrong() -> None:
     other = green("disk") * np.linalg.norm(green("gel")) / np.linalg.norm(green("disk"))
-    (symptom,) = verified("gel", Case("other", frozenset(), other), chance()).symptoms
+    (symptom,) = verified("gel", Case(other), chance()).symptoms
     assert (symptom.code, symptom.certain) == ("wrong_bank", False)  # a heavy finger on a stiff plate looks the same
 
 
 @pytest.mark.parametrize("plate", list(plates.PLATES))
 def test_given_a_sound_rig_then_nothing_is_named(plate: str) -> None:
-    found = verified(plate, Case("none", frozenset(), green(plate)), chance())
+    found = verified(plate, Case(green(plate)), chance())
     assert found.symptoms == ()
     assert found.fields.error < 0.01
     assert all(abs(one.level_db) < 0.1 and abs(one.delay_us) < 10.0 for one in found.actuators)
