@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.rendering.drive.coil_limits import DriveLimits, dynamic_range_db, levels_of, limit_drive, relative_rms
+from wavefocus.rendering.drive.coil_limits import DriveLimits, dynamic_range_db, levels_of, limit_drive
 from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
@@ -70,7 +70,5 @@ def test_given_no_limit_that_can_be_met_then_it_is_refused(limit: float) -> None
 
 
 def test_given_actuators_that_differ_then_the_dynamic_range_is_that_of_those_driven() -> None:
-    relative = relative_rms(sines(1.0, 1.0, 0.0, 0.1, 1e-3) * 1e-200)
-    assert relative == pytest.approx([1.0, 0.0, 0.1, 1e-3])
-    assert dynamic_range_db(relative) == pytest.approx(60.0)
-    assert dynamic_range_db(relative_rms(np.zeros((3, 5)))) == 0.0
+    assert dynamic_range_db(np.array([1.0, 0.0, 0.1, 1e-3])) == pytest.approx(60.0)
+    assert dynamic_range_db(np.zeros(3)) == 0.0

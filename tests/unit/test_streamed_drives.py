@@ -182,16 +182,13 @@ def test_a_scene_of_one_sample_is_written(tmp_path):
     np.testing.assert_allclose(read_drive(tmp_path / "d.h5").drive_v, whole.drive_v, rtol=1e-9, atol=1e-18)
 
 
-@pytest.mark.parametrize(
-    ("amplitude", "tolerance_db", "output"), [(1e42, -40.0, NEAREST), (1e200, None, limited(limit_rms_v=1.0))]
-)
-def test_drives_beyond_single_precision_or_of_any_size_are_written(amplitude, tolerance_db, output, tmp_path):
-    source = Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=amplitude)
-    streamed = SceneRenderer(Scene("s", (source,), output=output), make_bank(), tolerance_db=tolerance_db)
+def test_drives_beyond_single_precision_are_written_and_larger_ones_refused(tmp_path):
+    source = Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=1e42)
+    streamed = SceneRenderer(Scene("s", (source,), output=NEAREST), make_bank(), tolerance_db=-40.0)
     report = streamed.write(tmp_path / "d.h5")
     drive_v = read_drive(tmp_path / "d.h5").drive_v
     assert not report.single
     plain, _ = render_with_report(Scene("s", (replace(source, amplitude=1.0),), output=NEAREST), make_bank())
-    np.testing.assert_allclose(
-        drive_v, plain.drive_v * amplitude * report.scale, rtol=1e-9, atol=1e-12 * streamed.peak_v
-    )
+    np.testing.assert_allclose(drive_v, plain.drive_v * 1e42, rtol=1e-9, atol=1e-12 * streamed.peak_v)
+    with pytest.raises(InputError, match="does not fit into float64"):
+        render_with_report(Scene("s", (replace(source, amplitude=1e200),), output=NEAREST), make_bank())

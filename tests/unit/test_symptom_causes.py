@@ -8,7 +8,7 @@ import pytest
 from tests.unit import analytic_plates as plates
 from tests.unit.analytic_plates import ACTUATORS, Case, Medium, green, verified
 from tests.unit.line_verification import rendered, scan_of
-from wavefocus.rendering.verify.linearity import QUIETER_DB, nonlinear_share
+from wavefocus.rendering.verify.linearity import QUIETER_DB, linearity
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.verdict import Verification
 
@@ -98,5 +98,5 @@ def test_scene_played_quieter_then_it_shows_how_much_of_difference_is_distortion
         field = field + 0.5 * loudest * (field / loudest) ** exponent
         return scan_of(field, prediction.start_s, prediction.sample_rate_hz, 0.0)
 
-    found = nonlinear_share(prediction, played(1.0), played(10 ** (QUIETER_DB / 20.0)), (50.0, 500.0))
-    assert found == pytest.approx(share, abs=0.02)
+    found = linearity(prediction, played(1.0), played(10 ** (QUIETER_DB / 20.0)), (50.0, 500.0))
+    assert found.nonlinear_share == pytest.approx(share, abs=0.02)

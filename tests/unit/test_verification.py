@@ -17,7 +17,8 @@ from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.verify.linearity import linearity_figures, linearity_rows, quieter
+from wavefocus.rendering.verify.linearity import linearity as linearity_of
+from wavefocus.rendering.verify.linearity import linearity_rows, quieter
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
 from wavefocus.storage.drive_file import Drive
@@ -268,8 +269,9 @@ def test_given_a_surface_that_compresses_then_the_linearity_says_by_how_much() -
     assert plan.position == AROUND
     setup = setup_of(VirtualRig(dataclasses.replace(SETTINGS, cubic_per_v2=-0.3)))
     loud, quiet = scan(plan, setup, drive, bank()), scan(plan, setup, quieter(drive), bank())
-    linearity, compression = linearity_figures(loud, quiet, bank().band_hz, 0.001)
-    sound = linearity_figures(*(scanned_at(plan, one) for one in (drive, quieter(drive))), bank().band_hz, 0.01)
+    linearity, compression = linearity_of(prediction(), loud, quiet, bank().band_hz).figures(0.001)
+    scans = [scanned_at(plan, one) for one in (drive, quieter(drive))]
+    sound = linearity_of(prediction(), *scans, bank().band_hz).figures(0.01)
     assert linearity.passed is False
     assert compression.value > 0.02
     assert sound[0].passed is True

@@ -220,8 +220,6 @@ USE = (
             number("--correct", 1, 20, whole=True, dest="corrections", default=0, metavar="N",
                    help="Correct the drive by scans of foci and quiet places, at most N times; the best is kept in "
                    "drive-corrected.h5."),
-            argument("--control", choices=("scene", "all"), default="scene",
-                     help="Where a correction is judged: foci and quiet places, or all scanned positions."),
             FORCE, JSON,
         ),
     ),

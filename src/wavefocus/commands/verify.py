@@ -92,14 +92,13 @@ def verify(
     *,
     linearity: bool = False,
     corrections: int = 0,
-    control: str = "scene",
     force: bool = False,
     as_json: bool,
 ) -> Exit:
     """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
 
     With `linearity` the scene is also played 12 dB quieter at some positions; with `corrections` the drive is corrected
-    by further scans, so many at most, of the scene's foci and quiet places, or of `control` "all".
+    by further scans, so many at most, of the scene's foci and quiet places.
     The bank's sentinel position is measured again first; its drift is stated.
 
     A scan that was interrupted goes on where it was.
@@ -131,7 +130,7 @@ def verify(
             VerifyLog(out) as log,
         ):
             with staged_folder(out, RECORD_NAME, results) as staged:
-                asked = linearity, force, corrections, control
+                asked = linearity, force, corrections
                 work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, *asked)
                 verification, record = work.run(rows, str(rig_file))
             for name in journals:
@@ -170,7 +169,6 @@ class _Work:
     linearity: bool
     force: bool
     corrections: int
-    control: str
 
     def run(self, rows: list[int] | None, rig_name: str) -> tuple[Verification, dict[str, Any]]:
         """Render, predict, scan, compare, and report into `out`.
@@ -251,9 +249,7 @@ class _Work:
             raise InputError(f"{bank.path}: none of the positions to scan is valid, so none could be compared")
         if not self.corrections:
             return scanned[:0]
-        control = scanned
-        if self.control == "scene":
-            control = control_rows(drive, np.asarray(bank.position_mm, np.float64))
+        control = control_rows(drive, np.asarray(bank.position_mm, np.float64))
         control = control[sound[control]]
         with naming(self.scene_file, bank):
             require_correctable(drive, bank, control)

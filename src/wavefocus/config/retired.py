@@ -45,6 +45,7 @@ OPTIONS = {
         "render the scene, and play the drive file",
     ),
     "--picture": "the window's Scene page shows the scene on the surface",
+    "--control": "a correction is judged at the foci and quiet places of its scene",
     "--against": "verify.json of both verifications has their figures, and the symptoms of each against the bank",
     "--allow-large": "a scene may have 8 GiB of drives and a million path points; split a larger one",
     "import --end": "wf.import_bank takes end",

@@ -28,8 +28,6 @@ TRANSFORMS = 3.0
 OTHER_TERMS = 20.0
 UNDERFLOW = 2.0**-100
 """Bounds what products in single precision lose below their smallest normal number, per unit of rows and windows."""
-MIN_NORM = 1e-140
-"""Norms above this are not falsified by squares that vanish."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,21 +103,10 @@ def relative_bound(error: float, norm: float) -> float:
     return error / remaining if remaining > 0 else float("inf")
 
 
-def norm_of(values: NDArray[Any]) -> float:
-    """Euclidean norm of all values that neither over- nor underflows."""
-    return float(row_norms(values.reshape(1, -1))[0])
-
-
 def row_norms(values: NDArray[Any]) -> Float64Array:
-    """Euclidean norm of each row that neither over- nor underflows, without a copy of them all."""
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        # Not the dot product, which may wait for threads that are busy elsewhere.
-        norms: Float64Array = np.sqrt(np.einsum("ij,ij->i", values, values, dtype=np.float64))
-    for place in np.flatnonzero(~((norms > MIN_NORM) & (norms < np.inf))).tolist():
-        row = values[place]
-        peak = float(max(row.max(initial=0.0), -row.min(initial=0.0)))
-        norms[place] = peak if peak == 0.0 or not np.isfinite(peak) else peak * float(np.linalg.norm(row / peak))
-    return norms
+    """Euclidean norm of each row, in double precision."""
+    # Not the dot product, which may wait for threads that are busy elsewhere.
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", values, values, dtype=np.float64)))
 
 
 def power_over(spectra: NDArray[Any], axis: int) -> Float64Array:

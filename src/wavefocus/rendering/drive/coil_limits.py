@@ -75,34 +75,26 @@ class Reached:
 class RunningLevels:
     """Peaks, norms and largest rms of drives, block by block: in the end those of the whole drive.
 
-    Squares are of values over a power of two for each actuator, which grows with its peak, so that they stay in range.
-
     window: Samples over which the rms is taken, >= 1; None: none is found, and `rms_v` is 0.
     """
 
     def __init__(self, actuators: int, window: int | None = None) -> None:
         self.peaks_v, self.norms = np.zeros(actuators), np.zeros(actuators)
-        self._window, self._exponent = window, np.full(actuators, -1100)
+        self._window = window
         self._squares, self._largest = np.zeros((actuators, window or 0)), np.zeros(actuators)
 
     @property
     def rms_v(self) -> Float64Array:
         """Largest rms over any window so far, (actuators,)."""
-        return np.asarray(np.ldexp(np.sqrt(self._largest / (self._window or 1)), self._exponent))
+        return np.asarray(np.sqrt(self._largest / (self._window or 1)))
 
-    @np.errstate(over="ignore", under="ignore", invalid="ignore")
     def add(self, block: Float64Array) -> None:
         """Take the next block, (actuators, any number of samples)."""
         self.peaks_v = np.maximum(self.peaks_v, peaks(block))
         self.norms = np.hypot(self.norms, row_norms(block))
-        if self._window is None:
-            return
-        exponent = np.where(self.peaks_v > 0, np.frexp(self.peaks_v)[1], self._exponent)
-        grown = 2 * (self._exponent - exponent)
-        self._squares, self._largest = np.ldexp(self._squares, grown[:, None]), np.ldexp(self._largest, grown)
-        self._exponent = exponent
-        for first in range(0, block.shape[1], self._window):
-            self._slide(np.square(np.ldexp(block[:, first : first + self._window], -exponent[:, None])))
+        if self._window is not None:
+            for first in range(0, block.shape[1], self._window):
+                self._slide(np.square(block[:, first : first + self._window]))
 
     def _slide(self, fresh: Float64Array) -> None:
         """Move over at most one window; its sum is made anew here, so that no error adds up."""
@@ -144,25 +136,15 @@ def levels_of(
     repeated: The drive begins anew at its end, so that a window of the rms may span both, or several.
     limits: What the levels are held against; without a limit of the rms none is found. None: all levels are found.
     """
-    if limits is not None and limits.rms_v is None:
-        levels = RunningLevels(len(drive_v))
-        levels.add(drive_v)
-        return levels
-    samples = drive_v.shape[1]
-    if repeated and samples < round(window_s * sample_rate_hz):
-        drive_v = np.tile(drive_v, -(-round(window_s * sample_rate_hz) // samples))
+    samples, wanted = drive_v.shape[1], round(window_s * sample_rate_hz)
+    if repeated and samples < wanted:
+        drive_v = np.tile(drive_v, -(-wanted // samples))
     window = rms_window(drive_v.shape[1], sample_rate_hz, window_s)
-    levels = RunningLevels(len(drive_v), window)
+    levels = RunningLevels(len(drive_v), None if limits is not None and limits.rms_v is None else window)
     levels.add(drive_v)
     if repeated:
         levels.add(drive_v[:, : window - 1])
     return levels
-
-
-def relative_rms(drive_v: Float64Array) -> Float64Array:
-    """RMS of each actuator's whole drive relative to the largest (the paper's figure 3B), (actuators,)."""
-    norms = row_norms(drive_v)
-    return norms / norms.max() if norms.any() else norms
 
 
 def dynamic_range_db(relative: Float64Array) -> float:
@@ -209,8 +191,9 @@ def strictest(reached: Sequence[Reached]) -> Limiting:
 
 
 def require_finite(drive_v: Float64Array) -> None:
-    """Raise InputError where a drive (actuators, samples) holds NaN or infinity."""
-    finite = np.isfinite(drive_v).all(axis=1)
+    """Raise InputError where a drive (actuators, samples) holds NaN, infinity or what has no finite square."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        finite = np.isfinite(row_norms(drive_v))
     if not finite.all():
         raise InputError(
             f"the drive of actuator {int(np.argmin(finite))} does not fit into float64; lower the amplitude or check"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.band import norm_of, relative_bound, tolerance_of
+from wavefocus.rendering.band import relative_bound, tolerance_of
 from wavefocus.rendering.device import Device
 from wavefocus.rendering.drive.accumulate import BLOCKS_AHEAD, BlockAccumulator
 from wavefocus.rendering.drive.coil_limits import (
@@ -203,8 +203,7 @@ class SceneRenderer:
         done, samples = 0, self.shape[1]
         for block in self.unlimited_blocks(BLOCKS_AHEAD):
             self._levels.add(block)
-            # Where single precision overflows, all is made again.
-            if not (self._single or np.isfinite(self._levels.norms).all()):
+            if not self._single:  # where single precision overflows, all is made again
                 require_finite(block)
             put(done, block)
             done += block.shape[1]
@@ -214,7 +213,7 @@ class SceneRenderer:
 
     def _bound(self) -> float:
         """Bound on the relative error of the drives made last."""
-        return relative_bound(self._accumulator.error, norm_of(self._levels.norms))
+        return relative_bound(self._accumulator.error, float(np.linalg.norm(self._levels.norms)))
 
     def _limiting(self, between_v: Float64Array | None) -> Limiting:
         reached = self._levels.against(self._limits)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.band import Band, norm_of
+from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import WORKERS, Device, threaded_map
 from wavefocus.rendering.greens.regularisation import BankRows
 
@@ -159,5 +159,5 @@ class RowSpectra:
         reversed_in_time = xp.asarray(np.ascontiguousarray(green[:, ::-1]))
         values = self._device.fft(single=single).rfft(reversed_in_time, n=self.band.fft_samples, axis=1)
         # Of what is transformed: the spectrum of a whole transform has sqrt(n) times the norm.
-        norm = math.sqrt(self.band.fft_samples) * norm_of(green) if single else 0.0
+        norm = math.sqrt(self.band.fft_samples) * float(np.linalg.norm(green)) if single else 0.0
         return values, max(norm, MIN_ROW_NORM)

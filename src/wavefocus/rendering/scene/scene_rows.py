@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
 from wavefocus.rendering.greens.interpolation.auto import ON_POSITION
-from wavefocus.rendering.greens.interpolation.base import Interpolation, interpolation_method
-from wavefocus.rendering.greens.interpolation.on_grid import Nearest
+from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, OffGridError
+from wavefocus.rendering.greens.interpolation.on_grid import Bilinear, Nearest
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
@@ -50,14 +50,15 @@ def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False)
     Raises InputError where a path leaves the grid, or the grid does not allow the scene's interpolation.
     """
     grid = PositionGrid(position_mm)
-    nearest, method = Nearest(grid), _method(scene.output.interpolation, coarse=coarse)
+    nearest, auto = Nearest(grid), "waves" if coarse else "kernel"
+    method = auto if scene.output.interpolation == "auto" else scene.output.interpolation
     tree = cKDTree(grid.position_mm)
     path: set[int] = set()
     checks: set[int] = set()
     for source in scene.sources:
         points_mm, step_mm = _along(source.path, grid.spacing_mm)
         rows = _nearby_rows(tree, points_mm, nearest.nodes(points_mm).distance_mm + step_mm)
-        path |= rows | method.needed_rows(grid, rows, points_mm, step_mm)
+        path |= rows | _more_rows(method, grid, tree, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
     for place in places_of(scene):
         # Between positions a quiet place takes the best interpolation, whatever the scene's is.
@@ -66,15 +67,37 @@ def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False)
         reach_mm = away_mm + step_mm + place.radius_mm
         rows = _nearby_rows(tree, points_mm, reach_mm)
         between = step_mm + place.radius_mm > 0 or away_mm.max() > ON_POSITION * grid.spacing_mm
-        best = _method("auto", coarse=coarse and bool(between))
-        path |= rows | best.needed_rows(grid, rows, points_mm, step_mm)
+        path |= rows | _more_rows(auto if between else "kernel", grid, tree, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, reach_mm + grid.spacing_mm)
     return SceneRows(np.array(sorted(path), dtype=np.int64), np.array(sorted(checks), dtype=np.int64))
 
 
-def _method(name: str, *, coarse: bool) -> type[Interpolation]:
-    """The method whose rows a scene needs: "auto" those of the kernel, and on a coarse grid those of waves."""
-    return interpolation_method(("waves" if coarse else "kernel") if name == "auto" else name)
+def _more_rows(
+    name: str, grid: PositionGrid, tree: cKDTree, rows: set[int], points_mm: Float64Array, step_mm: float
+) -> set[int]:
+    """Rows that an interpolation needs beyond the nearest ones, `rows`, for a path through points a step apart."""
+    if name == "waves":  # which cross the whole surface
+        return set(range(len(grid.position_mm)))
+    if name == "kernel":  # the neighbours of the nearest rows, and all that is as far away as the last of them
+        centres_mm = grid.position_mm[sorted(rows)]
+        distance, _ = tree.query(centres_mm, k=min(NEIGHBOURS + 1, tree.n))
+        furthest_mm = np.reshape(distance, (len(centres_mm), -1))[:, -1] * (1 + 1e-6) + 1e-9
+        return {row for near_rows in tree.query_ball_point(centres_mm, furthest_mm) for row in near_rows}
+    found = set[int]()
+    if name == "nearest":
+        return found
+    method = Bilinear(grid)
+    for shift_mm in np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]) * step_mm:
+        places_mm = points_mm + shift_mm
+        while len(places_mm):
+            try:
+                found.update(np.unique(method.nodes(places_mm).rows).tolist())
+                break
+            except OffGridError as off:
+                if not shift_mm.any():
+                    raise
+                places_mm = np.delete(places_mm, off.point, axis=0)  # only the margin is beyond the grid
+    return found
 
 
 def _along(path: Path, spacing_mm: float) -> tuple[Float64Array, float]:

@@ -120,7 +120,7 @@ def held_out(rows: Int64Array) -> Int64Array:
 def require_correctable(drive: Drive, bank: GreenSource, rows: Int64Array) -> None:
     """Raise InputError where a drive cannot be corrected at these control places: no sound row, silence, too long."""
     if not rows.size:
-        raise InputError("no control place of the scene is valid in the bank; measure them, or use --control all")
+        raise InputError("no control place of the scene is valid in the bank; measure them")
     if not np.any(drive.drive_v):
         raise InputError("the scene is silent, so there is nothing to correct; give a source an amplitude above 0")
     bins = _bins(drive, bank)[1].size

@@ -1,8 +1,7 @@
-"""Prediction and scan within the bank's band, at any instant or position, without holding them in memory."""
+"""Prediction and scan within the bank's band, at any instant or position."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -71,8 +70,6 @@ class CancelledError(Exception):
 class FieldPair:
     """Two fields of equal positions, rate, start and length, limited to one band.
 
-    They are in temporary files without names, which the system deletes with the pair.
-
     predicted, scanned, float32 (positions, samples): The fields; a row of `scanned` is NaN where there is no scan.
     position_index, int64 (positions,): Bank rows.
     sample_rate_hz, start_s, response_unit: Of both.
@@ -133,8 +130,8 @@ def read_pair(
 ) -> FieldPair:
     """Read two field files and limit them to a band.
 
-    Raises InputError: a file is missing, damaged or no field, or they do not belong together. Raises OSError: the
-    temporary folder is full. Raises CancelledError: reading was cancelled.
+    Raises InputError: a file is missing, damaged or no field, or they do not belong together. Raises
+    CancelledError: reading was cancelled.
     """
     with FieldRowReader(prediction) as predicted, FieldRowReader(scan) as scanned:
         _require_one_grid(predicted, scanned)
@@ -147,37 +144,24 @@ def read_pair(
             )
         band = BandLimit(predicted.samples, predicted.sample_rate_hz, band_hz)
         total, done = len(rows) + len(scanned.position_index), 0
-
-        def limited(reader: FieldRowReader) -> Float32Array:
-            """The rows in a file without a name; never written through the map, which a full disk kills."""
-            nonlocal done
-            with tempfile.TemporaryFile(prefix="wavefocus-") as file:
-
-                def write(row: int, line: Float32Array) -> None:
-                    file.seek(row * 4 * reader.samples)
-                    file.write(np.ascontiguousarray(line, np.float32).data)
-
-                for first, values in reader.blocks():
-                    # Blocks of a reader are sized for its own memory; a transform takes some times that.
-                    for start in range(0, len(values), _AT_ONCE):
-                        if not wanted():
-                            raise CancelledError
-                        part = values[start : start + _AT_ONCE]
-                        within = band.signals(band.spectrum(part)) if band_hz is not None else part
-                        for row, line in zip(reader.position_index[first + start :].tolist(), within, strict=False):
-                            write(place[row], line)
-                        done += len(part)
-                        if on_progress is not None:
-                            on_progress(done, total)
-                for missing in set(place) - set(reader.position_index.tolist()):
-                    write(place[missing], np.full(reader.samples, np.nan, np.float32))
-                file.flush()
-                return np.memmap(file, np.float32, "r", shape=(len(rows), reader.samples))
-
+        fields = np.full((2, len(rows), predicted.samples), np.nan, np.float32)
+        for field, reader in zip(fields, (predicted, scanned), strict=True):
+            for first, values in reader.blocks():
+                # Blocks of a reader are sized for its own memory; a transform takes some times that.
+                for start in range(0, len(values), _AT_ONCE):
+                    if not wanted():
+                        raise CancelledError
+                    part = values[start : start + _AT_ONCE]
+                    here = reader.position_index[first + start : first + start + len(part)]
+                    field[[place[int(row)] for row in here]] = (
+                        band.signals(band.spectrum(part)) if band_hz is not None else part
+                    )
+                    done += len(part)
+                    if on_progress is not None:
+                        on_progress(done, total)
         return FieldPair(
-            limited(predicted), limited(scanned), rows, predicted.sample_rate_hz, predicted.start_s,
-            predicted.response_unit,
-        )  # fmt: skip
+            fields[0], fields[1], rows, predicted.sample_rate_hz, predicted.start_s, predicted.response_unit
+        )
 
 
 _AT_ONCE = 32

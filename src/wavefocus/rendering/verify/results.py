@@ -34,6 +34,20 @@ class Figure:
     passed: bool | None = None
 
 
+def judged(
+    name: str,
+    unit: str,
+    definition: str,
+    value: float | None,
+    relation: Literal["at most", "at least"],
+    limit: float,
+    **sides: float | None,
+) -> Figure:
+    """A figure with a limit; not judged where it has no value."""
+    passed = None if value is None else value <= limit if relation == "at most" else value >= limit
+    return Figure(name, unit, definition, **sides, value=value, limit=limit, relation=relation, passed=passed)
+
+
 SymptomCode = Literal[
     "polarity", "swapped", "level", "delay", "silent", "mirror", "speed", "nonlinear", "crosstalk", "wrong_bank",
     "unexplained",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from wavefocus.rendering.number_text import finite, number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
 from wavefocus.rendering.verify.field_pair import BandLimit
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
-from wavefocus.rendering.verify.linearity import linearity_figures, nonlinear_share
+from wavefocus.rendering.verify.linearity import linearity
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
     Correction,
@@ -33,6 +33,7 @@ from wavefocus.rendering.verify.results import (
     SentinelDrift,
     SourceFigures,
     Symptom,
+    judged,
 )
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.sentinel import drift_figures, drift_of
@@ -212,14 +213,14 @@ def compare(
     noise_error, limits = _noise_error(fields), tolerances or Tolerances()
     model_error = _model_error(fields.error, noise_error)
     checks = _checks(fields, focus, spacing_mm, limits, interpolation_error)
-    linear: tuple[Figure, ...] = ()
-    share = None
+    found = None
     if quiet is not None and isinstance(scan, Scan):
-        linear = linearity_figures(scan, quiet, bank.band_hz, limits.normalised_error)
-        share = nonlinear_share(prediction, scan, quiet, bank.band_hz)
+        found = linearity(prediction, scan, quiet, bank.band_hz)
+    linear = () if found is None else found.figures(limits.normalised_error)
     symptoms, actuators = diagnose(
-        fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error, nonlinear_share=share
-    )
+        fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error,
+        nonlinear_share=None if found is None else found.nonlinear_share,
+    )  # fmt: skip
     if leak is not None:
         symptoms = with_crosstalk(symptoms, crosstalk_symptom(leak, fields, marker_v))
     drift = None if sentinel is None else drift_of(sentinel, bank, drift_limits or DriftLimits())
@@ -285,7 +286,7 @@ def _checks(
     expected: tuple[Figure, ...] = ()
     if interpolation_error is not None:
         expected = (
-            _judged(
+            judged(
                 "interpolation error expected", "%",
                 "how wrong the bank's Green's functions are expected to be at the path points, which lie between its"
                 " positions: the prediction is of the positions used, and does not show it",
@@ -293,17 +294,17 @@ def _checks(
             ),
         )  # fmt: skip
     return (
-        _judged(
+        judged(
             "normalised error", "%",
             "norm of (scan - prediction) over norm of the scan, all compared positions and samples; both fields are"
             f" limited to the bank's band, {band}, with edges a quarter of an octave wide",
             error, "at most", 100.0 * tolerances.normalised_error, difference=error,
         ),
-        _judged(
+        judged(
             "correlation", "", "zero-lag correlation of scan and prediction over all compared positions and samples",
             fields.correlation, "at least", tolerances.correlation,
         ),
-        _judged(
+        judged(
             "focus to path point", "mm",
             "median over focus instants of the distance from the path point to the scan's largest magnitude within"
             f" {FOCUS_RADIUS_MM:g} mm, refined by a quadratic fit",
@@ -311,11 +312,11 @@ def _checks(
             predicted=predicted_mm, scanned=scanned_mm,
             difference=None if predicted_mm is None or scanned_mm is None else scanned_mm - predicted_mm,
         ),
-        _judged(
+        judged(
             "focus to predicted focus", "mm", "the same distance, from the prediction's largest magnitude",
             apart_mm, "at most", tolerances.prediction_offset_spacings * spacing, difference=apart_mm,
         ),
-        _judged(
+        judged(
             "focal width against prediction", "mm",
             "median over focus instants of the difference between scanned and predicted full width at half maximum:"
             " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign"
@@ -323,25 +324,12 @@ def _checks(
             wider_mm, "at most", tolerances.focal_width_mm, predicted=median_or_none(focus.predicted_width_mm),
             scanned=median_or_none(focus.scanned_width_mm), difference=wider_mm,
         ),
-        _judged(
+        judged(
             "usable positions", "%", "scanned positions with a sound record and a valid row in the bank",
             100.0 * compared / (compared + len(fields.excluded)), "at least", 100.0 * tolerances.usable_share,
         ),
         *expected,
     )  # fmt: skip
-
-
-def _judged(
-    name: str,
-    unit: str,
-    definition: str,
-    value: float | None,
-    relation: Literal["at most", "at least"],
-    limit: float,
-    **sides: float | None,
-) -> Figure:
-    passed = None if value is None else value <= limit if relation == "at most" else value >= limit
-    return Figure(name, unit, definition, **sides, value=value, limit=limit, relation=relation, passed=passed)
 
 
 def _unlimited(fields: FieldComparison, focus: FocusTable, noise_error: float | None) -> tuple[Figure, ...]:

@@ -114,11 +114,6 @@ class Interpolation(ABC):
     def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
         """Make it for a bank and points (n, 2) near which it will be used; raises InputError on an unsuited grid."""
 
-    @classmethod
-    @abstractmethod
-    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
-        """Rows needed beyond the nearest ones, `rows`, for a path through the points, which are a step apart."""
-
     @abstractmethod
     def nodes(self, points_mm: Float64Array) -> Nodes:
         """Rows and weights of points, float64 (n, 2). Raises OffGridError."""
@@ -149,22 +144,6 @@ class GridInterpolation(Interpolation):
         """Errors of the kernel, and the difference to it."""
         kernel = import_module("wavefocus.rendering.greens.interpolation.kernel")  # which builds on this module
         found: Estimate = kernel.KernelInterpolation(bank, points_mm).estimate(bank, points_mm, frequency_hz, self)
-        return found
-
-    @classmethod
-    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
-        method, found = cls(grid), set[int]()
-        for shift_mm in np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]) * step_mm:
-            places_mm = points_mm + shift_mm
-            while len(places_mm):
-                try:
-                    found.update(np.unique(method.nodes(places_mm).rows).tolist())
-                    break
-                except OffGridError as off:
-                    if not shift_mm.any():
-                        raise
-                    # Only the margin is beyond the grid.
-                    places_mm = np.delete(places_mm, off.point, axis=0)
         return found
 
 

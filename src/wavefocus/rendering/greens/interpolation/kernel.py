@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft as scipy_fft
-from scipy.spatial import cKDTree
 
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import evenly_spread
@@ -51,12 +49,11 @@ class KernelRows(AddedRows):
     """
 
     def __init__(self, measured: GreenSource, waves: WaveModel, neighbourhoods: Neighbourhoods) -> None:
-        super().__init__(measured)
+        super().__init__(measured, ROWS_KEPT)
         self._reader = RowReader(measured)
         self._neighbourhoods = neighbourhoods
         self._anchor: list[int] = []
         self._at_anchor: dict[int, list[int]] = {}
-        self._rows: OrderedDict[int, Float64Array] = OrderedDict()
         self._kernels: OrderedDict[bytes, PatchKernel] = OrderedDict()
         self._plan(waves)
         row_bytes = 16 * len(self._to_bins) * self.actuators
@@ -75,21 +72,6 @@ class KernelRows(AddedRows):
                 self._anchor.append(anchor)
             numbers[place] = self.measured.positions + number
         return numbers
-
-    def green(self, position: int) -> NDArray[Any]:
-        """Green's functions of one row, (actuators, taps): measured, or interpolated in float64."""
-        if position < self.measured.positions:
-            return self.measured.green(position)
-        number = position - self.measured.positions
-        if number not in self._rows:
-            # All rows of one patch together: they share its neighbours' spectra.
-            anchor = self._anchor[number]
-            together = self._at_anchor[anchor]
-            first = together.index(number)
-            with one_blas_thread():
-                self._make(self._neighbourhoods.patch(anchor), together[first : first + ROWS_KEPT])
-        self._rows.move_to_end(number)
-        return self._rows[number]
 
     def _plan(self, waves: WaveModel) -> None:
         """Choose transform length and the frequencies at which weights are worked out."""
@@ -131,8 +113,13 @@ class KernelRows(AddedRows):
         loud = int(np.count_nonzero(above > 1e-6 * above[0]))
         return float(bins_hz[min(loud, len(bins_hz) - 1)])
 
-    def _make(self, patch: Patch, numbers: list[int]) -> None:
-        points_mm = np.array([self._points_mm[number] for number in numbers])
+    @one_blas_thread()
+    def _make(self, number: int) -> dict[int, Float64Array]:
+        # All rows of one patch together: they share its neighbours' spectra.
+        patch, together = self._neighbourhoods.patch(self._anchor[number]), self._at_anchor[self._anchor[number]]
+        first = together.index(number)
+        numbers = together[first : first + ROWS_KEPT]
+        points_mm = np.array([self._points_mm[one] for one in numbers])
         offset_mm = points_mm - np.asarray(self.measured.position_mm, dtype=np.float64)[patch.rows[0]]
         weights = self._kernel(patch).weights(offset_mm)
         count, places, rows = weights.shape
@@ -141,10 +128,7 @@ class KernelRows(AddedRows):
         spectra = np.stack([self._spectrum(row) for row in patch.rows.tolist()], axis=1)
         found = (by_bin @ spectra).transpose(1, 2, 0)
         green = scipy_fft.irfft(found, self._samples, axis=2)[:, :, : self.taps]
-        for number, row in zip(numbers, green, strict=True):
-            self._rows[number] = row
-        while len(self._rows) > max(ROWS_KEPT, len(numbers)):
-            self._rows.popitem(last=False)
+        return dict(zip(numbers, green, strict=True))
 
     def _kernel(self, patch: Patch) -> PatchKernel:
         if patch.key not in self._kernels:
@@ -199,14 +183,6 @@ class KernelInterpolation(PathInterpolation):
     @classmethod
     def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
         return cls(bank, around_mm)
-
-    @classmethod
-    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
-        """The neighbours of the nearest rows, and all that is as far away as the last of them."""
-        tree, centres_mm = cKDTree(grid.position_mm), grid.position_mm[sorted(rows)]
-        distance, _ = tree.query(centres_mm, k=min(NEIGHBOURS + 1, tree.n))
-        furthest_mm = np.reshape(distance, (len(centres_mm), -1))[:, -1] * (1 + 1e-6) + 1e-9
-        return {row for near_rows in tree.query_ball_point(centres_mm, furthest_mm) for row in near_rows}
 
     def estimate(
         self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array, other: Interpolation | None = None

@@ -15,10 +15,6 @@ class Nearest(GridInterpolation):
 
     name = "nearest"
 
-    @classmethod
-    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
-        return set()
-
     def nodes(self, points_mm: Float64Array) -> Nodes:
         rows, distance_mm = near(self.grid, points_mm)
         return Nodes(rows[:, None], np.ones((len(rows), 1)), rows, distance_mm)

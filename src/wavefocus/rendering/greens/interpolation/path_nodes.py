@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from abc import abstractmethod
-from typing import cast
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,16 +138,37 @@ PATH_ERROR = 1e-3
 SAME_MM = 1e-6
 
 
-class AddedRows:
-    """A bank and, behind its own positions, rows at further points; the read interface of a bank."""
+class AddedRows(ABC):
+    """A bank and, behind its own positions, rows at further points; the read interface of a bank.
 
-    def __init__(self, measured: GreenSource) -> None:
+    kept: Number of added rows that are kept; those that are made together are kept in any case.
+    """
+
+    def __init__(self, measured: GreenSource, kept: int) -> None:
+        self._kept, self._rows = kept, OrderedDict[int, Float64Array]()
         self.measured = measured
         self.actuator_mm, self.band_hz = measured.actuator_mm, measured.band_hz
         self.taps, self.actuators = measured.taps, measured.actuators
         self.sample_rate_hz, self.response_unit = measured.sample_rate_hz, measured.response_unit
         self._points_mm: list[tuple[float, float]] = []
         self._index: dict[tuple[int, int], int] = {}
+
+    def green(self, position: int) -> NDArray[Any]:
+        """Green's functions of one row, (actuators, taps): measured, or interpolated in float64."""
+        if position < self.measured.positions:
+            return self.measured.green(position)
+        number = position - self.measured.positions
+        if number not in self._rows:
+            made = self._make(number)
+            self._rows.update(made)
+            while len(self._rows) > max(self._kept, len(made)):
+                self._rows.popitem(last=False)
+        self._rows.move_to_end(number)
+        return self._rows[number]
+
+    @abstractmethod
+    def _make(self, number: int) -> dict[int, Float64Array]:
+        """Make an added row, and others with it."""
 
     def number(self, x_mm: float, y_mm: float) -> tuple[int, bool]:
         """Row of a point, counted from the first that was added, and whether it is new; a point is added once."""

@@ -70,36 +70,23 @@ class WaveRows(AddedRows):
     """A bank and, behind its own positions, rows that the waves give at other points."""
 
     def __init__(self, measured: GreenSource, waves: BankWaves) -> None:
-        super().__init__(measured)
+        super().__init__(measured, ROWS_AT_ONCE)
         self._waves = waves
-        self._rows: OrderedDict[int, Float64Array] = OrderedDict()
 
     def add(self, points_mm: Float64Array) -> Int64Array:
         """Add rows at points, float64 (n, 2), and return their numbers; a point is added once."""
         numbers = [self.number(x, y)[0] for x, y in points_mm.tolist()]
         return np.array(numbers, dtype=np.int64) + self.measured.positions
 
-    def green(self, position: int) -> NDArray[Any]:
-        """Green's functions of one row, (actuators, taps): measured, or interpolated in float64."""
-        if position < self.measured.positions:
-            return self.measured.green(position)
-        number = position - self.measured.positions
-        if number not in self._rows:
-            # Rows are mostly read in the order in which they were added.
-            self._make(range(number, min(number + ROWS_AT_ONCE, self.added)))
-        self._rows.move_to_end(number)
-        return self._rows[number]
-
-    def _make(self, numbers: range) -> None:
-        values = self._waves.model.values(np.array([self._points_mm[number] for number in numbers]))
+    def _make(self, number: int) -> dict[int, Float64Array]:
+        # Rows are mostly read in the order in which they were added.
+        numbers = range(number, min(number + ROWS_AT_ONCE, self.added))
+        values = self._waves.model.values(np.array([self._points_mm[one] for one in numbers]))
         spectra = np.zeros((len(numbers), self.actuators, self._waves.samples // 2 + 1), dtype=np.complex128)
         first = self._waves.lowest_bin
         spectra[:, :, first : first + len(values)] = values.transpose(1, 2, 0)
         green = scipy_fft.irfft(spectra, self._waves.samples, axis=2)[:, :, : self.taps]
-        for number, row in zip(numbers, green, strict=True):
-            self._rows[number] = row
-        while len(self._rows) > ROWS_AT_ONCE:
-            self._rows.popitem(last=False)
+        return dict(zip(numbers, green, strict=True))
 
 
 class WavesInterpolation(PathInterpolation):
@@ -123,11 +110,6 @@ class WavesInterpolation(PathInterpolation):
     @classmethod
     def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
         return cls(bank)
-
-    @classmethod
-    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
-        """All: waves cross the whole surface."""
-        return set(range(len(grid.position_mm)))
 
     def add(self, points_mm: Float64Array) -> Int64Array:
         near(self.grid, points_mm, REACH_SPACINGS)
