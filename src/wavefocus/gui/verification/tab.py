@@ -97,12 +97,10 @@ class RequestForm(QWidget):
             raise InputError(f"{missing} first")
         out = self.out.path
         assert out is not None
-        earlier, out = out / RECORD_NAME, unused_folder(out)
+        out = unused_folder(out)
         rig = str(self.rig.path or VIRTUAL)
         files = ["--bank", str(self.bank.path), "--rig", rig, "--out", str(out), "--json"]
         arguments = ["verify", str(self.scene.path), *files]
-        if out != earlier.parent and earlier.is_file():
-            arguments += ["--against", str(earlier)]
         if positions := self.positions.text().strip():
             arguments += ["--positions", positions]
         return VerificationRequest(tuple(arguments), out, names_virtual_rig(rig))
