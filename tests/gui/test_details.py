@@ -50,9 +50,14 @@ def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_sh
         assert error_db is not None
     assert panel.actuators.item(2, 1).text() == f"{snr_db:.1f}"
     assert panel.actuators.item(2, 5).text() == f"{error_db[6, 2]:.1f}"
+    tab.window().resize(1240, 720)
     for page in range(panel.count()):
         panel.setCurrentIndex(page)
+        QApplication.processEvents()
+    for plot in (panel.green_plot, panel.spectrum_plot, panel.drift_plot.plots[0]):  # no title is cut
+        assert 0 < plot.getPlotItem().titleLabel.itemRect().width() < plot.width()
     panel.actuator.setCurrentIndex(2)
+    tab.window().resize(1280, 800)
     assert "position 6: actuator 1" in panel.spectrum_plot.getPlotItem().titleLabel.text
 
 

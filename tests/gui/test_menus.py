@@ -8,7 +8,19 @@ import pytest
 from PyQt5.QtCore import QObject, Qt, QUrl, pyqtSlot
 from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtTest import QTest
-from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMenu
+from PyQt5.QtWidgets import (
+    QAbstractButton,
+    QAbstractItemView,
+    QAbstractSpinBox,
+    QAction,
+    QApplication,
+    QComboBox,
+    QFileDialog,
+    QMenu,
+    QPlainTextEdit,
+    QTabWidget,
+    QWidget,
+)
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, campaign_of, tab_of, wait
@@ -17,6 +29,7 @@ from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.draft import new_source, scene_toml
 from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.window import Window
 
 
@@ -132,3 +145,40 @@ def test_a_click_on_open_in_the_scene_tab_then_the_scene_that_is_chosen_is_shown
     (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
     dialog.fileSelected.emit(str(scene))
     assert (tab.document.path, len(tab.document.draft.source)) == (scene, 1)
+
+
+@pytest.mark.timeout(500)
+def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(
+    qtbot: QtBot, open_window: Opens, finished: Path
+) -> None:
+    window = open_window(finished.with_name("run.toml"), finished, finished.with_name("rig.toml"))
+    campaign = tab_of(window, CampaignTab)
+    wait(qtbot, lambda: campaign.campaign.measured == 12)
+    for tab in window.tabs:
+        window._pages.setCurrentWidget(tab)
+        book = tab.findChild(QTabWidget)
+        for page in range(1 if book is None else book.count()):
+            if book is not None:
+                book.setCurrentIndex(page)
+            assert not_reached(qtbot, window, tab) == [], f"page {page} of {tab.title}"
+
+
+def not_reached(qtbot: QtBot, window: Window, tab: QWidget) -> list[str]:
+    """Press Tab until the focus is where it was; the controls that never had it."""
+    with qtbot.waitActive(window):
+        window.activateWindow()
+    window.refresh()
+    QApplication.processEvents()
+    reached: list[QWidget | None] = []
+    while (here := QApplication.focusWidget()) not in reached:
+        reached.append(here)
+        QTest.keyClick(here or window, Qt.Key.Key_Tab)
+    kinds = QAbstractButton, QComboBox, QAbstractItemView, QPlainTextEdit, QAbstractSpinBox, SurfaceView
+    wanted = [
+        one
+        for one in tab.findChildren(kinds)
+        if one.isVisible() and one.isEnabled() and one.focusPolicy() & Qt.FocusPolicy.TabFocus
+        and not (isinstance(one, QAbstractButton) and one.autoExclusive() and not one.isChecked())  # by arrow keys
+    ]  # fmt: skip
+    assert wanted
+    return [one.accessibleName() for one in wanted if one not in reached]

@@ -22,7 +22,7 @@ from wavefocus.gui.process import WAVEFOCUS
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, IDLE, OPENING, PLAYING, RENDERING, WAV
-from wavefocus.gui.scene.figures_view import GOOD, HELD, MISSED
+from wavefocus.gui.scene.figures_view import GOOD, HELD, MISSED, figures_of
 from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel
 from wavefocus.gui.window import Window
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
@@ -89,11 +89,10 @@ def test_drives_field_and_figures_follow_edits_and_nothing_older_is_shown(qtbot:
     limit_v = float(louder.max()) / 4.0
     bench.edit(line_scene(amplitude=4.0, limit_v=limit_v))
     assert np.abs(panel.results.drive.drive_v).max() == pytest.approx(limit_v)
-    assert panel.figures.figures[0].verdict == HELD
-    assert panel.figures.figures[0].value == "0.25, for limit_v"
-    assert panel.figures.table.item(1, 1).text().endswith(" V")
+    assert [panel.figures.item(0, column).text() for column in (1, 2)] == ["0.25, for limit_v", HELD]
+    assert panel.figures.item(1, 1).text().endswith(" V")
     bench.edit(line_scene(amplitude=1.0, limit_v=limit_v))
-    assert panel.figures.figures[0].verdict == GOOD
+    assert panel.figures.item(0, 2).text() == GOOD
     assert not panel.warnings.isVisible()
     warned = replace(panel.results, facts={**panel.results.facts, "warnings": ["nearest is wrong by about 59 %"]})
     panel.calculation.made.emit(warned)
@@ -141,7 +140,7 @@ def test_no_bank_path_off_grid_or_bank_that_goes_and_comes_then_sentence_says_so
     bench.edit(line_scene(end_mm=60.0), complete=False)
     bench.says("source 0")
     assert panel.results is None
-    assert panel.figures.table.rowCount() == 0
+    assert panel.figures.rowCount() == 0
     bench.edit(line_scene())
     bench.document.use_bank(None)
     bench.says(NO_BANK)
@@ -265,7 +264,7 @@ def test_given_quiet_places_then_the_levels_reached_are_shown_beside_those_asked
     bench.edit(draft)
     (level,) = bench.panel.results.facts["quiet"]
     assert (level["name"], level["level_db"]) == ("quiet[0]", -20.0)
-    (metric,) = [one for one in bench.panel.figures.figures if one.name == "level at quiet[0]"]
+    (metric,) = [one for one in figures_of(bench.panel.results) if one.name == "level at quiet[0]"]
     assert metric.value == f"{level['reached_db']:.1f} dB of -20 dB"
     assert metric.verdict == (GOOD if level["reached_db"] <= -19.8 else MISSED)  # as `render` warns
 

@@ -17,6 +17,7 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, Opens, pixel, shown_tab, wait
+from tests.lab_files import with_check_rows
 from wavefocus.__main__ import run
 from wavefocus.gui.files import FileKind, kind_of
 from wavefocus.gui.time_slider import TimeSlider
@@ -266,6 +267,20 @@ def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(
     assert "report.html is gone" in window.messages.sentence
 
 
+def test_check_positions_of_the_bank_then_they_are_rings_and_take_no_cells(
+    qtbot: QtBot, open_window: Opens, lab: Path
+) -> None:
+    record = lab / "verify" / "verify.json"
+    content = json.loads(record.read_text(encoding="utf-8"))
+    content["bank"] = str(with_check_rows(lab / "plate.h5", lab / "checked.h5", 5, 10))
+    record.write_text(json.dumps(content), encoding="utf-8")
+    tab = shown_tab(open_window(record), VerificationTab)
+    wait(qtbot, lambda: tab.results is not None)
+    surface = tab.results.surface
+    assert list(surface.checks) == [5, 10]
+    assert set(np.unique(surface.raster.index)) == {*range(13)} - {5, 10}  # the last one: no position
+
+
 def test_files_then_each_opens_or_belongs_to_a_field_and_the_next_window_has_them(
     qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
@@ -307,6 +322,7 @@ def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(o
     for used, free in (("render", "render-2"), ("verify", "verify-2")):
         form.out.show_path(lab / used)
         assert form.request().out == lab / free
+        assert options() == ["--positions", "0-3,7"]
     (lab / "verify-2").mkdir()
     (lab / "verify-2" / "report.html").write_text("earlier", encoding="utf-8")
     form.out.show_path(lab / "verify-2")

@@ -197,6 +197,7 @@ class EventList(Themed, QWidget):
         self.view.setAccessibleName("Events")
         self.view.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.view.setShowGrid(False)
+        self.view.setTabKeyNavigation(False)
         self.view.setWordWrap(False)
         rows, columns, metrics = self.view.verticalHeader(), self.view.horizontalHeader(), self.fontMetrics()
         assert rows is not None

@@ -43,8 +43,6 @@ class CampaignRun:
         self._arguments: Sequence[str] = ()
         self._virtual = False
         self._started_at = datetime.now().astimezone()
-        self._last_line = ""
-        self._read_s = 0.0
         self.accept_calibration = QAction("Accept another &calibration", owner)
         self.accept_calibration.setCheckable(True)
         self.accept_calibration.setToolTip("Continue the next session with another calibration or other devices")
@@ -86,12 +84,7 @@ class CampaignRun:
 
     def last_line(self, bank: Path | None) -> str:
         """Last line of the own capture of a bank; empty when there is none."""
-        if self.own is None or not self.runs(bank):
-            return ""
-        if time.monotonic() - self._read_s > 0.5:
-            self._read_s = time.monotonic()
-            self._last_line = self.own.last_line
-        return self._last_line
+        return "" if self.own is None or not self.runs(bank) else self.own.last_line
 
     def closing_question(self) -> ClosingQuestion | None:
         if self.own is None:

@@ -34,6 +34,7 @@ class TomlEdit(Themed, QPlainTextEdit):
         self.setDocument(document.text)
         self.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)  # comments stand in a column of their own
+        self.setTabChangesFocus(True)  # whoever has no mouse gets out again
         self.setAcceptDrops(False)  # the name of a dropped file is no TOML
         self._colours = _Colours(document.text, self.theme)
         self._found = QStringListModel(self)

@@ -53,7 +53,28 @@ class SceneCanvas(SurfaceView):
         self._held: KeysOfPoint | None = None
         self._outline_mm = np.zeros((0, 2))
         super().__init__("Surface to draw on")
-        self.picture = SceneItems(self)
+        self.colour_map = pyqtgraph.colormap.get("viridis")
+        self._dots = Spots(symbol="o", size=5)
+        self._off = Spots(symbol="x", size=7)
+        self._starts = Spots(symbol="o", size=11)
+        self._squares = Spots(symbol="s", size=9)
+        self._sketch = pyqtgraph.PlotCurveItem(antialias=True)
+        self._quiet = pyqtgraph.PlotCurveItem(antialias=True)
+        self._lines: list[pyqtgraph.PlotCurveItem] = []
+        self.add_item(self._quiet, 28)
+        for level, item in enumerate((self._dots, self._off, self._starts, self._sketch, self._squares)):
+            self.add_item(item, 30 + 10 * level)
+        theme = self.theme
+        for item, pen, brush in (
+            (self._dots, None, None),
+            (self._off, pyqtgraph.mkPen(theme.fault, width=1), theme.fault),
+            (self._starts, None, None),
+            (self._squares, pyqtgraph.mkPen(MARK, width=2), theme.base),
+        ):
+            item.setPen(pen)
+            item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
+        self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
+        self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
         document.chosen_changed.connect(self.show_scene)
         live.updated.connect(self.show_scene)
         live.backdrop_changed.connect(self._show_backdrop)
@@ -64,9 +85,9 @@ class SceneCanvas(SurfaceView):
         # Points snapped to another bank's positions are out of date.
         traces = preview.traces if preview.backdrop is self._live.backdrop else []
         kind, index = self._document.chosen
-        self.picture.show_traces(traces, index if kind == SOURCE else -1)
-        self.picture.show_quiet(self._document.draft.quiet)
-        self.picture.show_handles([at_mm for _, at_mm in self._handles()])
+        self._show_traces(traces, index if kind == SOURCE else -1)
+        self._show_quiet(self._document.draft.quiet)
+        self._show_handles([at_mm for _, at_mm in self._handles()])
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
         super().mouseMoveEvent(event)
@@ -88,14 +109,14 @@ class SceneCanvas(SurfaceView):
         table = self._document.table
         if self.kind:
             path = path_between(self.kind, start_mm, at_mm)
-            self.picture.show_sketch(_NONE_MM if ended else sketched(path))
+            self._show_sketch(_NONE_MM if ended else sketched(path))
             if ended:
                 self.drawn.emit(self.kind, path)
         elif self._held is not None and table is not None:
             rounded_mm = round(at_mm[0], DECIMALS), round(at_mm[1], DECIMALS)
             table = with_handle(table, self._held, rounded_mm)
-            self.picture.show_handles([point_mm for _, point_mm in handles(table)])
-            self.picture.show_sketch(_NONE_MM if ended else sketched(table.path))
+            self._show_handles([point_mm for _, point_mm in handles(table)])
+            self._show_sketch(_NONE_MM if ended else sketched(table.path))
             if ended:
                 self.dragged.emit(self._held, table)
 
@@ -133,6 +154,49 @@ class SceneCanvas(SurfaceView):
             self.show_everything()
         self.show_scene()
 
+    def _show_traces(self, traces: Sequence[Trace], chosen: int) -> None:
+        """Show the sources, the chosen one in front."""
+        self._make_lines(len(traces))
+        for index, trace in enumerate(traces):
+            colour = self.theme.trace(index)
+            line = self._lines[index]
+            line.setData(trace.line_mm[:, 0], trace.line_mm[:, 1], connect="finite")
+            line.setPen(pyqtgraph.mkPen(colour, width=2 if index == chosen else 1))
+            line.setZValue(29 if index == chosen else 25)
+        drawn = [trace for trace in traces if len(trace.points_mm)]
+        points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
+        off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
+        instant_s = np.concatenate([np.zeros(0), *(trace.instant_s for trace in drawn)])
+        colours = map_colours(self.colour_map, instant_s[~off], span_s(traces), self.theme.cell)
+        self._dots.setData(pos=points_mm[~off], brush=[pyqtgraph.mkBrush(*colour) for colour in colours.tolist()])
+        self._off.setData(pos=points_mm[off])
+        self._off.setVisible(bool(off.any()))
+        pens = [
+            pyqtgraph.mkPen(self.theme.trace(index), width=2)
+            for index, trace in enumerate(traces)
+            if len(trace.points_mm)
+        ]
+        self._starts.setData(pos=np.array([trace.points_mm[0] for trace in drawn]).reshape(-1, 2), pen=pens)
+
+    def _show_quiet(self, places: Sequence[QuietTable]) -> None:
+        """Show quiet places as crosses in their discs, dashed."""
+        line_mm = np.concatenate([_NONE_MM, *map(_quiet_line, places)])
+        self._quiet.setData(line_mm[:, 0], line_mm[:, 1], connect="finite")
+
+    def _show_handles(self, points_mm: Sequence[PointMm]) -> None:
+        """Show the points that can be dragged."""
+        self._squares.setData(pos=np.array(points_mm, np.float64).reshape(-1, 2))
+
+    def _show_sketch(self, points_mm: Float64Array) -> None:
+        self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
+
+    def _make_lines(self, count: int) -> None:
+        while len(self._lines) < count:
+            self._lines.append(pyqtgraph.PlotCurveItem(antialias=True))
+            self.add_item(self._lines[-1], 25)
+        while len(self._lines) > count:
+            self.box.removeItem(self._lines.pop())
+
 
 def show_backdrop(view: SurfaceView, backdrop: Backdrop) -> None:
     """Show the surface that a scene is drawn over; positions without a valid measurement are faint."""
@@ -149,79 +213,6 @@ _REACH_PX = 8.0
 _CIRCLE_POINTS = 91
 _GAP_MM = np.full((1, 2), np.nan)
 _CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
-
-
-class SceneItems:
-    """Draws a scene into a surface view."""
-
-    def __init__(self, view: SurfaceView) -> None:
-        self._view = view
-        self.colour_map = pyqtgraph.colormap.get("viridis")
-        self._dots = Spots(symbol="o", size=5)
-        self._off = Spots(symbol="x", size=7)
-        self._starts = Spots(symbol="o", size=11)
-        self._handles = Spots(symbol="s", size=9)
-        self._sketch = pyqtgraph.PlotCurveItem(antialias=True)
-        self._quiet = pyqtgraph.PlotCurveItem(antialias=True)
-        view.add_item(self._quiet, 28)
-        self._lines: list[pyqtgraph.PlotCurveItem] = []
-        items = (self._dots, self._off, self._starts, self._sketch, self._handles)
-        for level, item in enumerate(items):
-            view.add_item(item, 30 + 10 * level)
-        theme = view.theme
-        for item, pen, brush in (
-            (self._dots, None, None),
-            (self._off, pyqtgraph.mkPen(theme.fault, width=1), theme.fault),
-            (self._starts, None, None),
-            (self._handles, pyqtgraph.mkPen(MARK, width=2), theme.base),
-        ):
-            item.setPen(pen)
-            item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
-        self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
-        self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
-
-    def show_traces(self, traces: Sequence[Trace], chosen: int) -> None:
-        """Show the sources, the chosen one in front."""
-        self._make_lines(len(traces))
-        for index, trace in enumerate(traces):
-            colour = self._view.theme.trace(index)
-            line = self._lines[index]
-            line.setData(trace.line_mm[:, 0], trace.line_mm[:, 1], connect="finite")
-            line.setPen(pyqtgraph.mkPen(colour, width=2 if index == chosen else 1))
-            line.setZValue(29 if index == chosen else 25)
-        drawn = [trace for trace in traces if len(trace.points_mm)]
-        points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
-        off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
-        instant_s = np.concatenate([np.zeros(0), *(trace.instant_s for trace in drawn)])
-        colours = map_colours(self.colour_map, instant_s[~off], span_s(traces), self._view.theme.cell)
-        self._dots.setData(pos=points_mm[~off], brush=[pyqtgraph.mkBrush(*colour) for colour in colours.tolist()])
-        self._off.setData(pos=points_mm[off])
-        self._off.setVisible(bool(off.any()))
-        pens = [
-            pyqtgraph.mkPen(self._view.theme.trace(index), width=2)
-            for index, trace in enumerate(traces)
-            if len(trace.points_mm)
-        ]
-        self._starts.setData(pos=np.array([trace.points_mm[0] for trace in drawn]).reshape(-1, 2), pen=pens)
-
-    def show_quiet(self, places: Sequence[QuietTable]) -> None:
-        """Show quiet places as crosses in their discs, dashed."""
-        line_mm = np.concatenate([_NONE_MM, *map(_quiet_line, places)])
-        self._quiet.setData(line_mm[:, 0], line_mm[:, 1], connect="finite")
-
-    def show_handles(self, points_mm: Sequence[PointMm]) -> None:
-        """Show the points that can be dragged."""
-        self._handles.setData(pos=np.array(points_mm, np.float64).reshape(-1, 2))
-
-    def show_sketch(self, points_mm: Float64Array) -> None:
-        self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
-
-    def _make_lines(self, count: int) -> None:
-        while len(self._lines) < count:
-            self._lines.append(pyqtgraph.PlotCurveItem(antialias=True))
-            self._view.add_item(self._lines[-1], 25)
-        while len(self._lines) > count:
-            self._view.box.removeItem(self._lines.pop())
 
 
 def span_s(traces: Sequence[Trace]) -> tuple[float, float]:

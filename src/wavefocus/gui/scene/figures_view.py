@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from PyQt5.QtWidgets import QWidget
+from PyQt5.QtWidgets import QTableWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.scene.calculation import SceneResults
@@ -71,19 +70,15 @@ def figures_of(results: SceneResults) -> list[SceneMetric]:
     return metrics
 
 
-class FiguresView(Themed, QWidget):
-    """The table of figures; definitions are in the tooltips."""
+def figures_table() -> QTableWidget:
+    """An empty table of figures."""
+    return ui.table(("figure", "value", "verdict"), "Figures of the scene", (0,))
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.figures: Sequence[SceneMetric] = ()
-        self.table = ui.table(("figure", "value", "verdict"), "Figures of the scene", (0,))
-        ui.column((self.table, 1), owner=self)
-        self.show_results(None)
 
-    def show_results(self, results: SceneResults | None) -> None:
-        self.figures = () if results is None else figures_of(results)
-        self.table.setRowCount(len(self.figures))
-        for number, one in enumerate(self.figures):
-            colours = {2: self.theme.warning if one.verdict in (HELD, MISSED) else self.theme.good}
-            ui.fill_row(self.table, number, (one.name, one.value, one.verdict), colours, right=(1,), tip=one.definition)
+def fill_figures(table: QTableWidget, results: SceneResults | None) -> None:
+    """Show the figures of a scene, or none; definitions are in the tooltips."""
+    figures = [] if results is None else figures_of(results)
+    table.setRowCount(len(figures))
+    for number, one in enumerate(figures):
+        colours = {2: Themed.theme.warning if one.verdict in (HELD, MISSED) else Themed.theme.good}
+        ui.fill_row(table, number, (one.name, one.value, one.verdict), colours, right=(1,), tip=one.definition)

@@ -17,7 +17,7 @@ from wavefocus.gui.scene.calculation import Calculation, SceneResults
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, PLAYING, STOPPING, WAV, PlayTask, Saving
-from wavefocus.gui.scene.figures_view import FiguresView
+from wavefocus.gui.scene.figures_view import figures_table, fill_figures
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
 from wavefocus.gui.surface import VIRTUAL, PlotSurface
 from wavefocus.gui.tab import TabContext
@@ -145,7 +145,7 @@ class ResultsPanel(Themed, QWidget):
         self._bank_state: object = None
         self.results: SceneResults | None = None
         self.complete = False
-        self.drives, self.field, self.figures = DrivesView(), FieldView(), FiguresView()
+        self.drives, self.field, self.figures = DrivesView(), FieldView(), figures_table()
         self.saving, self.playing = Saving(context, document, self), PlayTask(context, document, self)
         self.bar = ActionsBar(context, self.saving, self.playing, self.save, self.play)
         self.stage = ui.label("Stage of the calculation", any_width=True)
@@ -235,7 +235,7 @@ class ResultsPanel(Themed, QWidget):
     def _show(self, results: SceneResults | None, problem: str = "") -> None:
         self.results = results
         self.drives.show_results(results)
-        self.figures.show_results(results)
+        fill_figures(self.figures, results)
         if results is None or results.field is not None:
             self.field.show_results(results)
             self.complete = results is not None and results.figures is not None

@@ -34,7 +34,7 @@ class SurfacePanel(Themed, QWidget):
         self.canvas = SceneCanvas(document, live)
         choices = [(kind, text, tip, f"Tool: {text}") for kind, text, tip in _TOOLS]
         self.tools = ui.exclusive_buttons(choices, self.use_tool)
-        self.colours = ColourBar(self.canvas.picture.colour_map)
+        self.colours = ColourBar(self.canvas.colour_map)
         self.hint = ui.label("Hint, or problem of the scene", wraps=True, selectable=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         # A fixed height: the surface must not move below the mouse when a problem appears.

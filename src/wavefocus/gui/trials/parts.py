@@ -1,4 +1,4 @@
-"""Parts of the participant's pages: large texts, buttons that report their input, the experimenter's strip."""
+"""Parts of the participant's pages: large texts, buttons that report their input."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from typing import Literal
 
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QKeyEvent, QKeySequence, QMouseEvent
-from PyQt5.QtWidgets import QApplication, QFrame, QLabel, QPushButton, QSizePolicy, QWidget
+from PyQt5.QtWidgets import QApplication, QLabel, QPushButton, QSizePolicy, QWidget
 
-from wavefocus.config.messages.trials import Presented, TrialsState
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.theme import Themed
 
 Input = Literal["keyboard", "button", "touch"]
 # Receives the instant of the press on the monotonic clock, in seconds, and the input.
@@ -90,33 +88,6 @@ class LargeButton(QPushButton):
             return
         self._by = "keyboard"
         super().keyPressEvent(event)
-
-
-class ExperimenterStrip(Themed, QFrame):
-    """Trial, stimulus, onset error and notes; participants do not see it unless it is switched on."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.setAccessibleName("Experimenter")
-        self.trial, self.stimulus, self.onset = (ui.label(name) for name in ("Trial", "Stimulus", "Onset error"))
-        self.note = ui.label("Note", wraps=True, any_width=True)
-        ui.row(self.trial, 16, self.stimulus, 16, self.onset, 16, (self.note, 1), owner=self, margins=(10, 4, 10, 4))
-        self.setStyleSheet(f"ExperimenterStrip {{ border: 0; border-top: 1px solid {self.theme.grid}; }}")
-        self.hide()
-
-    def show_state(self, state: TrialsState) -> None:
-        """Show where the session stands."""
-        blocks = "" if state.blocks == 1 else f", block {counted(state.block, state.blocks)}"
-        counts = "familiarisation" if state.phase == "familiarisation" else "trial"
-        ui.put(self.trial, f"{counts} {counted(state.trial, state.of)}{blocks}")
-        ui.put(self.note, state.note)
-
-    def show_presented(self, presented: Presented) -> None:
-        """Show the stimulus that sounded last."""
-        error, within = presented.onset_error_ms, presented.onset_within_ms
-        ui.put(self.stimulus, presented.stimulus)
-        late = "onset known to" if error is None else f"onset error {error:+.2f}"
-        ui.put(self.onset, f"{late} ± {within:.2f} ms")
 
 
 def counted(number: int, of: int | None) -> str:

@@ -17,7 +17,6 @@ from wavefocus.config.messages.trials import (
     EndTrials,
     GoOn,
     Preparing,
-    Presented,
     Replay,
     TrialsEnded,
     TrialsState,
@@ -28,7 +27,7 @@ from wavefocus.gui.message_bar import ErrorHook
 from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.theme import use_desktop_theme
 from wavefocus.gui.trials.pages import REPLAY_KEY, NoticePage, QuestionPage, WelcomePage
-from wavefocus.gui.trials.parts import ExperimenterStrip, Input, counted, key_code
+from wavefocus.gui.trials.parts import Input, counted, key_code
 from wavefocus.gui.window import make_application
 
 _SIZE, _FRAME = QSize(1000, 700), QSize(16, 48)
@@ -57,7 +56,6 @@ class TrialsWindow(QMainWindow):
         """Tracebacks of errors that nobody caught."""
         self._error_hook = ErrorHook(self._report_error, self.close)
         self._error_hook.install()
-        self.strip = ExperimenterStrip()
         self.notice = NoticePage(lambda _at_s, _by: self._continue())
         self.welcome: WelcomePage | None = None
         self.question: QuestionPage | None = None
@@ -67,12 +65,9 @@ class TrialsWindow(QMainWindow):
         self._keys: dict[int, str] = {}
         self._pages = QStackedWidget()
         self._pages.addWidget(self.notice)
-        centre = QWidget()
-        ui.column((self._pages, 1), self.strip, owner=centre)
-        self.setCentralWidget(centre)
+        self.setCentralWidget(self._pages)
         self.addAction(ui.action(self, "Full screen", self._toggle_full_screen, "F11"))
         self.addAction(ui.action(self, "Leave full screen", self.showNormal, "Esc"))
-        self.addAction(ui.action(self, "Experimenter", lambda: self.strip.setVisible(self.strip.isHidden()), "F2"))
         screen = QApplication.primaryScreen()
         self.resize(_SIZE if screen is None else _SIZE.boundedTo(screen.availableSize() - _FRAME))
         self.process = CommandProcess(["trials", *arguments, "--lines"], self, name="wavefocus trials")
@@ -119,10 +114,7 @@ class TrialsWindow(QMainWindow):
                 self.show()
             case TrialsState() as state:
                 self._state = state
-                self.strip.show_state(state)
                 self._enter(state)
-            case Presented() as presented:
-                self.strip.show_presented(presented)
             case Refused(sentence=sentence):
                 self._refused(sentence)
             case TrialsEnded() as ended:
@@ -191,7 +183,6 @@ class TrialsWindow(QMainWindow):
             self._send(Replay())
 
     def _refused(self, sentence: str) -> None:
-        ui.put(self.strip.note, sentence)
         if self._state is not None:
             self._enter(self._state)
         if self.question is not None:
@@ -219,11 +210,10 @@ class TrialsWindow(QMainWindow):
         self.showNormal() if self.isFullScreen() else self.showFullScreen()
 
     def _report_error(self, sentence: str, details: str) -> None:
-        """Show an error that nobody caught to the experimenter; the session goes on."""
+        """Show an error that nobody caught; the session goes on."""
         if details:
             self.tracebacks.append(details)
-        ui.put(self.strip.note, sentence)
-        self.strip.show()
+        ui.put(self.notice.text if self.question is None else self.question.note, sentence)
 
 
 def show(arguments: Sequence[str], say: Callable[[str], object]) -> int:

@@ -28,7 +28,7 @@ from wavefocus.rendering.verify.record import (
     SCAN_NAME,
     STOP_NAME,
 )
-from wavefocus.storage.errors import InputError
+from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
     from wavefocus.rendering.verify.field_pair import FieldPair
@@ -233,9 +233,20 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
     focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
     looked_at = focus if len(focus) else evenly_spread(pair.samples, 64)
     loudest, difference = pair.loudest(looked_at, record.compared)
+    checks = _check_places(record)
     surface = PlotSurface(
         record.position_mm, record.actuator_places_mm,
-        None if record.outline_mm is None else np.array(record.outline_mm), raster_of(record.position_mm, gaps=False),
-        [np.array(source.path_mm) for source in record.sources],
+        None if record.outline_mm is None else np.array(record.outline_mm),
+        raster_of(record.position_mm, checks, gaps=False), [np.array(source.path_mm) for source in record.sources],
+        checks,
     )  # fmt: skip
     return Results(folder, record, pair, surface, focus, loudest, difference)
+
+
+def _check_places(record: VerificationRecord) -> NDArray[np.intp]:
+    """Which positions of a verification lie off its bank's grid; none where the bank is not there any more."""
+    from wavefocus.storage.bank.reading import open_bank
+
+    with suppress(WavefocusError, OSError), open_bank(Path(record.bank)) as bank:
+        return np.flatnonzero(np.isin(record.position_index, bank.check_rows))
+    return np.zeros(0, np.intp)
