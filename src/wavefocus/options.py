@@ -122,7 +122,8 @@ class ImportOptions:
 
     places: Path | None = option(
         None,
-        "Table of places: x_mm,y_mm[,z_mm] (or _m); role, file, channel, actuator, node.",
+        "Table of places: x_mm,y_mm[,z_mm] (or _m) or azimuth_deg,elevation_deg,radius_m; role, file, channel,"
+        " actuator, node.",
         metavar="FILE.csv",
     )
     unit: str = option("", "Unit of the values, as m/s/V, mm/s/V, g/N, Pa/V or 1.", metavar="RESPONSE/DRIVE")

@@ -226,27 +226,6 @@ def test_a_moving_listener_or_source_makes_positions_or_actuators_measurements(t
     assert np.allclose(green_of(back)[2, 1], responses[5, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"ListenerView": np.array([[0.0, 1.0, 0.0]])}, "ListenerView turns"),
-        ({"Data_Delay": np.array([[3.5, 0.0]])}, "Data.Delay is 0 to 3.5 samples"),
-    ],
-)
-def test_a_sofa_file_that_is_turned_or_late_by_part_of_a_sample_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, np.ndarray], words: str
-) -> None:
-    head = sofar.Sofa("SimpleFreeFieldHRIR")
-    head.Data_IR, head.Data_SamplingRate = np.random.default_rng(2).standard_normal((8, 2, 50)), 48_000.0
-    head.SourcePosition = np.column_stack([45.0 * np.arange(8), np.zeros(8), np.full(8, 1.2)])
-    head.ReceiverPosition = np.array([[0.0, 0.09, 0.0], [0.0, -0.09, 0.0]])
-    for name, value in change.items():
-        setattr(head, name, value)
-    sofar.write_sofa(str(tmp_path / "head.sofa"), head)
-    assert run(["import", str(tmp_path / "head.sofa"), "--bank", str(tmp_path / "a.h5"), "--unit", "1"]) == 2
-    assert words in capsys.readouterr().err
-
-
 def test_given_arrays_under_other_names_and_in_another_order_then_they_are_mapped(
     tmp_path: Path, imported: Any
 ) -> None:

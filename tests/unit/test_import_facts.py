@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import scipy.io
 
 from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
@@ -20,10 +21,17 @@ PLACES = np.array([[0.0, 0], [8, 0], [0, 8], [8, 8]])
 OPTIONS = ImportOptions(unit="m/s/V")
 
 
-def netcdf(path: Path, green: np.ndarray, **attributes: float) -> Path:
-    with h5py.File(path, "w") as file:
-        file["green"], file["position_mm"], file["sample_rate_hz"] = green, PLACES, 1000.0
-        file["green"].attrs.update(attributes)
+def classic(path: Path, green: np.ndarray, **attributes: float) -> Path:
+    file = scipy.io.netcdf_file(path, "w")
+    for name, size in zip(("position", "actuator", "sample", "xy", "one"), (*green.shape, 2, 1), strict=True):
+        file.createDimension(name, size)
+    variable = file.createVariable("green", "d", ("position", "actuator", "sample"))
+    variable[:] = green
+    for name, value in attributes.items():
+        setattr(variable, name, value)
+    file.createVariable("position_mm", "d", ("position", "xy"))[:] = PLACES
+    file.createVariable("sample_rate_hz", "d", ("one",))[:] = [1000.0]
+    file.close()
     return path
 
 
@@ -44,13 +52,13 @@ def test_fill_values_of_another_type_are_never_valid(tmp_path: Path, attribute: 
     green = GREEN.copy()
     green[2, 1, taps] = 1e20
     with pytest.raises(InputError, match="position 2"):
-        import_bank(netcdf(tmp_path / "a.nc", green, **{attribute: 1e20}), tmp_path / "a.h5", OPTIONS)
+        import_bank(classic(tmp_path / "a.nc", green, **{attribute: 1e20}), tmp_path / "a.h5", OPTIONS)
 
 
 def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_path: Path) -> None:
     green = GREEN.copy()
     green[2] = 1e20
-    made = import_bank(netcdf(tmp_path / "a.nc", green), tmp_path / "a.h5", OPTIONS)
+    made = import_bank(classic(tmp_path / "a.nc", green), tmp_path / "a.h5", OPTIONS)
     with open_bank(tmp_path / "a.h5") as bank:
         assert bank.status.tolist() == [1, 1, 4, 1]
     assert any("position" in warning and "200 dB" in warning for warning in made.facts["warnings"])

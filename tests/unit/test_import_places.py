@@ -52,7 +52,7 @@ def test_a_table_as_spreadsheets_write_it_then_has_these_places(tmp_path: Path, 
         ('x_mm,y_mm\n"1,5",2\n', "line 2: x_mm is '1,5'"),
         ("x_mm,y_mm\n1_0,2\n", "line 2: x_mm is '1_0'"),
         ("x_mm,y_mm,x_m\n1,2,1\n", "line 2: x_m and x_mm are different places"),
-        ("azimuth_deg,elevation_deg,radius_m\n0,0,1\n", "columns x_mm,y_mm"),
+        ("azimuth_deg,elevation_deg,radius_m,radius_mm\n0,0,1,1\n", "radius_m and radius_mm"),
     ],
 )
 def test_a_table_that_can_be_read_in_two_ways_then_is_refused(tmp_path: Path, content: str, message: str) -> None:

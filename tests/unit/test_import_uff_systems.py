@@ -46,20 +46,6 @@ def add_2420(path: Path, number: int, kind: int, turn: Rotation, shift_m: np.nda
                            CS_names=["system"], CS_matrices=[matrix], return_full_dict=True), "add")  # fmt: skip
 
 
-def add_system(path: Path, number: int, system: int, kind: int, turn: Rotation, shift_m: np.ndarray) -> None:
-    if number == 2420:
-        add_2420(path, system, kind, turn, shift_m)
-    else:
-        with path.open("a") as file:
-            file.write(text_18(system, kind, 0, turn, shift_m))
-
-
-def places_table(folder: Path) -> Path:
-    table = folder / "places.csv"
-    table.write_text("node,x_mm,y_mm\n" + "".join(f"{node},{4 * node},0\n" for node in NODES))
-    return table
-
-
 def add_nodes(path: Path, own: np.ndarray, definition: int = 0, displacement: int = 0, kind: int = 2411) -> None:
     """Nodes with their own coordinates; the driven one stands at (50, 0, 0) mm of the file."""
     count = len(own)
@@ -95,54 +81,97 @@ def imported(path: Path, **options: Any) -> tuple[np.ndarray, np.ndarray]:
         return bank.position_mm, np.fft.rfft(green)
 
 
+def own_coordinates(kind: int, turn: Rotation, shift_m: np.ndarray) -> np.ndarray:
+    """Coordinates of the places in a system, by its definition."""
+    x, y, z = turn.inv().apply(PLACES_M - shift_m).T
+    if kind == 0:
+        return np.column_stack([x, y, z])
+    angle = np.degrees(np.arctan2(y, x))
+    if kind == 1:
+        return np.column_stack([np.hypot(x, y), angle, z])
+    radius = np.sqrt(x**2 + y**2 + z**2)
+    return np.column_stack([radius, np.degrees(np.arccos(z / radius)), angle])
+
+
 @pytest.mark.parametrize("binary", [False, True])
 @pytest.mark.parametrize("nodes", [15, 2411])
+@pytest.mark.parametrize("kind", [0, 1, 2])
 @pytest.mark.parametrize("number", [18, 2420])
-def test_a_system_that_is_the_file_s_own_then_changes_nothing(
-    tmp_path: Path, number: int, nodes: int, binary: bool
+def test_places_in_a_system_of_their_own_then_are_those_of_the_file(
+    tmp_path: Path, number: int, kind: int, nodes: int, binary: bool
 ) -> None:
     path = tmp_path / "a.uff"
     units(path)
-    add_system(path, number, 5, 0, Rotation.identity(), np.zeros(3))
-    add_nodes(path, PLACES_M, definition=5, displacement=5, kind=nodes)
+    if number == 2420:
+        add_2420(path, 5, kind, TURN, SHIFT_M)
+    else:
+        with path.open("a") as file:
+            file.write(text_18(5, kind, 0, TURN, SHIFT_M))
+    add_nodes(path, own_coordinates(kind, TURN, SHIFT_M), definition=5, kind=nodes)
     add_functions(path, RESPONSES, binary=binary)
     places_mm, spectra = imported(path)
     assert np.abs(places_mm - PLACES_M[:, :2] * 1e3).max() < 2e-3
     assert np.abs(spectra - RESPONSES[:, 2]).max() < 1e-4
 
 
-@pytest.mark.parametrize(
-    ("kind", "turn", "shift_m"),
-    [(0, TURN, np.zeros(3)), (0, Rotation.identity(), SHIFT_M), (1, Rotation.identity(), np.zeros(3))],
-    ids=["turned", "elsewhere", "cylindrical"],
-)
-@pytest.mark.parametrize("number", [18, 2420])
-@pytest.mark.parametrize("role", ["definition", "displacement"])
-def test_a_node_in_another_system_then_is_refused_by_its_number(
-    tmp_path: Path, role: str, number: int, kind: int, turn: Rotation, shift_m: np.ndarray
-) -> None:
+def test_a_system_in_another_system_then_is_turned_by_both(tmp_path: Path) -> None:
     path = tmp_path / "a.uff"
     units(path)
-    add_system(path, number, 1, kind, turn, shift_m)
-    add_nodes(path, PLACES_M, **{role: 1})
+    inner, inner_shift = Rotation.from_euler("zyx", [-70, 10, 5], degrees=True), np.array([0.1, 0.2, 0.0])
+    with path.open("a") as file:
+        file.write(text_18(6, 1, 5, inner, inner_shift) + text_18(5, 0, 0, TURN, SHIFT_M))
+    whole, shift = TURN * inner, SHIFT_M + TURN.apply(inner_shift)
+    add_nodes(path, own_coordinates(1, whole, shift), definition=6)
     add_functions(path, RESPONSES)
-    with pytest.raises(InputError, match="node 3 is in coordinate system 1"):
-        imported(path)
-    table = places_table(tmp_path)
-    if role == "definition":  # its coordinates are not used then
-        assert imported(path, places=table)[0][:, 0].tolist() == [4.0 * node for node in NODES]
-    else:
-        with pytest.raises(InputError, match="coordinate system 1"):
-            imported(path, places=table)
+    assert np.abs(imported(path)[0] - PLACES_M[:, :2] * 1e3).max() < 5e-3
 
 
-def test_a_system_that_no_set_defines_then_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [0, 1])
+def test_responses_in_directions_of_their_nodes_then_are_turned_to_those_of_the_file(tmp_path: Path, kind: int) -> None:
     path = tmp_path / "a.uff"
+    units(path)
+    add_2420(path, 5, kind, TURN, SHIFT_M)
+
+    add_nodes(path, PLACES_M, displacement=5)
+    own = []
+    for place, response in zip(PLACES_M, RESPONSES, strict=True):
+        x, y, _ = TURN.inv().apply(place - SHIFT_M)
+        at_node = TURN * Rotation.from_euler("z", np.arctan2(y, x) if kind == 1 else 0.0)
+        own.append(at_node.inv().as_matrix() @ response)
+    add_functions(path, np.array(own), axes=(1, -2, 3))
+    for axis in range(3):
+        if kind == 1:
+            assert np.abs(imported(path, direction="xyz"[axis])[1] - RESPONSES[:, axis]).max() < 1e-4
+        path.with_suffix(".h5").unlink(missing_ok=True)
+    if kind == 0:  # all are turned alike: they stay as measured
+        assert np.abs(imported(path, direction="z")[1] - np.array(own)[:, 2]).max() < 1e-4
+
+
+def test_a_node_whose_normal_points_down_then_has_its_sign_changed(tmp_path: Path) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    add_2420(path, 5, 0, Rotation.from_euler("x", 180, degrees=True), np.zeros(3))
+    add_nodes(path, PLACES_M, displacement=5)
+    add_functions(path, RESPONSES)
+    assert np.abs(imported(path)[1] + RESPONSES[:, 2]).max() < 1e-4
+
+
+def test_what_cannot_be_turned_then_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    add_2420(path, 5, 1, TURN, SHIFT_M)
+    add_nodes(path, PLACES_M, displacement=5)
+    add_functions(path, RESPONSES, axes=(1,))
+    with pytest.raises(InputError, match="displacement system 5"):
+        imported(path)
     units(path)
     add_nodes(path, PLACES_M, definition=9)
     add_functions(path, RESPONSES)
     with pytest.raises(InputError, match="coordinate system 9"):
         imported(path)
+    table = tmp_path / "places.csv"
+    table.write_text("node,x_mm,y_mm\n" + "".join(f"{node},{4 * node},0\n" for node in NODES))
+    assert imported(path, places=table)[0][:, 0].tolist() == [4.0 * node for node in NODES]
 
 
 @pytest.mark.parametrize("kind", [2, 3, 9, 12])

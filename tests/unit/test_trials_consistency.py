@@ -49,7 +49,7 @@ def test_given_sound_answers_then_every_row_fits(experiment):
 
 
 CHANGES = {
-    "participant": "p01", "stimulus": "elsewhere", "path": "up", "signal": "hum",
+    "participant": "p01", "block": 7, "trial": 999, "stimulus": "elsewhere", "path": "up", "signal": "hum",
     "speed_mm_s": 1.0, "amplitude": 0.7, "plays": 2, "answer": "up", "reaction_s": -1.0, "onset_within_ms": -1.0,
     "by": "nobody", "answered_at": "yesterday", "stimulus_sha256": "1" * 64, "bank_sha256": "1" * 64,
     "trials_sha256": "1" * 64,
@@ -80,6 +80,16 @@ def test_given_a_row_twice_then_the_second_is_left_out(experiment):
 def test_given_a_row_that_is_missing_then_those_after_it_stay(experiment):
     rows = experiment[2]
     assert named(experiment, [*rows[:5], *rows[6:]]) == []
+
+
+def test_two_answers_exchanged_in_a_fixed_order_are_both_left_out(experiment):
+    design, _, rows = experiment
+    if design.config.adaptive is None:
+        other = next(number for number in range(6, 40) if rows[number].stimulus != rows[5].stimulus)
+        changed = list(rows)
+        for here, there in ((5, other), (other, 5)):
+            changed[here] = replace(rows[there], trial=rows[here].trial)
+        assert [line for line, _ in named(experiment, changed)] == [7, other + 2]
 
 
 def test_given_columns_that_the_file_lacks_then_their_defaults_are_no_fault(experiment):

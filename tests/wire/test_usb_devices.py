@@ -106,6 +106,7 @@ def test_given_a_bus_then_each_device_is_listed_with_its_ids_texts_and_place():
         ([ADAPTER, DAQ], DAQ, None, (1, 2)),
         ([ADAPTER, SECOND_ADAPTER], ADAPTER, "A7004IXX", (1, 4)),
         ([DAQ], DAQ, "01a2b3c4 ", (1, 2)),
+        ([ADAPTER], ADAPTER, "A50285BIA", (1, 3)),  # with the letter of its port, as Windows shows it
         ([CLOSED_DAQ], DAQ, None, (1, 2)),  # without a serial number the ids are enough
     ],
 )
@@ -120,6 +121,7 @@ def test_given_a_table_of_the_rig_then_its_device_is_found(plugged_in, device, n
         ([ADAPTER, SECOND_ADAPTER], ADAPTER, None, "A50285BI.*A7004IXX", "serial_number"),
         ([SECOND_ADAPTER], ADAPTER, "A50285BI", "A7004IXX", "serial_number"),
         ([ADAPTER], ADAPTER, "A50285BIX", "none with serial number", "serial_number"),
+        ([DAQ], DAQ, "01A2B3C4A", "none with serial number", "serial_number"),  # only FTDI's have that letter
         ([CLOSED_DAQ], DAQ, "01A2B3C4", "cannot be opened", permit(0x3923, 0x7179)),
     ],
 )

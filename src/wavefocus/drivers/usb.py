@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
-from wavefocus.drivers.serial_line import RULES, RULES_FOLDER
+from wavefocus.drivers.serial_line import LETTERS, RULES, RULES_FOLDER
 
+FTDI_VENDOR = 0x0403
 LISTING, RESETTING = "listing USB devices", "resetting it over USB"
 BY_HAND = "unplug it, wait a moment and plug it in again"
 BACK_WITHIN_S = 15.0
@@ -116,8 +117,7 @@ def find_device(
     """
     name = f"{role} (USB {vendor_id:04x}:{product_id:04x})"
     alike = [device for device in devices if (device.vendor_id, device.product_id) == (vendor_id, product_id)]
-    number = None if serial_number is None else serial_number.strip().casefold()
-    chosen = [device for device in alike if number is None or (number and device.serial_number.casefold() == number)]
+    chosen = [device for device in alike if serial_number is None or _has_number(device, serial_number)]
     if len(chosen) == 1:
         return chosen[0]
     listed = "; ".join(map(str, chosen or alike))
@@ -131,6 +131,13 @@ def find_device(
     if any(device.problem for device in alike):
         remedy = permit(vendor_id, product_id)
     raise InstrumentError(name, LISTING, f"none with serial number {serial_number} is plugged in: {listed}", remedy)
+
+
+def _has_number(device: UsbDevice, wanted: str) -> bool:
+    """Whether a device has a serial number as people copy it: from a label, or from Windows with FTDI's letter."""
+    own, wanted = device.serial_number.casefold(), wanted.strip().casefold()
+    ftdi = device.vendor_id == FTDI_VENDOR and wanted[-1:].upper() in LETTERS
+    return own != "" and (own == wanted or (ftdi and own == wanted[:-1]))
 
 
 def reset_device(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.packing import DEFAULT_FILL, KEYS, UNREAD, Packing, packing
+from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, packing
 from wavefocus.storage.text_file import permission_words, require_regular
 
 _MAX_METADATA_BYTES = 64 << 20
@@ -141,7 +141,7 @@ def plain_dataset(
     if shape is not None and dataset.shape != shape:
         raise InputError(f"{path}: {name} has shape {dataset.shape}; {shape} is needed")
     stated = packing_of(dataset, written=True) if not packed else Packing()
-    if not stated.is_plain:
+    if stated.is_scaled or any(comparison in ("==", "~") for comparison, _, _ in stated.absent):
         raise InputError(f"{path}: {name} has a scale_factor, add_offset or _FillValue; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     if declared > most_bytes() and declared > _HOLLOW * held:
@@ -179,7 +179,7 @@ def packing_of(dataset: h5py.Dataset, *, written: bool = False) -> Packing:
 
     written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
     """
-    attributes = {key: dataset.attrs[key] for key in KEYS + UNREAD if holds_attribute(dataset, key)}
+    attributes = {key: dataset.attrs[key] for key in KEYS if holds_attribute(dataset, key)}
     fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
     if fill is not None and dataset.fillvalue != fill:
         fill = None

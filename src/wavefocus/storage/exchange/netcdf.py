@@ -1,7 +1,8 @@
-"""A bank as netCDF-4 with CF metadata, row by row; netCDF-4 as xarray and others write it is read."""
+"""A bank as netCDF-4 with CF metadata, row by row; netCDF-4 as xarray and others write it, and netCDF-3, are read."""
 
 from __future__ import annotations
 
+import warnings
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -21,9 +22,10 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.hdf5_arrays import compound_complex, read_arrays
 from wavefocus.storage.exchange.measured import Measured
+from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 from wavefocus.storage.hdf5_writing import attach, created, dimension_scale, filled, reserved, set_long_names
 from wavefocus.storage.output_files import EXPORT_MARK, replacement
-from wavefocus.storage.packing import UnpackedArray
+from wavefocus.storage.packing import DEFAULT_FILL, KEYS, UnpackedArray, packing
 
 LONG_NAMES = {
     "green": "Green's functions: FIR filters from drive to response, tap 0 at the drive sample",
@@ -103,12 +105,18 @@ def _attributes(rows: ExportedRows) -> dict[str, object]:
     return attributes | {name: about[key] for name, key in names.items() if key in about}
 
 
+_ATTRIBUTES = ("sample_rate_hz", "band_hz", "response_unit", "drive_unit")
+"""Facts that a file may state in attributes of its own."""
+
+
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     """Read arrays by name, from netCDF-4 row by row."""
     with path.open("rb") as file:
-        is_classic = file.read(3) == b"CDF"
-    if is_classic:
-        raise InputError(f"{path} is netCDF-3, and netCDF-4 is read; convert it with nccopy -k nc4 OLD.nc NEW.nc")
+        head = file.read(4)
+    if head == b"CDF\x05":
+        raise InputError(f"{path} is netCDF-3 with 64-bit data (CDF-5); convert it with nccopy -k nc4 OLD.nc NEW.nc")
+    if head.startswith(b"CDF"):
+        return _read_classic(path, options, stack)
 
     def understand(dataset: h5py.Dataset) -> Any:
         if dataset.dtype.kind == "V":
@@ -120,3 +128,34 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     with hdf5_reading.opened(path) as content, suppress(InputError):  # another program may mean no text by it
         notes = notes_of(hdf5_reading.text(content, "notes") or "")
     return replace(read_arrays(path, options, stack, understand), notes=notes)
+
+
+def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
+    from scipy.io import netcdf_file
+
+    stack.enter_context(warnings.catch_warnings())
+    # Rows refer to the file's memory until the import is over.
+    warnings.filterwarnings("ignore", message="Cannot close a netcdf_file")
+    file = stack.enter_context(netcdf_file(path, "r", mmap=True, maskandscale=False))
+
+    def get(name: str) -> Any:
+        if name in file.variables:
+            variable = file.variables[name]
+            stored = np.array(variable.data)
+            if stored.dtype.kind == "S":
+                return b"".join(stored.reshape(-1).tolist()).decode("utf-8", "replace").strip("\0 ")
+            attributes = {key: getattr(variable, key) for key in KEYS if hasattr(variable, key)}
+            fill = DEFAULT_FILL.get(stored.dtype.str[1:])
+            return UnpackedArray(stored, packing(attributes, stored.dtype, f"{path}: {name}", fill))
+        value = getattr(file, name, None) if name in _ATTRIBUTES else None
+        if value is None and name == "response_unit" and "green" in file.variables:
+            value = getattr(file.variables["green"], "units", None)
+        return (
+            value.decode("utf-8", "replace") if isinstance(value, bytes) else None if value is None else np.array(value)
+        )
+
+    def units(name: str) -> str:
+        value = getattr(file.variables.get(name), "units", b"")
+        return value.decode("utf-8", "replace") if isinstance(value, bytes) else ""
+
+    return measured_arrays(NamedArrays(path, get, file.variables, units), options)

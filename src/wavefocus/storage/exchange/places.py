@@ -16,7 +16,7 @@ from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import CSV_NOTES
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
-from wavefocus.storage.exchange.measured import Float64Array, length_unit, require_plain
+from wavefocus.storage.exchange.measured import Float64Array, from_spherical, length_unit, require_plain
 from wavefocus.storage.output_files import staged_folder
 from wavefocus.storage.point_status import status_words
 from wavefocus.storage.text_file import read_text
@@ -61,8 +61,9 @@ def _median(figures: np.ndarray) -> str:
     return f"{np.median(known):.6g}" if known.size else ""
 
 
+_SPHERICAL = ("azimuth_deg", "elevation_deg")
 _SEPARATOR = re.compile(r"\ufeff?sep=([,;\t])\s*")
-WANTED = "x_mm,y_mm[,z_mm] (or _m, _um, _in)"
+WANTED = "x_mm,y_mm[,z_mm] (or _m, _um, _in), or azimuth_deg,elevation_deg,radius_m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +160,16 @@ def table_of(options: ImportOptions, path: Path, count: int, actuators: int) -> 
     return position_m, actuator_m if len(actuator_m) else np.full((actuators, 3), np.nan)
 
 
-_Columns = tuple[list[tuple[str, float]], ...]
-"""Of each coordinate, its columns and the sizes of their units in metres; of several all must agree. None: 0."""
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Columns of coordinates.
+
+    named: Of each coordinate, its columns and the size of their units: in metres, or 1 for angles in degrees. Of
+        several columns all must agree. None: the coordinate is 0.
+    """
+
+    named: tuple[list[tuple[str, float]], ...]
+    is_spherical: bool
 
 
 def _columns(header: list[str], path: Path, options: ImportOptions) -> _Columns:
@@ -168,21 +177,23 @@ def _columns(header: list[str], path: Path, options: ImportOptions) -> _Columns:
         raise InputError(f"{path}: its header names a column twice; each may be there once")
     named = {
         axis: [(f"{axis}_{unit}", metres) for unit, metres in METRES.items() if f"{axis}_{unit}" in header]
-        for axis in ("x", "y", "z")
+        for axis in ("x", "y", "z", "radius")
     }
     if named["x"] and named["y"]:
-        return named["x"], named["y"], named["z"]
+        return _Columns((named["x"], named["y"], named["z"]), is_spherical=False)
+    if {*_SPHERICAL} <= set(header) and named["radius"]:
+        return _Columns((*([(name, 1.0)] for name in _SPHERICAL), named["radius"]), is_spherical=True)
     if {"x", "y"} <= set(header):
         metres = length_unit(options, path)
         third = named["z"] or ([("z", metres)] if "z" in header else [])
-        return [("x", metres)], [("y", metres)], third
+        return _Columns(([("x", metres)], [("y", metres)], third), is_spherical=False)
     raise InputError(f"{path}: its header is {','.join(header)[:200]!r}; columns {WANTED} are needed")
 
 
 def _place(columns: _Columns, words: dict[str, str], number_of: _Numbers, line: int) -> Float64Array:
     """Coordinates of a line in metres, (3,)."""
     found = np.zeros(3)
-    for axis, named in enumerate(columns):
+    for axis, named in enumerate(columns.named):
         values = [number_of(words.get(name, ""), line, name) * size for name, size in named]
         known = [value for value in values if not np.isnan(value)]
         if known and max(known) - min(known) > 1e-6 * max(map(abs, known)) + 1e-9:
@@ -191,7 +202,7 @@ def _place(columns: _Columns, words: dict[str, str], number_of: _Numbers, line: 
                 " one of the columns out"
             )
         found[axis] = known[0] if known else np.nan if named else 0.0
-    return found
+    return from_spherical(found[None])[0] if columns.is_spherical else found
 
 
 class _Numbers:

@@ -145,7 +145,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     """Read responses from emitters to receivers.
 
     Positions are the receivers, where the listener is; actuators the emitters, where the source is. A measurement (M)
-    counts positions where the listener moves, actuators where the source does, pairs where both do.
+    counts positions where the listener moves or turns, actuators where the source does, pairs where both do.
     """
     file = open_hdf5(path, stack)
     data_type = text_attribute(file, "DataType")
@@ -219,64 +219,83 @@ def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset | UnpackedAr
 
 
 def _places(file: h5py.File, body: str, part: str, count: int, measurements: int, path: Path) -> _Places:
-    """Places of receivers (or emitters), which are relative to the listener (or source)."""
-    centre, own = (_coordinates(file, name, path) for name in (f"{body}Position", f"{part}Position"))
-    _require_unturned(file, body, own, path)
-    # Parts at one place differ only by their number; without an axis for emitters, which one sounds is not said.
-    is_unknown = (count == 1) is not (own.shape[0] == 1)
-    own = own[:1] if count == 1 else own
+    """Places of receivers (or emitters), which are relative to the listener (or source) and turn with it."""
+    centre, _ = _coordinates(file, f"{body}Position", path)
+    own, is_place = _coordinates(file, f"{part}Position", path)
+    view, up = _axes_of(file, body, path)
+    if count == 1 and own.shape[0] > 1:  # a convention without an axis for emitters: which one sounds is not said
+        own, is_place = own[:1], False
     if own.shape[0] not in (1, count):
         raise InputError(f"{path}: {part}Position has {own.shape[0]} places; {count} are needed")
-    for name, found in ((f"{body}Position", len(centre)), (f"{part}Position", own.shape[2])):
-        if found not in (1, measurements):
-            raise InputError(f"{path}: {name} has {found} measurements; 1 or {measurements} are needed")
-    rows = range(max(len(centre), own.shape[2]))
-    placed = np.stack([centre[row % len(centre)] + own[:, :, row % own.shape[2]] for row in rows])
-    if is_unknown:
+    for name, table in (("Position", centre), ("View", view), ("Up", up)):
+        if len(table) not in (1, measurements):
+            raise InputError(f"{path}: {body}{name} has {len(table)} rows; 1 or {measurements} are needed")
+    if own.shape[2] not in (1, measurements):
+        raise InputError(f"{path}: {part}Position has {own.shape[2]} measurements; 1 or {measurements} are needed")
+    rows = max(len(centre), len(view), len(up), own.shape[2])
+    placed = np.empty((rows, count, 3))
+    for row in range(rows):
+        ahead, above = view[row % len(view)], up[row % len(up)]
+        turned = own[:, :, row % own.shape[2]] @ np.array([ahead, np.cross(above, ahead), above])
+        placed[row] = centre[row % len(centre)] + turned
+    varies = bool(rows > 1 and (placed.max(axis=0) - placed.min(axis=0) > 1e-9).any())
+    # Emitters that all lie at one unknown place are distinguished only by their number.
+    if not is_place or (count > 1 and own.shape[0] == 1):
         return _Places(np.full((1, count, 3), np.nan), varies=False)
-    return _Places(placed, bool((np.ptp(placed, axis=0) > 1e-9).any()))
+    return _Places(placed, varies or (rows > 1 and len(view) > 1 and bool(np.ptp(view, axis=0).any())))
 
 
-def _coordinates(file: h5py.File, name: str, path: Path) -> Float64Array:
-    """Places in metres: (rows, 3), or (count, 3, rows) of receivers and emitters."""
+def _coordinates(file: h5py.File, name: str, path: Path) -> tuple[Float64Array, bool]:
+    """Places in metres: (rows, 3), or (count, 3, rows) of receivers and emitters; whether they are places at all."""
     values = hdf5_reading.read_floats(file, f"/{name}")
     kind, units = text_attribute(file[name], "Type"), text_attribute(file[name], "Units")
     if not kind and units.strip().lower().startswith("deg"):
         kind = "spherical"
-    if kind not in ("", "cartesian", "spherical"):
-        raise InputError(f"{path}: {name} is of the type {kind[:40]!r}; cartesian or spherical places are read")
     is_part = name.startswith(("Receiver", "Emitter"))
     if is_part and values.ndim == 2:
         values = values[:, :, None]
     if values.ndim != (3 if is_part else 2) or values.shape[1] != 3:
         raise InputError(f"{path}: {name} has shape {values.shape}; three coordinates are needed")
+    if kind == "spherical harmonics":
+        return np.zeros_like(values), False
     flat = values.transpose(0, 2, 1).reshape(-1, 3) if is_part else values
     if kind == "spherical":
         flat = from_spherical(flat)
-    else:
-        unit = units.split(",")[0] if units.strip() else "metre"  # AES69: the default unit
-        flat = flat * length_unit(ImportOptions(), path, unit)
-    return flat.reshape(len(values), -1, 3).transpose(0, 2, 1) if is_part else flat
+    elif not units.strip():
+        units = "metre"  # AES69: the default unit
+    if kind != "spherical":
+        flat = flat * length_unit(ImportOptions(), path, units.split(",")[0])
+    return (flat.reshape(len(values), -1, 3).transpose(0, 2, 1) if is_part else flat), True
 
 
-def _require_unturned(file: h5py.File, body: str, own: Float64Array, path: Path) -> None:
-    """Refuse a listener (or source) that is turned while its parts lie off its centre."""
-    names = [name for name in (f"{body}View", f"{body}Up") if own.any() and hdf5_reading.has(file, name)]
-    is_spherical = any(text_attribute(file[name], "Type") == "spherical" for name in names)
-    for name in names:
-        values = hdf5_reading.read_floats(file, f"/{name}")
-        if is_spherical and values.shape[1:] == (3,):
-            values = from_spherical(values)
-        ahead = [1.0, 0.0, 0.0] if name.endswith("View") else [0.0, 0.0, 1.0]
-        if values.shape[1:] != (3,) or not np.allclose(values, ahead, atol=1e-6):
-            raise InputError(f"{path}: {name} turns the places of its parts; only {ahead} is read, in every row")
+def _axes_of(file: h5py.File, body: str, path: Path) -> tuple[Float64Array, Float64Array]:
+    """Directions ahead and up, unit vectors (rows, 3), at right angles."""
+    vectors = []
+    for name, default in (("View", (1.0, 0.0, 0.0)), ("Up", (0.0, 0.0, 1.0))):
+        if not hdf5_reading.has(file, f"{body}{name}"):
+            vectors.append(np.array([default]))
+            continue
+        values = hdf5_reading.read_floats(file, f"/{body}{name}")
+        if values.ndim != 2 or values.shape[1] != 3:
+            raise InputError(f"{path}: {body}{name} has shape {values.shape}; three coordinates are needed")
+        holder = file[f"{body}View"] if hdf5_reading.has(file, f"{body}View") else file[f"{body}{name}"]
+        is_spherical = text_attribute(file[f"{body}{name}"], "Type") or text_attribute(holder, "Type")
+        vectors.append(from_spherical(values) if is_spherical == "spherical" else values)
+    ahead, above = vectors
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+        across = above - ahead * np.sum(above * ahead, axis=1, keepdims=True)
+        above = across / np.linalg.norm(across, axis=1, keepdims=True)
+    if not (np.isfinite(ahead).all() and np.isfinite(above).all()):
+        raise InputError(f"{path}: {body}View and {body}Up need two directions that differ")
+    return ahead, above
 
 
 def _alone(places_m: Float64Array, file: h5py.File, path: Path) -> Float64Array:
-    """Places of one receiver; those of the listener where it has no place of its own."""
+    """Places of one receiver; those of the listener where it has no place of its own (spherical harmonics)."""
     if np.isfinite(places_m).all():
         return places_m
-    return _coordinates(file, "ListenerPosition", path)[:, None]
+    return _coordinates(file, "ListenerPosition", path)[0][:, None]
 
 
 def _numbering(
@@ -309,8 +328,8 @@ def _delay(file: h5py.File, size: dict[str, int], path: Path) -> Float64Array:
         delay = delay[:, :, None]
     if delay.ndim != 3 or any(count not in (1, most) for count, most in zip(delay.shape, full, strict=True)):
         raise InputError(f"{path}: Data.Delay has shape {delay.shape}; {full}, or 1 in place of a number, is needed")
-    if not ((delay % 1 == 0).all() and delay.min() >= 0 and delay.max() <= 100 * size["n"] + 1e6):
-        raise InputError(f"{path}: Data.Delay is {delay.min():g} to {delay.max():g} samples; whole samples are read")
+    if not (np.isfinite(delay).all() and delay.min() >= 0 and delay.max() <= 100 * size["n"] + 1e6):
+        raise InputError(f"{path}: Data.Delay is {delay.min():g} to {delay.max():g} samples; 0 or more is needed")
     return np.asarray(np.broadcast_to(delay, full))
 
 
@@ -335,7 +354,8 @@ class _Responses:
     ) -> None:
         self._path, self._datasets, self._axes = path, datasets, axes
         self._receivers, self._delay = receivers, delay
-        self.extra = int(delay.max())
+        fractional = bool((delay % 1).any())
+        self.extra = int(np.ceil(delay.max())) + (_SINC if fractional else 0)
 
     def in_order(self) -> Any:
         """Yield (emitters, samples) of each receiver of each measurement."""
@@ -375,11 +395,20 @@ class _Responses:
             yield block
 
     def _delayed(self, responses: NDArray[Any], delay: Float64Array) -> NDArray[Any]:
-        """Responses (emitters, samples), each later by its delay in samples."""
+        """Responses (emitters, samples), each later by its delay in samples, which may be a fraction."""
         if not self.extra:
             return responses
         emitters, samples = responses.shape
         late = np.zeros((emitters, samples + self.extra))
-        for emitter, first in enumerate(delay.astype(int)):
+        for emitter, first in enumerate(np.floor(delay).astype(int)):
             late[emitter, first : first + samples] = responses[emitter]
+        part = delay % 1
+        if part.any():
+            length = 2 * late.shape[1]
+            turn = np.exp(-2j * np.pi * np.arange(length // 2 + 1) / length * part[:, None])
+            late = np.fft.irfft(np.fft.rfft(late, length) * turn, length)[:, : late.shape[1]]
         return late
+
+
+_SINC = 32
+"""Samples added after a response that is delayed by a fraction of a sample."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import datetime
 from functools import cache
 from pathlib import Path
@@ -24,6 +25,7 @@ from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress, p
 from wavefocus.storage.exchange.measured import Float64Array, Measured, chosen_direction, length_unit
 from wavefocus.storage.exchange.places import coordinates, read_places
 from wavefocus.storage.exchange.uff_sets import NOTE_MARK, NOTE_PART, Contents, Function, contents
+from wavefocus.storage.exchange.uff_systems import CARTESIAN, SPHERICAL, aligned, resolve
 from wavefocus.storage.output_files import replacement
 from wavefocus.storage.units import METRES
 
@@ -145,7 +147,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     """Read frequency responses where there are any, else time responses to an impulse.
 
     Positions are response nodes, actuators are reference nodes with their direction. Directions are those of the file;
-    a response along a negative one changes its sign. Raises InputError: a node is in a coordinate system of its own.
+    a response along a negative one changes its sign, and a node's own (its displacement system) are turned to them.
     """
     with path.open("rb", buffering=1 << 20) as file:
         held = contents(file, path)
@@ -158,8 +160,10 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         )
     chosen = [function for function in held.functions if function.kind == kind]
     used = {node for function in chosen for node in (function.response[0], function.reference[0])} & held.nodes.keys()
-    for node in sorted(used):
-        _require_own_system(held, node, options, path)
+    places = {} if options.places else {
+        node: resolve(held.systems, held.nodes[node].definition, path).place(held.nodes[node].own) for node in used
+    }  # fmt: skip
+    chosen, turned = _in_directions_of_the_file(chosen, held, places, options.direction.strip().lower(), path)
     axes = sorted({abs(function.response[1]) for function in chosen})
     names = [_AXIS_NAMES.get(axis, str(axis)) for axis in axes]
     axis = axes[chosen_direction(options, names, path)]
@@ -179,7 +183,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         sign = (-1 if function.response[1] < 0 else 1) * (-1 if function.reference[1] < 0 else 1)
         flipped += sign < 0
         pairs[pair] = function.values if sign > 0 else -function.values
-    position_m, actuator_m = _node_places(held, list(rows), list(columns), path, options)
+    position_m, actuator_m = _node_places(held, places, list(rows), list(columns), path, options)
     first = chosen[0]
     start, step = first.axis
     samples = len(first.values)
@@ -209,6 +213,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             f"{len(chosen)} functions of type {kind}, direction {_AXIS_NAMES.get(axis, axis)}, of {len(rows)} response"
             f" nodes (positions) and {len(columns)} reference nodes (actuators)",
             *([f"{flipped} functions along negative directions changed their sign"] if flipped else []),
+            *([turned] if turned else []),
         ),
         assumed=() if is_spectrum else ("time responses are responses to an impulse of one sample",),
         notes=held.notes(),
@@ -216,15 +221,80 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     )
 
 
-def _require_own_system(held: Contents, node: int, options: ImportOptions, path: Path) -> None:
-    """Refuse a node whose place or directions are in another coordinate system than the file's own."""
-    _, *systems = held.nodes[node]
-    for system in systems[1:] if options.places else systems:
-        if system not in held.own_systems:
+def _in_directions_of_the_file(
+    functions: list[Function], held: Contents, places: dict[int, Float64Array], wanted: str, path: Path
+) -> tuple[list[Function], str]:
+    """Functions along the axes of the file instead of those of their nodes' displacement systems, and a sentence.
+
+    Where a node's directions are turned by other than right angles, its responses in all three are combined. Where all
+    nodes' are turned alike, as on a plate that stands obliquely, they stay. References keep directions of their own
+    then.
+
+    wanted: Name of the one direction that is needed, or empty.
+
+    Raises InputError: a node is turned, others are turned otherwise, and not all three directions are there.
+    """
+    directions: dict[int, Float64Array] = {}
+    for node in {function.response[0] for function in functions} | {function.reference[0] for function in functions}:
+        if node in held.nodes:
+            system = resolve(held.systems, held.nodes[node].displacement, path)
+            if system.kind == SPHERICAL:
+                raise InputError(f"{path}: node {node} has directions of a spherical system, which are not read")
+            if system.kind != CARTESIAN and node not in places:
+                placed = resolve(held.systems, held.nodes[node].definition, path)
+                places[node] = placed.place(held.nodes[node].own)
+            directions[node] = system.directions(places.get(node, np.zeros(3)))
+    unturned = np.eye(3)
+    responding = [directions.get(node, unturned) for node in {function.response[0] for function in functions}]
+    alike = all(np.abs(axes - responding[0]).max() < 1e-3 for axes in responding)
+    used = [axis for axis in {abs(function.response[1]) for function in functions} if 1 <= axis <= 6]
+    if all(np.abs(axes - unturned).max() < 1e-3 for axes in directions.values()):
+        return functions, ""
+    referred = [
+        replace(function, reference=_along(directions, function.reference) or function.reference)
+        for function in functions
+    ]
+    if alike and any(aligned(responding[0][(axis - 1) % 3]) is None for axis in used):
+        return referred, "directions are those of the nodes' own displacement system, which is turned alike for all"
+    found: list[Function] = []
+    oblique: dict[tuple[int, tuple[int, int], bool], dict[int, Function]] = {}
+    for function in referred:
+        if (response := _along(directions, function.response)) is not None:
+            found.append(replace(function, response=response))
+            continue
+        node, axis = function.response
+        among = oblique.setdefault((node, function.reference, abs(axis) > 3), {})
+        if abs(axis) in among:
+            raise InputError(f"{path}: node {node} has two functions of one direction; one of each is needed")
+        among[abs(axis)] = replace(function, values=function.values if axis > 0 else -function.values)
+    for (node, _, turning), among in oblique.items():
+        first = 4 if turning else 1
+        if len(among) < 3:
+            shares = np.abs(directions[node][[own - first for own in among]]).max(axis=0)
+            axes = [first + axis for axis in range(3) if shares[axis] > 1e-3]
+            if wanted and wanted not in {_AXIS_NAMES[axis] for axis in axes}:
+                continue
             raise InputError(
-                f"{path}: node {node} is in coordinate system {system}, and only nodes in the file's own are read;"
-                " export them in global coordinates and directions"
+                f"{path}: node {node} has responses in {len(among)} directions of its displacement system"
+                f" {held.nodes[node].displacement}, which is turned against the file; all three are needed"
             )
+        own = np.stack([among[first + axis].values for axis in range(3)])
+        for axis, values in enumerate(directions[node].T @ own):
+            found.append(replace(among[first], response=(node, first + axis), values=values.astype(own.dtype)))
+    return found, "directions of nodes (displacement systems) were turned to those of the file"
+
+
+def _along(directions: dict[int, Float64Array], end: tuple[int, int]) -> tuple[int, int] | None:
+    """A node and its direction as one along an axis of the file; None where it is none."""
+    node, direction = end
+    if node not in directions or not 1 <= abs(direction) <= 6:
+        return end
+    axis = aligned(directions[node][(abs(direction) - 1) % 3])
+    if axis is None:
+        return None
+    turning = 3 if abs(direction) > 3 else 0
+    sign = (1 if direction > 0 else -1) * (1 if axis > 0 else -1)
+    return node, sign * (abs(axis) + turning)
 
 
 def _rows(pairs: dict[tuple[int, int], NDArray[Any]], shape: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
@@ -268,6 +338,7 @@ def _require_alike(functions: list[Function], path: Path) -> None:
 
 def _node_places(
     held: Contents,
+    places: dict[int, Float64Array],
     rows: list[int],
     columns: list[tuple[int, int]],
     path: Path,
@@ -282,7 +353,7 @@ def _node_places(
         known = dict(zip((int(place.words["node"]) for place in listed), coordinates(listed), strict=True))
     elif held.nodes:
         metres = 1.0 / held.per_metre if held.per_metre else length_unit(options, path)
-        known = {node: np.array(place) * metres for node, (place, _, _) in held.nodes.items()}
+        known = {node: place * metres for node, place in places.items()}
     for node in rows:
         if node not in known:
             raise InputError(

@@ -1,7 +1,6 @@
 """Sets of a universal file in one pass.
 
-Functions (58, text and binary), nodes (15, 781, 2411), which coordinate systems are the file's own (18, 2420), units
-(164).
+Functions (58, text and binary), nodes (15, 781, 2411), their coordinate systems (18, 2420), units (164).
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from wavefocus.storage.bank.notes import Note
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Float64Array, require_plain, uniform_step
+from wavefocus.storage.exchange.uff_systems import Node, SystemRecord
 from wavefocus.storage.units import green_unit, split_unit
 
 _LINE = 1 << 12
@@ -49,17 +49,15 @@ class Function:
 class Contents:
     """What a file holds.
 
-    nodes: By their numbers: coordinates in the file's unit of length, the system that they are in, and the one of the
-        directions of its responses.
-    own_systems: Numbers of the Cartesian systems that are the file's own; 1 unless a set defines it otherwise.
+    nodes, systems: By their numbers, in the file's unit of length.
     per_metre, per_newton: The file's units of length in a metre, and of force in a newton.
     skipped: Number of sets of each kind that is not read.
     note_parts: Escaped parts of the notes of our own exports, in order.
     """
 
     functions: list[Function] = field(default_factory=list)
-    nodes: dict[int, tuple[tuple[float, float, float], int, int]] = field(default_factory=dict)
-    own_systems: set[int] = field(default_factory=lambda: {0, 1})
+    nodes: dict[int, Node] = field(default_factory=dict)
+    systems: dict[int, SystemRecord] = field(default_factory=dict)
     per_metre: float | None = None
     per_newton: float = 1.0
     skipped: dict[int, int] = field(default_factory=dict)
@@ -127,22 +125,18 @@ def _nodes(file: IO[bytes], held: Contents, *, double: bool) -> None:
             if len(loose) < 7:
                 continue
             head, words = loose[:4], [_float(word) for word in loose[4:7]]
-        held.nodes[int(head[0])] = (words[0], words[1], words[2]), int(head[1]), int(head[2])
+        held.nodes[int(head[0])] = Node((words[0], words[1], words[2]), int(head[1]), int(head[2]))
 
 
 def _systems(lines: list[bytes], held: Contents, *, matrices: bool) -> None:
-    """Note which systems are the file's own: after a header and a name, numbers on two lines (18) or four (2420)."""
+    """Read coordinate systems: after each header and name, numbers on two lines (18) or four (2420)."""
     at, count, widths = (2, 4, (25,) * 3) if matrices else (0, 2, (13,) * 6)
     while at + 2 + count <= len(lines):
-        number, kind, reference = [*(int(word) for word in lines[at].split()), 0][:3]
-        words = [word for line in lines[at + 2 : at + 2 + count] for word in _words(line, widths)]
-        table = np.reshape(words, (4 if matrices else 3, 3))
-        if matrices:  # unit vectors of x, y and z, and the origin
-            is_own = np.allclose(table, [*np.eye(3), np.zeros(3)], atol=1e-6)
-        else:  # origin, a point on +x, a point in the plane of +x and +z
-            is_own = reference in (0, 1) and not table[0].any() and not table[1, 1:].any() and table[2, 1] == 0.0
-            is_own &= table[1, 0] > 0.0 and table[2, 2] > 0.0
-        (held.own_systems.add if is_own and kind == 0 else held.own_systems.discard)(number)
+        head = [int(word) for word in lines[at].split()]
+        numbers = [word for line in lines[at + 2 : at + 2 + count] for word in _words(line, widths)]
+        if len(numbers) != (12 if matrices else 9):
+            raise ValueError(f"coordinate system {head[0]} has {len(numbers)} numbers")
+        held.systems[head[0]] = SystemRecord(head[1], 0 if matrices else head[2], tuple(numbers))
         at += 2 + count
 
 

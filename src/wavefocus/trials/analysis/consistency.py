@@ -13,6 +13,8 @@ from wavefocus.config.trials import AdaptiveTable, TrialsConfig, TrialsTable
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import COLUMNS, DEFAULTS, Row
 from wavefocus.trials.design import Stimulus, TrialsDesign
+from wavefocus.trials.order import Order
+from wavefocus.trials.resuming import order_of
 
 FACTS_OF_A_STIMULUS = ("path", "signal", "speed_mm_s", "amplitude", "plays", "track")
 
@@ -55,24 +57,28 @@ def unfit_rows(rows: Sequence[Row], design: TrialsDesign, facts: Mapping[str, An
     """Rows that are no answers of the experiment, in the file's order.
 
     A row fits if its stimulus is one of the design's and is described as there, its answer is allowed and judged as the
-    design judges it, trials file and bank are the experiment's, and its participant has no earlier row of that trial.
+    design judges it, trials file and bank are the experiment's, and it stands where the participant's own order has it.
 
     rows: All rows of the file, which begin in line 2.
     """
     # A column that the file lacks has its default in every row and says nothing.
     absent = {name for name, default in DEFAULTS.items() if all(getattr(row, name) == default for row in rows)}
     spelt: dict[str, str] = {}
-    answered: set[tuple[str, int]] = set()
+    of_participant: dict[str, list[tuple[int, Row]]] = {}
     found = []
     for line, row in enumerate(rows, 2):
-        reasons = list(_reasons(row, design, facts, absent))
-        if (first := spelt.setdefault(row.participant.casefold(), row.participant)) != row.participant:
-            reasons.insert(0, f"participant is {row.participant}; earlier rows say {first}")
-        elif (row.participant, row.trial) in answered:
-            reasons.append(f"trial {row.trial} of {row.participant} is answered in an earlier line")
-        answered.add((row.participant, row.trial))
-        found += [UnfitRow(line, row.participant, reason) for reason in reasons[:1]]
-    return tuple(found)
+        first = spelt.setdefault(row.participant.casefold(), row.participant)
+        if first == row.participant:
+            of_participant.setdefault(first, []).append((line, row))
+        else:
+            found.append(UnfitRow(line, row.participant, f"participant is {row.participant}; earlier rows say {first}"))
+    for participant, own in of_participant.items():
+        plan = _Plan(design, participant)
+        for (line, row), (_, following) in zip(own, [*own[1:], (0, None)], strict=True):
+            reasons = list(_reasons(row, design, facts, absent))
+            reasons += plan.reasons(row, following, fits=not reasons)
+            found += [UnfitRow(line, participant, reason) for reason in reasons[:1]]
+    return tuple(sorted(found, key=lambda unfit: unfit.line))
 
 
 def _reasons(row: Row, design: TrialsDesign, facts: Mapping[str, Any], absent: set[str]) -> Iterator[str]:
@@ -105,3 +111,44 @@ def _reasons(row: Row, design: TrialsDesign, facts: Mapping[str, Any], absent: s
     right = None if stimulus.correct is None else row.answer == stimulus.correct
     if "correct" not in absent and row.correct is not right:
         yield f"correct is {row.correct!r}; the answer {row.answer!r} to {row.stimulus} gives {right!r}"
+
+
+class _Plan:
+    """The order of a participant's trials, followed row by row.
+
+    The levels of an adaptive design follow from the answers: after a row that is missing or does not fit they are
+    unknown, and only the numbers of trials are held against the order.
+    """
+
+    def __init__(self, design: TrialsDesign, participant: str) -> None:
+        self._order: Order | None = order_of(design, participant) if design.stimuli else None
+        self._adaptive = design.config.adaptive is not None
+        self._due = 1
+
+    def reasons(self, row: Row, following: Row | None, *, fits: bool) -> Iterator[str]:
+        """Why a row does not stand where the order has it.
+
+        following: The participant's next row. Where it goes on from this one, rows before this one are missing.
+        fits: Whether the row fits by itself.
+        """
+        goes_on = following is not None and following.trial == row.trial + 1
+        if row.trial < self._due or (row.trial > self._due and not goes_on):
+            yield f"trial {row.trial} stands where trial {self._due} is due"
+            return
+        if row.trial > self._due and self._adaptive:
+            self._order = None
+        while self._order is not None and self._due < row.trial and self._order.next_trial() is not None:
+            self._order.answered("")
+            self._due += 1
+        self._due = row.trial + 1
+        if self._order is None:
+            return
+        trial = self._order.next_trial()
+        if trial is None:
+            yield f"trial {row.trial} is beyond the last of the experiment"
+        elif (trial.block, trial.stimulus) != (row.block, row.stimulus):
+            yield f"trial {row.trial} is {trial.stimulus}, block {trial.block}, in the order of {row.participant}"
+        if self._adaptive and (trial is None or trial.stimulus != row.stimulus or not fits):
+            self._order = None
+        elif trial is not None:
+            self._order.answered(row.answer)
