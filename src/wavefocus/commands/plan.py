@@ -22,7 +22,7 @@ from wavefocus.console import answer
 from wavefocus.rig.setup import open_setup
 
 
-def plan(run_file: Path, scene_files: Sequence[Path] = (), *, as_json: bool) -> None:
+def plan(run_file: Path, scene_files: Sequence[Path] = (), *, details: bool = False, as_json: bool) -> None:
     """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
     the_plan, rig = blueprint.plan, blueprint.configuration.rig
@@ -50,23 +50,21 @@ def plan(run_file: Path, scene_files: Sequence[Path] = (), *, as_json: bool) -> 
         "instruments": _instruments(rig, blueprint.configuration.run),
         "plan_sha256": the_plan.sha256,
     }
-    lines = _lines(facts, position_s, the_plan.excitation.amplitude_v)
+    lines, more = _lines(facts, position_s), _details(facts, position_s, the_plan.excitation.amplitude_v)
     if scene_files:
         all_s = the_plan.campaign_s(the_plan.order, rig.recorder)
         lines.insert(1, f"scenes      need {len(rows)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
     if as_json:
-        print(json.dumps({**facts, "lines": lines}))
+        print(json.dumps({**facts, "lines": [*lines[:-1], *more, lines[-1]]}))
         return
-    for line in lines:
+    for line in [*lines[:-1], *(more if details else ()), lines[-1]]:
         answer(line)
 
 
-def _lines(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> list[str]:
-    finish, (start_hz, stop_hz) = datetime.fromisoformat(facts["finish_at"]), facts["band_hz"]
-    lines = [
-        f"positions   {facts['positions']}, {facts['actuators']} actuators, {facts['records']} records",
-        f"sweeps      {facts['schedule']}, {start_hz:g}-{stop_hz:g} Hz, {amplitude_v:g} V",
-    ]
+def _lines(facts: Mapping[str, Any], position_s: float) -> list[str]:
+    """Hours, bytes, end and limits."""
+    finish = datetime.fromisoformat(facts["finish_at"])
+    lines = [f"positions   {facts['positions']}, {facts['actuators']} actuators, {facts['records']} records"]
     if count := facts["check_positions"]:
         lines.append(f"checks      {count} of the positions lie off the grid and only judge what is interpolated")
     if count := facts["second_looks"]:
@@ -74,15 +72,21 @@ def _lines(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> l
             f"second look {count} positions that the others cannot judge are measured twice, "
             f"{hours(count * position_s)} of that"
         )
-    if count := facts["sentinel_passes"]:
-        lines.append(f"sentinel    measured again {count} times, {hours(count * position_s)} of that")
     return [
         *lines,
         f"duration    {hours(facts['duration_s'])}; started now it finishes {finish:%a %d %b %H:%M}",
         f"bank        {facts['bank_bytes'] / 1e6:.0f} MB; {facts['disk_free_bytes'] / 1e9:.1f} GB free here",
-        *(f"instrument  {instrument}" for instrument in facts["instruments"]),
         f"plan        {facts['plan_sha256'][:16]}; within all limits",
     ]
+
+
+def _details(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> list[str]:
+    """Sweeps, sentinel and instruments."""
+    start_hz, stop_hz = facts["band_hz"]
+    lines = [f"sweeps      {facts['schedule']}, {start_hz:g}-{stop_hz:g} Hz, {amplitude_v:g} V"]
+    if count := facts["sentinel_passes"]:
+        lines.append(f"sentinel    measured again {count} times, {hours(count * position_s)} of the duration")
+    return [*lines, *(f"instrument  {instrument}" for instrument in facts["instruments"])]
 
 
 def _needed_by_scenes(files: Sequence[Path], blueprint: Blueprint) -> Collection[int]:

@@ -93,7 +93,7 @@ MEASURE = (
     Command(
         "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
         (
-            RUN, SCENES, JSON,
+            RUN, SCENES, switch("--details", help="Also sweeps, sentinel and instruments."), JSON,
         ),
     ),
     Command(

@@ -16,7 +16,6 @@ COMMANDS = {
     "bench symptoms": "wavefocus verify names the causes that it measures",
 }
 OPTIONS = {
-    "--details": "plan states all that it knows; capture measures one position by both schedules",
     "--documents": "BANK.events.jsonl next to the bank has every event of a session",
     "--focusing": "quiet places keep the response low where a scene asks for it",
     "--regularisation-db": "quiet places keep the response low where a scene asks for it",
