@@ -15,6 +15,7 @@ from wavefocus.acquisition.leak import LeakWatch
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.check import check_bank
 from wavefocus.calibration.crosstalk import NONE_DB, Crosstalk, crosstalk_of_record
+from wavefocus.calibration.evidence import CERTAIN_SHARE
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.sidecar_files import last_events
@@ -22,7 +23,7 @@ from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.estimation import estimate
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
-from wavefocus.rendering.verify.results import CERTAIN_SHARE, Symptom
+from wavefocus.rendering.verify.results import Symptom
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank

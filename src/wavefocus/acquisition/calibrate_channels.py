@@ -15,7 +15,6 @@ from wavefocus.acquisition.setup import Setup, point_at, take_record
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.comparison import (
-    DEAD_SNR_DB,
     ActuatorComparison,
     ChannelComparer,
     Comparison,
@@ -25,6 +24,7 @@ from wavefocus.calibration.comparison import (
 )
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.evidence import HEARD_DB, SOUND, TOLERANCE
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
@@ -36,8 +36,6 @@ DURATION_S = 0.5
 SILENCE_S = 0.05
 RECORDS = 3
 TRIES = 3
-# A cable brings at least this much of the reference's level, through a summing box too; crosstalk is far below.
-MIN_OF_REFERENCE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,8 @@ class Probe:
             return False
         except ReferenceMissingError as missing:
             raise check_loopback(missing) from None
-        return abs(found.response.gain) >= MIN_OF_REFERENCE * abs(found.reference.gain)
+        # A cable brings more, through a summing box of 32 outputs, too.
+        return abs(found.response.gain) >= SOUND * abs(found.reference.gain)
 
     def _once(self, output: int | None, record: int) -> Comparison:
         recording = self._played(output, record)
@@ -132,8 +131,7 @@ def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
     return NotMeasuredError(f"no {usable}signal from the loopback at the reference input ({missing})")
 
 
-# One cable into two inputs: what differs by more is another signal, or a broken input.
-MAX_GAIN_ERROR = 0.05
+# What a multiplexer needs at most: one record of the slowest converters.
 MAX_DELAY_S = 1e-3
 
 
@@ -158,7 +156,7 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
             raise check_loopback(missing) from None
         break
     apart = found.response_gain / found.reference_gain - 1
-    if abs(apart) > MAX_GAIN_ERROR:
+    if abs(apart) > TOLERANCE:
         raise NotMeasuredError(
             f"the two inputs measure the same cable {100 * apart:+.1f} % apart: check cables and terminal configuration"
         )
@@ -360,7 +358,7 @@ def _best_of(setup: Setup, excitation: PlayedExcitation, estimator: SequentialEs
             continue
         if best is None or estimate.residual_db[0] < best.residual_db[0]:
             best = estimate
-        if best.residual_db[0] < POOR_RESIDUAL_DB and best.snr_db[0] > DEAD_SNR_DB:
+        if best.residual_db[0] < POOR_RESIDUAL_DB and best.snr_db[0] > HEARD_DB:
             break
     assert best is not None  # the last attempt raises where none succeeded
     return best

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.calibration.evidence import CLEAR_DB, HEARD_DB, MAJORITY
 from wavefocus.config.limits import QualityLimits
 
 SLIP_DB = -30.0
@@ -17,14 +18,6 @@ SLIP_DB = -30.0
 MAINS_HZ = (50.0, 60.0)
 # A line belongs to the mains where it is this close to a multiple; their frequency itself strays by 0.2 Hz.
 MAINS_TOLERANCE_HZ = 0.7
-# A record is silent when it has less than this while several farther actuators have this much.
-SILENT_SNR_DB = 6.0
-STRONG_SNR_DB = 20.0
-FARTHER_STRONG = 3
-# Without light the vibrometer is louder than this times the usual noise.
-LOUD_NOISE = 2.0
-# A record that leaves nearly all of itself unexplained, and far more than the quietest, is not a response.
-NOISE_ALONE_DB = -3.0
 # Name of the defect that is the reference's, not the response's.
 REFERENCE_LEVEL = "reference level"
 
@@ -193,14 +186,15 @@ def _line(estimate: Estimate, worst: NDArray[np.intp]) -> RecordDefect:
 
 
 def _silent(estimate: Estimate, distance_mm: Float64Array | None) -> BoolArray:
-    """Records without a response where several farther actuators have a good one."""
+    """Records without a response where several farther actuators have a clear one, and noise as the others have it."""
     if distance_mm is None:
         return np.zeros(estimate.snr_db.size, dtype=bool)
-    strong = np.sort(distance_mm[(estimate.snr_db > STRONG_SNR_DB) & np.isfinite(distance_mm)])
-    if strong.size < FARTHER_STRONG:
+    strong = np.sort(distance_mm[(estimate.snr_db > CLEAR_DB) & np.isfinite(distance_mm)])
+    if strong.size < MAJORITY:
         return np.zeros(estimate.snr_db.size, dtype=bool)
-    with_light = estimate.noise_v < LOUD_NOISE * np.median(estimate.noise_v)
-    return np.asarray((estimate.snr_db < SILENT_SNR_DB) & (distance_mm < strong[-FARTHER_STRONG]) & with_light)
+    # Without light the vibrometer is louder.
+    with_light = estimate.noise_v < 10 ** (HEARD_DB / 20) * np.median(estimate.noise_v)
+    return np.asarray((estimate.snr_db < HEARD_DB) & (distance_mm < strong[-MAJORITY]) & with_light)
 
 
 def _is_multiple(line_hz: float, base_hz: float) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from wavefocus.acquisition.wording import hours, row_ranges
-from wavefocus.calibration.crosstalk import SIGMAS
+from wavefocus.calibration.evidence import SIGMAS
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
     CrosstalkMeasured,

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.defects import (
-    NOISE_ALONE_DB,
     REFERENCE_LEVEL,
     Cure,
     RecordDefect,
@@ -18,15 +17,12 @@ from wavefocus.acquisition.defects import (
 )
 from wavefocus.calibration import BoolArray, Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.calibration.evidence import MOST, SIGMAS, SOUND
 from wavefocus.config.limits import QualityLimits
 from wavefocus.storage.point_status import Status
 
-# Green's functions that differ by at most this are the same, whatever the noise.
-SAME = 0.02
-# Two measurements differ by more than so many times what their noise explains.
-OVER_NOISE = 5.0
-# Places apart give other responses: on the virtual plate, up to 500 Hz, -27 dB at 0.1 mm and -18 dB at 0.3 mm.
 PER_MM = 0.6
+"""A place apart has another response: by its wave number, 0.59 per mm in a gel of 4.8 m/s at 450 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +77,9 @@ def in_band(green: NDArray[np.floating], sample_rate_hz: float, band_hz: tuple[f
 def difference(then: PositionRow, now: PositionRow) -> RepeatDifference:
     """Compare two measurements of a position, actuator by actuator.
 
-    Each may differ by 2 %, or by `OVER_NOISE` times what the noise of both explains of it. Noise is spread over all
-    of a Green's function, and little of it is in its level, so that the level is also compared by itself.
+    Each may differ by 2 %, both being wrong by `SOUND`, or by `SIGMAS` times what the noise of both explains of it.
+    Noise is spread over all of a Green's function, and little of it is in its level, so that the level is also compared
+    by itself.
 
     then, now: Of one position.
     """
@@ -92,13 +89,13 @@ def difference(then: PositionRow, now: PositionRow) -> RepeatDifference:
     tiny = np.finfo(np.float64).tiny
     relative = np.sqrt(np.sum(np.abs(second - first) ** 2, axis=1) / np.maximum(louder, tiny))
     noise = np.sqrt(_noise_share(then.snr_db) + _noise_share(now.snr_db))
-    allowed = SAME + PER_MM * float(np.nansum([then.moved_mm, now.moved_mm]))
-    shape = relative / np.maximum(allowed, noise * (1 + OVER_NOISE / np.sqrt(first.shape[1])))
+    allowed = 2 * SOUND + PER_MM * float(np.nansum([then.moved_mm, now.moved_mm]))
+    shape = relative / np.maximum(allowed, noise * (1 + SIGMAS / np.sqrt(first.shape[1])))
     # What is common to both, so that noise neither adds to it nor hides a change.
     common = np.sum((first.conj() * second).real, axis=1)
     ratio = (common / np.maximum(energies[0], tiny), common / np.maximum(energies[1], tiny))
     level = np.minimum(np.abs(ratio[0] - 1), np.abs(ratio[1] - 1))
-    gain = level / np.maximum(allowed, noise**2 + OVER_NOISE * noise / np.sqrt(4 * first.shape[1]))
+    gain = level / np.maximum(allowed, noise**2 + SIGMAS * noise / np.sqrt(4 * first.shape[1]))
     beyond = np.maximum(shape, gain)
     which = np.argsort(-beyond, kind="stable")
     which = which[beyond[which] > 1.0]
@@ -234,7 +231,7 @@ def _unexplained(
     which = np.flatnonzero(suspect)
     which = which[np.argsort(-excess_db[which])]
     worst = int(which[0])
-    if estimate.residual_db[worst] > NOISE_ALONE_DB:
+    if estimate.residual_db[worst] > 10 * np.log10(MOST):
         sentence = (
             f"actuator {worst}'s record is only noise, {excess_db[worst]:.1f} dB above the position's quietest "
             "record: no light came back to the vibrometer, or its cable is loose"

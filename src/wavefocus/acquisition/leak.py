@@ -19,13 +19,13 @@ from wavefocus.acquisition.setup import Setup, point_at
 from wavefocus.calibration.crosstalk import (
     MAX_DELAY_S,
     REMEDY,
-    ROW_SHARE,
     SPARE,
     UNKNOWN_ROWS_SHARE,
     Crosstalk,
     crosstalk_of_record,
     share_of_median_row,
 )
+from wavefocus.calibration.evidence import SOUND
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
@@ -186,7 +186,7 @@ def limit_of(bank: BankWriter, response_per_volt: float) -> float | None:
     rms = np.stack([np.sqrt(np.square(bank.green(row), dtype=np.float64).mean(axis=1)) for row in rows.tolist()])
     header = bank.header
     whole = share_of_median_row(rms, header.taps, header.sample_rate_hz, header.band_hz, response_per_volt)
-    return None if whole is None else ROW_SHARE * whole
+    return None if whole is None else SOUND * whole
 
 
 def mark_leaks(bank: BankWriter, response_per_volt: float) -> list[str]:
@@ -199,7 +199,7 @@ def mark_leaks(bank: BankWriter, response_per_volt: float) -> list[str]:
         share = 10 ** (bank.record(position).leak_db / 20)
         if share >= SPARE * limit:
             bank.amend(position, status=int(Status.POOR_SIGNAL))
-            part = 100 * ROW_SHARE * share / limit
+            part = 100 * SOUND * share / limit
             sentences.append(
                 f"position {position}: crosstalk: the leak of the loopback is {part:.2g} % of the median row"
             )
@@ -208,7 +208,7 @@ def mark_leaks(bank: BankWriter, response_per_volt: float) -> list[str]:
 
 def sentence(found: Crosstalk, limit: float | None) -> str:
     """A leak that must be named, with what it makes of a row."""
-    part = "" if limit is None else f", {100 * ROW_SHARE * abs(found.share) / limit:.2g} % of the median row"
+    part = "" if limit is None else f", {100 * SOUND * abs(found.share) / limit:.2g} % of the median row"
     return f"crosstalk: the loopback leaks into the response input: {found}{part}: {REMEDY}"
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.evidence import CLEAR_DB, ROW_CHANGE, SEEN_SHARE
 from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.config.messages.codec import Instant, Number
 
@@ -19,10 +20,6 @@ STEP_DB, STEP_SAMPLES = 0.5, 0.3
 """The smallest changes at once that must be seen: 6 % of a row, and 6 % at the upper end of the usual band. They set
 the limit of the change between two looks; half of them would be near what a warming plate leaves after its part is
 taken out (0.2 to 0.9 % of 1.5 %, on soft and solid plates), double would leave rows of 12 % error valid."""
-SEEN_SHARE = 0.8
-"""Part of such a change from which on it is called one: noise and drift may take away the rest."""
-ROW_CHANGE = 0.5
-"""A single row has changed at once where this part of it is left: 6 dB, as rows are judged against each other."""
 GROUPS = 8
 """Parts of the band in which the drift has a coefficient each: dispersion changes little within them."""
 
@@ -146,10 +143,6 @@ def _left(first: Complex128Array, second: Complex128Array, weights: Float64Array
     return energy
 
 
-# Responses with less signal-to-noise ratio say nothing of a drift, unless none has more.
-CLEAR_DB = 10.0
-
-
 def compare_sentinel(
     then: Float32Array,
     now: Float32Array,
@@ -174,7 +167,7 @@ def compare_sentinel(
         np.full(len(first), np.inf) if snr_db is None else np.nan_to_num(snr_db.astype(np.float64), nan=np.inf)
         for snr_db in (snr_then_db, snr_now_db)
     ]
-    # A response that has vanished since is not noise: what was clear then decides.
+    # Noisy responses say nothing of a drift, unless none is clear; one that has vanished since is no noise.
     clear = snr_db[0] >= min(CLEAR_DB, float(np.max(snr_db[0], initial=-np.inf)))
     first, second = first[clear], second[clear]
     length = 2 * first.shape[1]

@@ -16,6 +16,7 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
+from wavefocus.calibration.evidence import CERTAIN_SHARE, HEARD_DB
 from wavefocus.calibration.neighbour_judge import NeighbourDifference, RowsAtFrequencies, judge_rows
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.writer import BankWriter
@@ -24,12 +25,10 @@ from wavefocus.storage.point_status import Status
 if TYPE_CHECKING:
     from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
 
-STRONG_DB, AROUND = 6.0, 13
-"""Rows of less signal-to-noise ratio, where those around have no more either, are noise and need no judging."""
+AROUND = 13
+"""Rows that are not heard, where those of so many positions around are not either, are noise and need no judging."""
 NEIGHBOURHOOD = 250
 """So many nearest positions are enough to judge one."""
-SAME = 0.25
-"""Two measurements agree when they differ by this part of what both differ by from their neighbours."""
 
 
 _SENTENCE = "the other positions cannot judge it: a second measurement must agree with it"
@@ -227,12 +226,12 @@ class NeighbourWatch:
     def _strong(self, rows: Int64Array) -> BoolArray:
         """Actuators with enough signal at some positions, or at all positions around them."""
         snr_db = np.array([self._snr_db(row) for row in rows.tolist()]).reshape(len(rows), -1)
-        strong = ~(snr_db < STRONG_DB)
+        strong = ~(snr_db < HEARD_DB)
         place_mm = self._plan.position_mm[rows]
         for number in np.flatnonzero(~strong.all(axis=1)).tolist():
             apart_mm = np.hypot(*(place_mm - place_mm[number]).T)
             around = snr_db[np.argsort(apart_mm, kind="stable")[:AROUND]]
-            strong[number] |= ~(np.median(around, axis=0) < STRONG_DB)
+            strong[number] |= ~(np.median(around, axis=0) < HEARD_DB)
         return np.asarray(strong)
 
     def _snr_db(self, row: int) -> Float32Array:
@@ -267,4 +266,6 @@ def _same(held: Float32Array, green: Float32Array, difference: NeighbourDifferen
     """Whether two measurements agree in the rows that differ from the neighbours."""
     rows = list(difference.actuators)
     apart = float(np.linalg.norm(held[rows].astype(np.float64) - green[rows]))
-    return apart <= SAME * difference.relative * float(np.linalg.norm(held[rows].astype(np.float64)))
+    # The one explains what the other differs by.
+    allowed = np.sqrt(1 - CERTAIN_SHARE) * difference.relative
+    return apart <= float(allowed * np.linalg.norm(held[rows].astype(np.float64)))

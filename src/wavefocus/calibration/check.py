@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.crosstalk import REMEDY, ROW_SHARE, SPARE, response_per_volt, share_of_median_row
+from wavefocus.calibration.crosstalk import REMEDY, SPARE, response_per_volt, share_of_median_row
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
+from wavefocus.calibration.evidence import SILENT, SOUND
 from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.ledger import VALID
@@ -31,12 +32,6 @@ from wavefocus.storage.point_status import median_of_pairs, row_ranges, usable
 from wavefocus.storage.raw.header import RAW
 from wavefocus.storage.raw.writer import RawRows, open_raw
 
-# A response this far from the median of all valid positions is not a neighbour of them: ten times in amplitude.
-_RMS_OUTLIER = 10.0
-# An actuator this far below the median of the others moves nothing: -40 dB.
-_DEAD_ACTUATOR = 0.01
-# The last tenth of the taps against the strongest tenth, in energy: -40 dB.
-_TAIL_DB = -40.0
 _TENTHS = 10
 ONE_AVERAGE = (
     "one sweep per record: a gain that changes, lost samples and a response longer than its taps cannot be told from"
@@ -224,7 +219,7 @@ def _check_leak(bank: Bank) -> Iterator[BankProblem]:
     if whole is None:
         return
     part = 10.0 ** (bank.quality["leak_db"] / 20.0) / whole
-    rows = np.flatnonzero((status == VALID) & (part >= SPARE * ROW_SHARE))
+    rows = np.flatnonzero((status == VALID) & (part >= SPARE * SOUND))
     if len(rows):
         message = (
             f"crosstalk: the leak of the loopback was up to {100 * part[rows].max():.2g} % of the median row when "
@@ -251,11 +246,12 @@ def _tail_db(energy: Float64Array) -> float:
 
 def _check_tails(tail_db: Float64Array) -> Iterator[BankProblem]:
     """One warning for all positions: where one response is too long or too noisy, its neighbours are too."""
-    long = np.flatnonzero(tail_db > _TAIL_DB)
+    limit_db = 20 * np.log10(SOUND)
+    long = np.flatnonzero(tail_db > limit_db)
     if len(long):
         worst = int(np.argmax(tail_db))
         message = (
-            f"the responses of {len(long)} of {len(tail_db)} positions are less than {-_TAIL_DB:.0f} dB down in their"
+            f"the responses of {len(long)} of {len(tail_db)} positions are less than {-limit_db:.0f} dB down in their"
             f" last tenth, position {worst} only {-tail_db[worst]:.0f} dB; they are noisy or longer than the taps kept"
         )
         yield BankProblem(worst, None, message, "warning")
@@ -271,14 +267,14 @@ def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[BankProblem]:
     for position in measured:
         if rows[position] == 0 and certain:
             yield BankProblem(int(position), None, f"position {position} is marked valid and holds only zeros")
-        elif typical > 0 and not 1 / _RMS_OUTLIER <= rows[position] / typical <= _RMS_OUTLIER:
+        elif typical > 0 and not SILENT <= rows[position] / typical <= 1 / SILENT:
             level = 20 * np.log10(rows[position] / typical) if rows[position] else -np.inf
             message = f"the response of position {position} is {level:+.0f} dB from the median of all positions"
             yield BankProblem(int(position), None, message, "warning")
     levels = np.median(rms[measured], axis=0)
     for actuator, level in enumerate(levels):
-        if level < _DEAD_ACTUATOR * np.median(levels):
-            message = f"actuator {actuator} gives less than a hundredth of the others' response; is it connected?"
+        if level < SILENT * np.median(levels):
+            message = f"actuator {actuator} gives less than a tenth of the others' response; is it connected?"
             yield BankProblem(None, actuator, message, "warning")
 
 

@@ -12,16 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import ClockFit, ClockFitter
+from wavefocus.calibration.evidence import HEARD_DB, MOST, ROW_CHANGE, SILENT
 
 Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
 
-# A response this far below the median is none, and one with so little signal above its noise is none either.
-DEAD_DB = -20.0
-DEAD_SNR_DB = 6.0
-# Half the voltage: coils of one kind, glued alike, are well within it of each other.
-WEAK_DB = -6.0
-# Responses at one distance are alike, but for the shape of the plate around them.
-UNLIKE = 0.5
 # A magnet glued a few millimetres off is this much earlier or later, at some metres a second.
 MAX_LAG_S = 1e-3
 # Floor of a level, for a response of nothing at all.
@@ -62,10 +56,10 @@ def compare_actuators(
     """
     responses = np.asarray(green, dtype=np.float64)
     energy = np.sum(responses**2, axis=1)
-    measurable = (np.asarray(snr_db) >= DEAD_SNR_DB) & (energy > 0)
+    measurable = (np.asarray(snr_db) >= HEARD_DB) & (energy > 0)
     usual = float(np.median(energy[measurable])) if measurable.any() else 1.0
     level_db = 10 * np.log10(np.maximum(energy / usual, 10 ** (FLOOR_DB / 10)))
-    alive = measurable & (level_db >= DEAD_DB)
+    alive = measurable & (level_db >= 20 * np.log10(SILENT))
     likeness = np.zeros(len(responses))
     if alive.any():
         shapes = responses[alive] / np.sqrt(energy[alive])[:, np.newaxis]
@@ -79,11 +73,11 @@ def compare_actuators(
 def _verdict(alive: np.bool_, level_db: float, likeness: float) -> Verdict:
     if not alive:
         return "dead"
-    if abs(likeness) < UNLIKE:
+    if abs(likeness) < MOST:
         return "unlike"
     if likeness < 0:
         return "reversed"
-    return "weak" if level_db < WEAK_DB else "good"
+    return "weak" if level_db < 20 * np.log10(ROW_CHANGE) else "good"
 
 
 def _correlations(shapes: Float64Array, common: Float64Array, most_lag: int) -> Float64Array:

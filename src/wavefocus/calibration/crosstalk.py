@@ -9,18 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wavefocus.calibration.evidence import SIGMAS, SOUND
+
 MAX_DELAY_S = 0.02
 """Longest delay looked for: the longest of the buffers of an audio interface (1024 samples at 48 kHz are 21 ms)."""
-SIGMAS = 5.0
-"""A leak is seen from so many standard errors on: noise passes it once in 80,000 records (two-sided normal tail, 20
-independent delays). Half of it would see one in half of the clean records, double would miss 1 % at twice the noise."""
 SPARE = 10 ** (-1 / 20)
 """A leak counts from 1 dB below a limit, so that one that is just at the limit counts whatever its noise."""
-ROW_SHARE = 0.01
-"""A leak that makes 1 % of the median row is named: -40 dB, half the tolerance of a verification (5 % with its noise).
-Half of it would name leaks that no figure of a scan shows, double would leave 2 % in rows that are called valid."""
-UNKNOWN_ROWS_SHARE = 1e-4
-"""Where there is no bank: 1 % of rows that answer 10 mV per volt, as a vibrometer's range is commonly chosen."""
+UNKNOWN_ROWS_SHARE = 0.01 * SOUND
+"""Where there is no bank: what is named of rows that answer 10 mV per volt."""
 NONE_DB = -200.0
 """What a bank keeps where no leak stands out of the noise: below any converter's range."""
 REMEDY = (

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, waves_of_rows
+from wavefocus.calibration.evidence import MAJORITY, MOST, ROW_CHANGE, SEEN_SHARE
 from wavefocus.calibration.neighbour_prediction import RowsPredicted
 from wavefocus.calibration.numerics import transform_at
 
@@ -25,22 +26,16 @@ if TYPE_CHECKING:
     from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
 
 LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
-POSITION_DIFFERS, ROW_DIFFERS = 0.1, 0.4
-"""Error over prediction from which on all rows of a position, or one, differ: -3 dB leave 0.29, half a spacing of a
-fine grid some 0.2, -6 dB leave 0.5 of a row."""
+POSITION_DIFFERS = 0.1
+"""Error over prediction from which on all rows of a position differ: -3 dB leave 0.29, half a spacing of a fine grid
+some 0.2. A single row differs from 0.4 on: `ROW_CHANGE` but for `SEEN_SHARE`."""
 USUAL = 4.0
-"""And it is so many times the usual error: the maximum of a thousand normal errors is 3.3 standard deviations."""
-PREDICTED = 0.25
-"""Rows that are usually missed by more are not judged."""
+"""And it is so many times the usual error: the maximum of a thousand normal errors is 3.3 standard deviations. Rows
+whose usual error would reach the row itself then are not judged."""
 AROUND = 12
 """The usual error is the median of so many nearest positions."""
-EXPLAINED = 0.8
-"""A cause is named when it explains this share of the difference."""
 NEAR_SPACINGS, NEAR_SPACINGS_OF_WAVES = 4.0, 2.0
 """Nearer to its actuator than so many grid spacings, a row is not judged: the field there is not of passing waves."""
-MIN_ROWS = 3
-MAX_OUT = 0.5
-"""Where more than this share of the positions differ, none is judged."""
 MIN_COARSE_MM, TRUSTED = 5.0, 0.7
 """On grids coarser than this, a nominal gel's half wavelength at 480 Hz, waves predict where neighbours can judge a
 smaller share of the rows."""
@@ -230,17 +225,17 @@ class _Judge:
         # What is wrong spoils the predictions of all around it, so that they show it less than the rest of the surface.
         everywhere = np.median(own[self._positions], axis=0)
         self._at_most: Float64Array = own / np.maximum(np.fmin(usual, everywhere), 1e-300)
-        self.judged = self._far & (self._relative < PREDICTED * self._times) & np.isfinite(self._times)
+        self.judged = self._far & (self._relative < self._times / USUAL) & np.isfinite(self._times)
 
     def _scores(self, *, strict: bool) -> tuple[Float64Array, BoolArray, BoolArray]:
         """By how many usual errors each position differs, 0 where it does not; whether all of it; and which rows."""
         judged, times = (self.judged, self._times) if strict else (self._far, self._at_most)
         relative, times = (np.where(judged, figure, np.nan) for figure in (self._relative, times))
-        enough = np.isfinite(relative).sum(axis=1) >= MIN_ROWS
+        enough = np.isfinite(relative).sum(axis=1) >= MAJORITY
         middle, middle_times = np.zeros((2, len(relative)))
         middle[enough], middle_times[enough] = (np.nanmedian(f[enough], axis=1) for f in (relative, times))
         whole = (middle > POSITION_DIFFERS) & (middle_times > USUAL)
-        rows = (np.nan_to_num(relative) > ROW_DIFFERS) & (np.nan_to_num(times) > USUAL)
+        rows = (np.nan_to_num(relative) > SEEN_SHARE * ROW_CHANGE) & (np.nan_to_num(times) > USUAL)
         worst_row = np.where(rows, np.nan_to_num(times), 0.0).max(axis=1, initial=0.0)
         return np.maximum(np.where(whole, middle_times, 0.0), worst_row), whole, rows
 
@@ -253,7 +248,7 @@ class _Judge:
             if not worst:
                 break
             self._out[worst] = True
-            if self._out.sum() > MAX_OUT * self._positions.size:
+            if self._out.sum() > MOST * self._positions.size:
                 return NeighbourResult((), np.zeros_like(self.judged), self.by_waves)
             self._predict()
         for _ in range(2 if self._out.any() else 0):
@@ -273,7 +268,7 @@ class _Judge:
     def _named(self, position: int, rows: BoolArray, *, whole: bool) -> list[NeighbourDifference]:
         values, predicted = self._values[position], self._values[position] - self.errors[position]
         judged = np.flatnonzero(self.judged[position])
-        if whole or (rows.sum() >= MIN_ROWS and 2 * rows.sum() > judged.size):
+        if whole or (rows.sum() >= MAJORITY and 2 * rows.sum() > judged.size):
             size = np.linalg.norm(predicted[judged], axis=1, keepdims=True)
             kind, level_db, _ = _factor(values[judged] / size, predicted[judged] / size)
             relative = float(np.median(self._relative[position, judged]))
@@ -286,7 +281,7 @@ class _Judge:
             left = np.square(np.abs(values[actuator] - predicted)).sum(axis=1)
             left = np.nan_to_num(left / left[actuator], nan=np.inf)
             nearest = int(np.argmin(left))
-            if left[nearest] < min(share, 1 - EXPLAINED):
+            if left[nearest] < min(share, 1 - SEEN_SHARE):
                 kind, level_db, other[actuator] = "swapped", 0.0, nearest
             relative = float(self._relative[position, actuator])
             found.append(NeighbourDifference(position, (actuator,), kind or "other", relative, level_db))
@@ -303,6 +298,6 @@ def _factor(values: Complex128Array, predicted: Complex128Array) -> tuple[Kind |
     factor = float(np.vdot(predicted, values).real) / max(float(np.vdot(predicted, predicted).real), 1e-300)
     differs, left = (float(np.square(np.abs(values - share * predicted)).sum()) for share in (1.0, factor))
     share = left / max(differs, 1e-300)
-    if share > 1 - EXPLAINED:
+    if share > 1 - SEEN_SHARE:
         return None, 0.0, share
     return "level" if factor > 0 else "polarity", 20 * float(np.log10(max(abs(factor), 1e-10))), share

@@ -218,8 +218,9 @@ def fit_waves(patches: Sequence[Patch], frequency_hz: Float64Array, values: Valu
 KNOWN = 0.1
 """Weight, over the median of all, below which a frequency may be wrong: its wave number is three times less certain."""
 DISAGREES = 0.05
-"""A wave number of little weight so far from the law of the others, relatively, is left out: from one to the next, two
-thirds of an octave away, dispersion of membranes, gels and plates keeps to a power of the frequency within 1 %."""
+"""A wave number of little weight so far from the law of the others, relatively, is left out: from one
+to the next, two thirds of an octave away, dispersion of membranes, gels and plates keeps to a power of the frequency
+within 1 %."""
 STEP = 1.03
 """Factor on the wave number by which the weight is found."""
 

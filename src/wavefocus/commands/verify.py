@@ -15,7 +15,8 @@ import numpy as np
 from wavefocus.acquisition.leak import BAND_HZ, measure_leak
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
-from wavefocus.calibration.crosstalk import ROW_SHARE, UNKNOWN_ROWS_SHARE, Crosstalk, share_of_median_row
+from wavefocus.calibration.crosstalk import UNKNOWN_ROWS_SHARE, Crosstalk, share_of_median_row
+from wavefocus.calibration.evidence import SOUND
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import read_drift
@@ -321,7 +322,7 @@ class _Work:
             return None
         rms, per_volt = self.bank.rms[usable(self.bank.status)], setup.response_per_volt
         whole = share_of_median_row(rms, self.bank.taps, rate_hz, band[0] if band else BAND_HZ, per_volt)
-        return found if found.reaches(UNKNOWN_ROWS_SHARE if whole is None else ROW_SHARE * whole) else None
+        return found if found.reaches(UNKNOWN_ROWS_SHARE if whole is None else SOUND * whole) else None
 
     def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, kept: ScanJournal | None) -> Scan:
         with self._step(plan.purpose, len(plan.position)) as report:

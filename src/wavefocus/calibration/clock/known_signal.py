@@ -9,8 +9,9 @@ from wavefocus.calibration.clock.missing_reference import missing_reference
 
 CORNERS = (0.1, 0.3, 1.0)
 """Corners of coupling capacitors allowed for, as shares of the lowest frequency played."""
-REFERENCE_LIMIT = 10**-1.5
-"""Energy of the reference in band that the known signal may leave unexplained."""
+REFERENCE_LIMIT = 0.1
+"""Share of the reference's energy that the known signal may leave unexplained; where it leaves more, a fit would be a
+guess."""
 
 
 def filled_bins(

@@ -13,14 +13,13 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.known_signal import REFERENCE_LIMIT
 from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock, NearClock
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
 from wavefocus.calibration.clock.resampling import decimation_step, resampled
 from wavefocus.calibration.numerics import parabola_vertex, periodic_top
 from wavefocus.storage.errors import InputError
 
-# Reference not explained by the known signal, above which a fit would be a guess.
-REFERENCE_LIMIT_DB = -10.0
 # Share of the known signal's energy that may lie outside the bins that are looked at.
 BAND_SHARE = 1e-9
 # Silence around the known signal that the fit may look at, for a first guess that is off and for tails.
@@ -224,7 +223,7 @@ class ClockFitter:
         offset, ratio = self.search.first_guess(recorded) if near is None else near
         found = self._refined(*self._cut(recorded, offset), offset, self._near(ratio))[0]
         if not self._is_found(found):
-            words = f"unexplained {found.residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
+            words = f"unexplained {found.residual_db:.1f} dB, allowed {10 * np.log10(REFERENCE_LIMIT):g} dB"
             if not diagnose:
                 raise ReferenceMissingError(f"{name} does not carry what was played ({words})")
             raise missing_reference(recorded, self._known, name, words, self._max_ppm)
@@ -259,7 +258,7 @@ class ClockFitter:
         return self._clock.near(self._length, self._step, GUARD_SAMPLES, ratio)
 
     def _is_found(self, fit: ClockFit) -> bool:
-        return fit.residual_db <= REFERENCE_LIMIT_DB and abs(fit.ratio - 1) <= 1.01e-6 * self._max_ppm
+        return fit.residual_db <= 10 * np.log10(REFERENCE_LIMIT) and abs(fit.ratio - 1) <= 1.01e-6 * self._max_ppm
 
     def _refined(
         self, spectrum: Complex64Array, first: int, offset: float, clock: NearClock

@@ -8,13 +8,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from wavefocus.calibration import Complex128Array, Float64Array
+from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import evenly_spread
 
 MIN_CHECKS, SURE_CHECKS = 12, 24
 """Positions that state a bound of 90 %, and of 95 %: a quantile L needs at least 1 / (1 - L) of them, 10 and 20 (Lee,
 Barber, Willett, arXiv 2306.06342), and some more to vary little from draw to draw."""
-LIMITED = 0.5
-"""Share of noise in what is missed from which a bound is called limited by noise."""
 JUDGED = 64
 """Frequencies at which errors are judged; they may come and go within 25 Hz."""
 
@@ -69,7 +68,7 @@ def judged(
         missed = np.square(np.abs(model.values(check_mm, near.tolist()) - check_transfer[near]))
         variance, noise_power = np.square(model.deviations(check_mm, [number])[0]), np.square(noise)
         by_noise = float(noise_power.mean() / max(float(missed.mean()), 1e-300))
-        c = np.log(1.0 / (1.0 - stated)) if by_noise <= LIMITED else 0.0
+        c = np.log(1.0 / (1.0 - stated)) if by_noise <= MOST else 0.0
         score = np.maximum(missed - c * noise_power, 0.0) / variance
         bound = float(np.sqrt(np.quantile(score, stated, method="higher")))
         return typical(missed - noise_power, variance), bound, by_noise

@@ -252,7 +252,8 @@ def dispersion_of_own_waves(
 
     def left(vector: Float64Array) -> float:
         wavenumber = Dispersion.of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
-        if not abs(wavenumber[-1].imag) <= MAX_LOSS * abs(wavenumber[-1]):
+        # No plate's wave number falls with frequency, or grows with more than its square.
+        if not (abs(vector[2]) <= 1.0 and abs(wavenumber[-1].imag) <= MAX_LOSS * abs(wavenumber[-1])):
             return 1.0
         explained = 0.0
         share = float(np.clip(vector[4], 0.02, 1.0)) if pressure_share else 0.0

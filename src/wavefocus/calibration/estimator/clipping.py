@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefocus.calibration import Float32Array, Int64Array
 from wavefocus.storage.errors import InputError
 
-# A converter's last counts belong to clipping: 0.1 % below the end of the range.
+# Gain errors of converters: 0.04 to 0.2 % of the range (MCC USB-1608FS, USB-1208FS).
 CLIP_SHARE = 0.999
 # A flat top: this many samples within 0.1 % of the recording's own peak, and a quarter of all within 3 %.
 # A sine has 18 % of them there, noise and sweeps over resonances 5 %.
@@ -19,10 +19,8 @@ MIN_FLAT = 8
 # Where a sweep is cut off, it is cut off many times running: this much on both sides of the peak shows it.
 AROUND_SAMPLES = 4096
 BELOW_SHARE = 0.97
-# Of a recording with fewer converter steps up to its peak, every top is flat.
-MIN_STEPS = 500
-# Smaller recordings have too few converter steps to distinguish a flat top from a coarse one.
-MIN_PEAK_SHARE = 0.05
+# With fewer converter steps up to a recording's peak, the top 0.1 % are half a step, and every top is flat.
+MIN_STEPS = 0.5 / (1 - CLIP_SHARE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +67,6 @@ def _count_clipped(channel: Float32Array, peak_v: Float32Array, place: Int64Arra
     """
     count = np.zeros(channel.shape[0], dtype=np.int32)
     for record, peak in enumerate(peak_v):
-        if peak < MIN_PEAK_SHARE * range_v:
-            continue
         level = range_v
         if peak < CLIP_SHARE * range_v:
             level = float(peak)
@@ -104,11 +100,6 @@ WINDOW_S = 0.0256
 MIN_BIN = 3
 # The harmonic must stand this far above the noise, which is taken from the upper half of the spectrum.
 OVER_FLOOR = 10.0
-# The stretch around the peak that is nearly as loud.
-HIGH = 0.97
-# So many samples just after the largest that are as large as it, to a part in a thousand.
-TIED = 0.999
-TIES = 8
 # Between these a second look decides.
 UNSURE_DB = -72.0
 SURE_DB = -36.0
@@ -147,8 +138,8 @@ class ThirdHarmonic:
         # The first sample of a cut stretch is as large as all others, and its window half before it.
         after = np.minimum(loudest[which, None] + np.arange(2 * length), samples - 1)
         level_v = np.abs(response_v[which, loudest[which]])[:, None]
-        flat = np.count_nonzero(np.abs(response_v[which[:, None], after]) >= np.float32(TIED) * level_v, axis=1)
-        unsure = np.flatnonzero(((figure > UNSURE_DB) | (flat >= TIES)) & ~(figure > SURE_DB))
+        flat = np.count_nonzero(np.abs(response_v[which[:, None], after]) >= np.float32(CLIP_SHARE) * level_v, axis=1)
+        unsure = np.flatnonzero(((figure > UNSURE_DB) | (flat >= MIN_FLAT)) & ~(figure > SURE_DB))
         middle = np.array(
             [self._middle(response_v[which[record]], int(loudest[which[record]])) for record in unsure], int
         )
@@ -177,5 +168,5 @@ class ThirdHarmonic:
     def _middle(self, recording: Float32Array, loudest: int) -> int:
         """The middle of the stretch that is nearly as loud as the loudest sample."""
         around = slice(max(0, loudest - self._period // 2), loudest + self._period // 2)
-        high = np.flatnonzero(np.abs(recording[around]) >= np.float32(HIGH) * np.abs(recording[loudest]))
+        high = np.flatnonzero(np.abs(recording[around]) >= np.float32(BELOW_SHARE) * np.abs(recording[loudest]))
         return around.start + int(high[high.size // 2])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.estimator.clipping import AROUND_SAMPLES, MIN_STEPS, Levels, ThirdHarmonic, converter_steps
+from wavefocus.calibration.evidence import CLEAR_DB, MOST, SIGMAS
 
 _FIGURES = "burst_db burst_s line_db line_hz tail_db misfit_db unsteady_db harmonic_db slip_db dead"
 DEFECTS = np.dtype([(name, np.float32) for name in _FIGURES.split()])
@@ -30,19 +31,16 @@ dead
 """
 
 DIFFER = 2.0
-"""Two energies that noise makes alike differ where one is so many times the other: F statistic, below 1e-6 by chance
-from 100 degrees of freedom on."""
-MIN_FREE = 100.0
-MOST = 0.5
-"""What holds more than half of what is left is named."""
+"""Two energies that noise makes alike differ where one is so many times the other."""
+MIN_FREE = (2 * SIGMAS / np.log(DIFFER)) ** 2
+"""Degrees of freedom from which on chance does so beyond `SIGMAS` only: the logarithm of F has a variance of 4 over
+them."""
 BURST_S = 0.005
 """Speckle, knocks and lost samples last milliseconds."""
 EDGE_SHARE = 0.1
 """A tone beyond the band leaks into the nearest part of it."""
 DEAD_SHARE = 1e-6
 """A constant channel has so little of its largest sample's energy in band: the rounding of 10 bits."""
-LOUD = 10**2.8
-"""Harmonics are looked for where the response has so many times the energy of what its sweeps differ by."""
 FLOOR = 1e-30
 
 
@@ -132,7 +130,7 @@ class DefectFinder:
             if 2 * (here.stop - here.start) * self._freedom > MIN_FREE:
                 self._compare(noise, differing, spectra.missed[:, here], left, whole, defects)
                 self._excuse_rounding(spectra, defects)
-        loud = np.flatnonzero(self._is_swept & (whole > LOUD * np.minimum(differing, noise)))
+        loud = np.flatnonzero(self._is_swept & (whole > 10 ** (CLEAR_DB / 10) * np.minimum(differing, noise)))
         defects["harmonic_db"][loud] = self._harmonic(spectra.response_v, spectra.levels.loudest, loud)
         self._concentrated(spectra, power, whole, defects)
         return defects

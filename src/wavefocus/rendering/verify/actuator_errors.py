@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wavefocus.calibration.evidence import SILENT, TOLERANCE
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.verify.superposition import Blocks, squares_left
 
 TIE = 0.02
-"""A smaller delay is taken where it does as well as a larger one within this share: a tone repeats in each period."""
+"""What explains as much within this share is not told apart: a cause is not named then, and of the delays of a tone,
+which repeats in each period, the smallest is taken."""
 WORTH_A_STEP = 0.01
 """Share of what is left that a step of the search must take off."""
-MIN_DB, MIN_DELAY_S = 0.4, 3e-5
-"""Changes that are named, and apart from which two are one: 0.4 dB, and 0.03 ms at 250 Hz, make an error of 5 %, the
-tolerance of a verification by default."""
-SILENT = 0.1
-"""Factor below which an actuator is silent: -20 dB, an error of its response of 90 %."""
+MIN_DB, MIN_DELAY_S = 20 * np.log10(1 + TOLERANCE), TOLERANCE / (2 * np.pi * 250)
+"""Changes that are named, and apart from which two are one: 0.42 dB, and 0.03 ms at 250 Hz, make an error that a
+verification allows."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.calibration.crosstalk import Crosstalk
+from wavefocus.calibration.evidence import CERTAIN_SHARE
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.verify.results import CERTAIN_SHARE, Symptom
+from wavefocus.rendering.verify.results import Symptom
 
 if TYPE_CHECKING:
     from wavefocus.rendering.verify.comparison import FieldComparison

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.evidence import CERTAIN_SHARE, MOST, TOLERANCE
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.verify.results import CERTAIN_SHARE, Sentinel
+from wavefocus.rendering.verify.results import Sentinel
 from wavefocus.rendering.verify.superposition import Block, energy, sentinel_block, transforms
 from wavefocus.storage.point_status import Status
 
@@ -22,12 +23,10 @@ if TYPE_CHECKING:
 MAX_OUTSIDE = 0.75
 """Grid spacings from the nearest measured position beyond which a field is not known: places of a full square grid lie
 within half a diagonal, 0.71."""
-MIN_INSIDE = 0.5
-"""Share of the positions that must show a known field: most of them."""
 START_STEPS = (-1.0, -0.5, 0.5, 1.0)
 """Shifts in grid spacings that the search starts from; turned or scaled, the rim moves as far."""
-MIN_SPACINGS = 1 / 16
-"""Smaller displacements are not named: at four positions a wavelength they make errors below 10 %."""
+MIN_SPACINGS = TOLERANCE * 8 / (2 * np.pi)
+"""Smaller displacements, 1/16, are not named: at eight positions a wavelength they are within the tolerance."""
 STEP_MM = 0.05
 
 
@@ -184,7 +183,7 @@ class MirrorFit:
     def _left(self, numbers: Float64Array, part: _Part) -> float:
         by_mm = MirrorError.of(numbers).displacement_mm(self._place_mm)
         known = self._surface.is_known(self._place_mm + by_mm)
-        if np.mean(known) < MIN_INSIDE:
+        if np.mean(known) < MOST:
             return np.inf
         own = energy(self._block.difference[known][:, part.frequencies])
         return energy(self._difference(by_mm, part)[known]) / max(own, 1e-300)

@@ -55,9 +55,6 @@ SymptomCode = Literal[
 ]  # fmt: skip
 """The last four stand in records of earlier versions only."""
 
-CERTAIN_SHARE = 0.95
-"""A cause is certain only if it explains at least this share of the excess (docs/reference/verify.md)."""
-
 
 @dataclass(frozen=True)
 class Symptom:

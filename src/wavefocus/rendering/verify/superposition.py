@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.calibration.evidence import SOUND
 from wavefocus.calibration.numerics import evenly_spread, transform_at
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.verify.results import Sentinel
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
-
-ALLOWED = 0.01
-"""Error of a sound bank, relative to the response: rows with a signal-to-noise ratio of 40 dB, as a good bank has."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +121,7 @@ def block_of(
     green = transforms(rows, frequency_hz, rate_hz)[row_of]
     predicted = np.einsum("rak,rak->rk", green, np.broadcast_to(drive, (len(row_of), *drive.shape[1:])))
     level = 0.5 * (energies(predicted) + energies(response))
-    allowed = np.nan_to_num(noise) + ALLOWED**2 * level
+    allowed = np.nan_to_num(noise) + SOUND**2 * level
     weight = 1.0 / np.sqrt(np.where(allowed > 0.0, allowed, np.inf))
     return Block(
         frequency_hz, rate_hz, rows, row_of, weight, green * weight[:, None, None], drive, response * weight[:, None],

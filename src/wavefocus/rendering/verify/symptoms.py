@@ -17,18 +17,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.evidence import CERTAIN_SHARE, MOST, SILENT, TOLERANCE
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Int64Array
 from wavefocus.rendering.verify.actuator_errors import (
     MIN_DB,
     MIN_DELAY_S,
-    SILENT,
+    TIE,
     ActuatorErrors,
     fitted_errors,
     grouped_errors,
 )
 from wavefocus.rendering.verify.mirror_error import MIN_SPACINGS, BankAsField, MirrorFit, displaced
-from wavefocus.rendering.verify.results import CERTAIN_SHARE, ActuatorFigures, Sentinel, Symptom, SymptomCode
+from wavefocus.rendering.verify.results import ActuatorFigures, Sentinel, Symptom, SymptomCode
 from wavefocus.rendering.verify.superposition import Block, Blocks, block_of, energy, sentinel_block, squares_left
 
 if TYPE_CHECKING:
@@ -39,17 +40,9 @@ MAX_ROWS, MIN_ROWS, MIRROR_ROWS = 48, 4, 36
 MAX_SENTINEL_ACTUATORS = 128
 """The sentinel's equations grow with the square of the number of actuators."""
 MAX_CAUSES = 3
-UNLIKE = 0.7
-"""Share of the scan that none of the causes explains from which on the prediction is of another plate: factors, delays
-and speed explain up to 0.2 of another plate's field, whose waves take similar times (test_symptom_causes.py)."""
-TIE = 0.02
-"""A cause is not named where another explains as much within this share of the excess."""
 SPEEDS = (-0.08, -0.06, -0.04, -0.03, -0.02, -0.01, 0.0, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08)
-MIN_SPEED = 0.002
-"""Smaller changes are not named: ten wavelengths away 0.2 % makes an error of about 10 %."""
-SHOWN_SQUARES = 6.0
-"""Level and delay of an actuator are stated where a change of 0.4 dB would change the sum of squares by so much: the
-95 % quantile of chi-squared with two degrees of freedom is 5.99."""
+MIN_SPEED = TOLERANCE / (4 * 2 * np.pi)
+"""Smaller changes, 0.2 %, are not named: four wavelengths away they make an error that a verification allows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +122,7 @@ def diagnose(
     if model_error <= error_limit or state.left - state.noise <= state.responses:
         return (), _actuator_figures(state)
     alike = _likeness(search, state)
-    if 1.0 - alike >= UNLIKE:
+    if alike < MOST:
         # Something heavy on a stiff plate looks the same.
         return (Symptom("wrong_bank", (), fields.correlation_median, 1.0 - alike, certain=False),), ()
     return (Symptom("unexplained", explained=0.0, certain=False),), ()
@@ -355,11 +348,14 @@ def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
 
 
 def _actuator_figures(state: _State) -> tuple[ActuatorFigures, ...]:
-    """Level and delay of each actuator against the bank; None where a change of 0.4 dB would hardly show."""
+    """Level and delay of each actuator against the bank; None where a change of 0.4 dB would hardly show.
+
+    That is, where it changes the sum of squares by less than the 95 % quantile of chi-squared, two degrees of freedom.
+    """
     rest = fitted_errors(state.blocks)
     errors = ActuatorErrors(state.errors.factor * rest.factor, state.errors.late_s + rest.late_s)
     seen = sum(np.einsum("rak,rak->a", block.parts.conj(), block.parts).real for block in state.blocks)
-    shows = seen * (10.0 ** (MIN_DB / 20.0) - 1.0) ** 2 >= SHOWN_SQUARES
+    shows = seen * (10.0 ** (MIN_DB / 20.0) - 1.0) ** 2 >= -2 * np.log(1 - CERTAIN_SHARE)
     return tuple(
         ActuatorFigures(float(errors.level_db[index]), 1e6 * float(errors.late_s[index]))
         if shows[index]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.interpolation.base import (
@@ -31,8 +32,6 @@ from wavefocus.storage.ledger.reader import DamagedError
 
 KERNEL_ERROR = 0.02
 """Left-out error in the scene's band below which waves, which take minutes, are not asked."""
-CHANCE = 0.5
-"""Error from which the positions say nothing of what lies between them: half of what is there is missed."""
 ON_POSITION = 1e-6
 """Distance from a position, in grid spacings, up to which a place is on it."""
 
@@ -79,7 +78,7 @@ def choose_interpolation(
             if error < KERNEL_ERROR:
                 break
     method, error, judged_by = min(found.values(), key=lambda one: one[1], default=(nearest, np.inf, "nothing"))
-    if method is not None and error < CHANCE:
+    if method is not None and error < MOST:  # more of what is there is found than missed
         method.choice = InterpolationChoice(judged_by, {name: one[1] for name, one in found.items()}, _words(unsuited))
         return method
     if nearest is None:

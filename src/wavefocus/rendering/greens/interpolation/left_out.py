@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import transform_at
 from wavefocus.calibration.wave_model import PatchKernel
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
@@ -13,8 +14,6 @@ from wavefocus.rendering.greens.interpolation.base import Estimate, Interpolatio
 from wavefocus.rendering.greens.source import GreenSource, RowReader
 from wavefocus.storage.errors import InputError
 
-UNRESOLVED = 0.3
-"""Where the kernel misses more than this from a frequency on, in the median, its result is chance."""
 NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
 
 
@@ -99,8 +98,8 @@ def left_out_estimate(
 
 def _first_unresolved(by_kernel: Float64Array) -> int:
     """The first band from which on the positions are too far apart for the waves: the result is chance."""
-    bad = (band for band in range(len(by_kernel)) if by_kernel[band] > UNRESOLVED)
-    return next((band for band in bad if np.median(by_kernel[band:]) > UNRESOLVED), len(by_kernel))
+    bad = (band for band in range(len(by_kernel)) if by_kernel[band] > MOST)
+    return next((band for band in bad if np.median(by_kernel[band:]) > MOST), len(by_kernel))
 
 
 def _square(values: Complex128Array) -> Float64Array:

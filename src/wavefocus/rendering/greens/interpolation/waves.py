@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.coarse_grid.bounds import LIMITED, MIN_CHECKS
+from wavefocus.calibration.coarse_grid.bounds import MIN_CHECKS
 from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
+from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import on_a_line
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import Estimate, near
@@ -129,7 +130,7 @@ class WavesInterpolation(PathInterpolation):
 def _bound_words(model: RimWaves, index: list[int]) -> str:
     if not model.stated:
         return f"no bound: the bank has fewer than {MIN_CHECKS} check positions"
-    limited = (model.by_noise[index] > LIMITED).any()
+    limited = (model.by_noise[index] > MOST).any()
     words = f"holds {model.stated:.0%} of the errors at random places over the surface, and says nothing of one place"
     return f"{words}; limited by noise of the check positions, and too wide" if limited else words
 
