@@ -38,15 +38,20 @@ def raise_at_interrupt() -> None:
         if not isinstance(unraisable.exc_value, KeyboardInterrupt):
             former(unraisable)
             return
-        # It landed in a finaliser, which may not raise: once more, when that is over.
-        import _thread
+        # It landed in a finaliser or a callback, which may not raise: once more, when that is over.
         import threading
 
-        timer = threading.Timer(0.05, _thread.interrupt_main)
+        timer = threading.Timer(0.05, _interrupt_again)
         timer.daemon = True
         timer.start()
 
     sys.unraisablehook = again
+
+
+def _interrupt_again() -> None:
+    from wavefocus.ending import interrupt
+
+    interrupt()
 
 
 def _interrupt(number: int, frame: object) -> None:

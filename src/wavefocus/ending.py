@@ -87,8 +87,11 @@ def stop_on_signals(stop: StopRequest) -> Iterator[None]:
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Let every signal that ends a program mute the outputs first; a second one does not disturb that."""
-    begun = False
+    """Let every signal that ends a program mute the outputs first; a second one does not disturb that.
+
+    One that is lost in a finaliser or a callback, which cannot raise, is repeated (`wavefocus.__main__`).
+    """
+    begun, former = False, sys.unraisablehook
 
     def receive(number: int, frame: FrameType | None) -> None:
         nonlocal begun
@@ -96,14 +99,22 @@ def ending_at_once() -> Iterator[None]:
             begun = True
             raise KeyboardInterrupt
 
+    def lost(unraisable: sys.UnraisableHookArgs) -> None:
+        nonlocal begun
+        begun = begun and not isinstance(unraisable.exc_value, KeyboardInterrupt)
+        former(unraisable)
+
     in_main = threading.current_thread() is threading.main_thread()
     with EndingSignals.here().caught_by(receive) if in_main else nullcontext():
+        sys.unraisablehook = lost
         try:
             yield
         except InstrumentError as failure:
             if begun:
                 raise KeyboardInterrupt from failure
             raise
+        finally:
+            sys.unraisablehook = former
 
 
 def interrupt() -> None:

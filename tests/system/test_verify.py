@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from tests.lab_files import change_text
+from tests.lab_files import change_text, write_positions
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.rendering.verify.record import read_record
@@ -158,26 +158,43 @@ def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(la
     )
 
 
+def _killed_in_scan(command: list[str], journal: Path) -> None:
+    with subprocess.Popen([sys.executable, "-m", "wavefocus", *command], stderr=subprocess.DEVNULL) as killed:
+        while killed.poll() is None and not (journal.exists() and journal.stat().st_size > 2 * 4096):
+            time.sleep(0.01)
+        killed.kill()
+
+
+@pytest.mark.parametrize("of_earlier_version", [False, True])
 def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], of_earlier_version: bool
 ) -> None:
-    assert _verify(lab, bank) == 0
+    if of_earlier_version:  # "nearest" was the default; `auto` gives another drive between so many positions
+        write_positions(lab, [(x_mm, y_mm) for y_mm in range(-8, 9, 4) for x_mm in range(-8, 17, 4)])
+        bank = lab / "more.h5"
+        assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+        change_text(lab / "scene.toml", "start_mm = [0, 0]", "start_mm = [1, 1]")
+        assert _verify(lab, bank) in (0, 1)
+        auto = (lab / "verify" / "scan.h5").read_bytes()
+        shutil.rmtree(lab / "verify")
+        change_text(lab / "scene.toml", "[output]", '[output]\ninterpolation = "nearest"')
+    assert _verify(lab, bank) in (0, 1)
     undisturbed = (lab / "verify" / "scan.h5").read_bytes()
     shutil.rmtree(lab / "verify")
     scene, rig, out = lab / "scene.toml", lab / "rig.toml", lab / "verify"
     command = ["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out)]
     journal = out / "scan.unfinished"
-    with subprocess.Popen([sys.executable, "-m", "wavefocus", *command], stderr=subprocess.DEVNULL) as killed:
-        while killed.poll() is None and not (journal.exists() and journal.stat().st_size > 2 * 4096):
-            time.sleep(0.01)
-        killed.kill()
+    _killed_in_scan(command, journal)
+    if of_earlier_version:
+        assert undisturbed != auto
+        change_text(lab / "scene.toml", 'interpolation = "nearest"', "")
     torn = journal.read_bytes()
     journal.write_bytes(torn + torn[4096:5000])  # as a power cut may leave its end
     assert not (out / "verify.json").exists()
     for published in ("drive.h5", "report.html"):  # as a kill leaves them that comes while results are moved in
         (out / published).write_bytes(b"of a verification without a record")
     capsys.readouterr()
-    assert run(command) == 0
+    assert run(command) in (0, 1)
     assert "the interrupted scan goes on" in capsys.readouterr().err
     assert (out / "scan.h5").read_bytes() == undisturbed
     assert not journal.exists()

@@ -245,3 +245,54 @@ def test_given_a_closed_umask_then_the_lock_of_a_name_stays_open_to_other_users(
             assert lock.stat().st_mode & 0o666 == 0o666
     finally:
         os.umask(former)
+
+
+# Root becomes another user once all is imported: that user may not read the interpreter's folder.
+ANOTHER_USER = """
+import os, sys, tempfile
+from wavefocus.exits import one_line
+from wavefocus.storage.claims import claimed
+tempfile.tempdir = sys.argv[1]
+os.umask(0o077)
+if sys.argv[2] != "root":
+    os.setgid(65534)
+    os.setuid(65534)
+try:
+    with claimed("tasks of Dev1"):
+        print("held", flush=True)
+        sys.stdin.read()
+except Exception as failure:
+    print(type(failure).__name__, one_line(str(failure)))
+"""
+
+
+@pytest.mark.may_skip("only root can become another user")
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can become another user")
+def test_given_the_lock_of_another_user_then_it_names_the_holder_and_a_dead_ones_is_taken() -> None:
+    with tempfile.TemporaryDirectory(prefix="wavefocus-", dir="/tmp") as name:
+        folder = Path(name)
+        folder.chmod(0o1777)
+
+        def started(user: str) -> subprocess.Popen[str]:
+            words = [sys.executable, "-c", ANOTHER_USER, name, user]
+            return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+        def said(user: str) -> str:
+            return started(user).communicate("")[0].strip()
+
+        for first, second in (("root", "nobody"), ("nobody", "root")):
+            with started(first) as holder:
+                assert holder.stdout is not None
+                assert holder.stdout.readline() == "held\n"
+                assert said(second).startswith(f"BankBusyError tasks of Dev1 is held by process {holder.pid} on ")
+                holder.kill()
+            assert said(second) == "held"
+            with started(second) as later:  # what the dead one left names nobody any more
+                assert later.stdout is not None
+                assert later.stdout.readline() == "held\n"
+                assert f"process {later.pid} on " in said(first)
+                later.kill()
+        (lock,) = folder.glob("*.lock")
+        os.chown(lock, 0, 0)
+        lock.chmod(0o600)  # as an earlier version left it under a closed umask
+        assert "belongs to user root: ask for chmod a+rw" in said("nobody")

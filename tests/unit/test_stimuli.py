@@ -49,13 +49,16 @@ INTERFACE = Interface(48_000, np.full(len(ACTUATOR_MM), 5.0))
 
 @pytest.fixture
 def bank(tmp_path: Path) -> Iterator[Bank]:
-    near = SQUARE_MM[(np.abs(SQUARE_MM) <= (8, 4)).all(axis=1)]
-    with h5py.File(tmp_path / "bank.h5", "w") as file:
-        file["green"] = plate_greens(near).astype(np.float32)
-        file["position_mm"] = near
-        file.attrs["sample_rate_hz"] = RATE_HZ
+    write_bank(tmp_path / "bank.h5", SQUARE_MM[(np.abs(SQUARE_MM) <= (8, 4)).all(axis=1)])
     with open_bank(tmp_path / "bank.h5") as view:
         yield view
+
+
+def write_bank(path: Path, position_mm: np.ndarray) -> None:
+    with h5py.File(path, "w") as file:
+        file["green"] = plate_greens(position_mm).astype(np.float32)
+        file["position_mm"] = position_mm
+        file.attrs["sample_rate_hz"] = RATE_HZ
 
 
 def design_of(folder: Path, text: str = TRIALS) -> TrialsDesign:
@@ -97,6 +100,25 @@ def test_given_again_then_only_what_is_missing_is_rendered(tmp_path: Path, bank:
     assert prepared(design, bank) == first
     assert (first.folder / f"{LOUDEST}.h5").is_file()
     assert {file: file.stat().st_mtime_ns for file in times} == times
+
+
+def test_stimuli_begun_by_an_earlier_version_go_on_with_their_interpolation(tmp_path: Path) -> None:
+    tone = '{ kind = "sine", frequency_hz = 150.0, duration_s = 0.05 }'
+    between = TRIALS.replace("start_mm = [-8, 0]", "start_mm = [-7, 1]").replace('{ kind = "impulse" }', tone)
+    between += "[output]\n"
+    write_bank(tmp_path / "wide.h5", SQUARE_MM)
+    with open_bank(tmp_path / "wide.h5") as bank:
+        named = prepared(design_of(tmp_path, between + 'interpolation = "nearest"\n'), bank)
+        design = design_of(tmp_path, between)
+        auto = prepare(design, bank, tmp_path / "now", limits=NO_LIMITS, interface=INTERFACE)
+        assert named.sha256[LOUDEST] != auto.sha256[LOUDEST]
+        manifest = json.loads((named.folder / "manifest.json").read_text(encoding="utf-8"))
+        manifest["trials_sha256"] = design.sha256
+        del manifest["stimuli"][LOUDEST]
+        (named.folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+        for name in (LOUDEST, NAMES[1]):
+            (named.folder / f"{name}.h5").unlink()
+        assert prepared(design, bank).sha256 == named.sha256
 
 
 def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fits(tmp_path: Path, bank: Bank) -> None:

@@ -36,6 +36,7 @@ from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.prediction import predict as predict_field
 from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
+from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rendering.verify import symptom_words
 from wavefocus.rendering.verify.correction import (
@@ -77,7 +78,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, write_field
 from wavefocus.storage.output_files import require_output_folder, staged_folder
 from wavefocus.storage.point_status import median_of_pairs, usable
-from wavefocus.storage.scan_journal import ScanJournal
+from wavefocus.storage.scan_journal import ScanJournal, identity_of
 from wavefocus.storage.units import quantity
 
 # Enough for an outline that looks round on any screen.
@@ -179,7 +180,7 @@ class _Work:
         out, bank = self.out, self.bank
         with self._step("render", 1) as report, naming(self.scene_file, bank):
             report(0, 1, "preparing the scene: its interpolation and quiet places")
-            drive, facts = render_by_options(self.scene, bank, RenderOptions(), report)
+            drive, facts = self._begun(report) or render_by_options(self.scene, bank, RenderOptions(), report)
             report(1, 1)
         for warning in facts.warnings:
             say(f"warning: {warning}")
@@ -238,6 +239,18 @@ class _Work:
             )
             report(3, 3)
         return verification, record
+
+    def _begun(self, report: Report) -> tuple[Drive, RenderReport] | None:
+        """The drive of an interrupted scan of an earlier version, which took "nearest" where a scene names nothing."""
+        begun, earlier = identity_of(self.journals / JOURNAL_NAME), self.scene.of_earlier_versions
+        if begun is None or earlier is None:
+            return None
+        rendered = render_by_options(earlier, self.bank, RenderOptions(), report)
+        return rendered if self._identity(rendered[0]) == begun else None
+
+    def _identity(self, drive: Drive) -> str:
+        what = plan_sha256(self.rig, self.configuration.run, self.configuration.position_mm)
+        return hashlib.sha256(what.encode() + np.ascontiguousarray(drive.drive_v, "<f8").tobytes()).hexdigest()
 
     def _control(self, drive: Drive, rows: list[int] | None) -> Int64Array:
         """Bank rows of the control places of a correction, none without one.
@@ -332,11 +345,8 @@ class _Work:
     @contextmanager
     def _journal(self, drive: Drive, path: Path) -> Iterator[ScanJournal]:
         """The positions that were scanned before an interruption of this same scan, and are from now on."""
-        bank = self.bank
-        what = plan_sha256(self.rig, self.configuration.run, self.configuration.position_mm)
-        identity = hashlib.sha256(what.encode() + np.ascontiguousarray(drive.drive_v, "<f8").tobytes()).hexdigest()
-        samples = drive.drive_v.shape[1] + bank.taps - 1
-        with ScanJournal(path, identity, samples, replace=self.force) as journal:
+        samples = drive.drive_v.shape[1] + self.bank.taps - 1
+        with ScanJournal(path, self._identity(drive), samples, replace=self.force) as journal:
             if len(journal):
                 say(f"the interrupted scan goes on; positions scanned before: {len(journal)}, kept in {path}")
             try:

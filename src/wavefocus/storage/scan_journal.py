@@ -36,6 +36,15 @@ class ScannedPosition:
     response: NDArray[np.float32]
 
 
+def identity_of(path: Path) -> str | None:
+    """Identity of the scan that a journal holds; None where there is none that can be read."""
+    try:
+        with path.open("rb") as file:
+            return str(json.loads(file.read(PAGE))["identity"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
 class ScanJournal(Closing):
     """The one process that scans into a journal; a context manager.
 

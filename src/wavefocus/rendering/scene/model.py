@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -122,6 +122,13 @@ class Scene:
     def has_quiet_places(self) -> bool:
         """Whether any source is to be quiet anywhere."""
         return bool(self.quiet) or (self.regularisation.independent and len(self.sources) > 1)
+
+    @property
+    def of_earlier_versions(self) -> Scene | None:
+        """The scene with "nearest", their default; None where the scene names its interpolation."""
+        if "interpolation" in self.output.model_fields_set:
+            return None
+        return replace(self, output=self.output.model_copy(update={"interpolation": "nearest"}))
 
     def __post_init__(self) -> None:
         check_fields(self)

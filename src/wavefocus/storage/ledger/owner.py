@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import socket
@@ -78,17 +79,23 @@ def write_owner(path: Path) -> None:
     # The file's own space is reserved: a disk that is full but for that must not keep anyone from measuring.
     with contextlib.suppress(OSError):
         name = owner_path(path)
-        if is_replaceable(name):  # of a process that was killed
-            name.unlink(missing_ok=True)
-        with create(name) as file:
+        replaceable = is_replaceable(name)  # of a process that was killed
+        try:
+            if replaceable:
+                name.unlink(missing_ok=True)
+            file = create(name)
+            name.chmod(0o666)  # whoever meets the lock reads who holds it, and names itself later, whatever the umask
+        except PermissionError:  # it was another user's, in a folder where each removes their own alone
+            file = io.FileIO(os.open(name, os.O_WRONLY | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)), "w")
+        with file:
             file.write((json.dumps(asdict(owner)) + "\n").encode())
-        name.chmod(0o644)  # whoever meets the lock reads who holds it, whatever the umask
 
 
 def remove_owner(path: Path) -> None:
     """Take this process's name away, before the lock is released."""
     if is_replaceable(owner_path(path)):
-        owner_path(path).unlink(missing_ok=True)
+        with contextlib.suppress(PermissionError):  # as in `write_owner`; without the lock it names nobody
+            owner_path(path).unlink(missing_ok=True)
 
 
 def _named_owner(path: Path) -> Owner:
