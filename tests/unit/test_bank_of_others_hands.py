@@ -268,7 +268,7 @@ except Exception as failure:
 
 @pytest.mark.may_skip("only root can become another user")
 @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can become another user")
-def test_given_the_lock_of_another_user_then_it_names_the_holder_and_a_dead_ones_is_taken() -> None:
+def test_the_lock_of_another_user_names_the_holder_and_a_dead_ones_is_taken() -> None:
     with tempfile.TemporaryDirectory(prefix="wavefocus-", dir="/tmp") as name:
         folder = Path(name)
         folder.chmod(0o1777)

@@ -55,7 +55,10 @@ def test_given_a_name_with_any_letter_then_it_is_read_back(tmp_path: Path, name:
     assert tomllib.loads(file.read_text(encoding="utf-8"))["calibration"]["file"] == name
 
 
-@pytest.mark.parametrize("text", ["calibration = 3\n", "[[calibration]]\nfile = 'x'\n", "[calibration\n"])
+DEEP = f"a = {'[' * 200}{']' * 200}\n"  # Python reads it; the editor of TOML does not
+
+
+@pytest.mark.parametrize("text", ["calibration = 3\n", "[[calibration]]\nfile = 'x'\n", "[calibration\n", DEEP])
 def test_given_a_file_that_has_no_such_table_then_it_is_left_alone(tmp_path: Path, text: str) -> None:
     file = tmp_path / "rig.toml"
     file.write_text(text, encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Callable
@@ -171,3 +172,19 @@ def test_a_path_then_counts_as_on_the_network_by_its_nearest_mount(path: str, ne
 
 def test_a_local_temporary_folder_then_is_no_network_mount(tmp_path: Path) -> None:
     assert is_network_mount(tmp_path) is False
+
+
+@pytest.mark.may_skip("Windows has other calls for locks")
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other calls for locks")
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_drive_that_keeps_no_locks_then_the_file_and_the_remedy_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refused(descriptor: int, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("fcntl.flock", refused)  # as the system answers on such a mount
+    (tmp_path / "bank.h5").touch()
+    with open_file(tmp_path / "bank.h5", write=True) as file, pytest.raises(OSError, match="folder of this") as caught:
+        file.try_lock()
+    assert (caught.value.errno, caught.value.filename) == (number, str(tmp_path / "bank.h5"))

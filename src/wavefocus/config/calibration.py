@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -222,11 +223,13 @@ def name_calibration(rig_file: Path, name: str) -> None:
     if not isinstance(table, dict):
         raise InputError(printable(f"{rig_file}: calibration = {shown(table)}: must be a table"))
     table["file"] = name
-    document = tomlkit.parse(text)
-    if "calibration" not in document:
-        document["calibration"] = tomlkit.table()
-    document["calibration"]["file"] = name
-    new = tomlkit.dumps(document)
+    new = "[calibration]"
+    with suppress(tomlkit.exceptions.TOMLKitError):  # it reads less than Python does: 100 levels
+        document = tomlkit.parse(text)
+        if "calibration" not in document:
+            document["calibration"] = tomlkit.table()
+        document["calibration"]["file"] = name
+        new = tomlkit.dumps(document)
     if tomllib.loads(new) != wanted:
         raise InputError(f'{rig_file}: cannot be edited; write file = "{name}" into its table [calibration] by hand')
     write_whole(rig_file.resolve(), new)

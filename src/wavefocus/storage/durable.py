@@ -57,6 +57,7 @@ class PositionedFile(Closing):
     """
 
     def __init__(self, path: Path, *, write: bool = False) -> None:
+        self._path = path
         self._fd = os.open(path, (os.O_RDWR if write else os.O_RDONLY) | getattr(os, "O_BINARY", 0))
         self._cursor = threading.Lock()  # seek and read are two steps
 
@@ -152,9 +153,10 @@ class PositionedFile(Closing):
             else:
                 fcntl.flock(self._fd, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
         except OSError as error:
-            if error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
-                raise
-            return False
+            if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
+                return False
+            words = f"{error.strerror}: its drive keeps no locks; use a folder of this computer, or mount it with locks"
+            raise OSError(error.errno, words, str(self._path)) from None
         return True
 
 
