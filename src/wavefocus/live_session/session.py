@@ -205,8 +205,7 @@ class LiveSession:
             figures.limited_db = min(figures.limited_db, self._limiter.gain_db)
             self._notice(
                 "limited",
-                f"limited by {-figures.limited_db:.1f} dB to stay within the limits; lower the amplitudes, or use"
-                " --gain-db",
+                f"limited by {-figures.limited_db:.1f} dB to stay within the limits: lower the amplitudes",
             )
         for name in self.engine.late_sources():
             if name not in self._late:
