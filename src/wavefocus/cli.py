@@ -79,7 +79,10 @@ def run_command(arguments: Sequence[str]) -> int:
     Returns the exit code. Raises UsageError: the command line is wrong.
     """
     command, given = parsed(arguments)
-    run = found(command.run) if isinstance(command.run, str) else command.run
+    from wavefocus.console import spinner
+
+    with spinner(f"{command.name}: loading"):  # seconds on a busy machine
+        run = found(command.run) if isinstance(command.run, str) else command.run
     return int(run(**given) or 0)
 
 

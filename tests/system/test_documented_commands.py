@@ -142,6 +142,35 @@ def test_the_tutorials_positions_and_hours_are_those_of_its_plan(
     assert {one or other for one, other in counts} == {positions[1]}
 
 
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_the_tutorials_figures_are_those_of_its_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """At full size, within 5 %; how far an interrupted capture is, is by chance."""
+    monkeypatch.chdir(tmp_path)
+    shown = 0
+    for step in steps(ROOT / "docs" / "tutorial" / "the-first-hour.md"):
+        if step.kind != "command" or step.note.startswith("not run"):
+            continue
+        words = words_of(step.text)
+        capfd.readouterr()
+        assert run(words[1:]) == 0
+        printed = "\n".join(capfd.readouterr())
+        if words[1] == "init":
+            change_text(Path("lab/run.toml"), "spacing_mm = 4.0", "spacing_mm = 8.0")
+        for line in (
+            step.shown if words[1] in ("plan", "check", "render", "predict", "movie", "verify", "export") else ()
+        ):
+            there = re.escape(line).replace(r"\.\.\.", ".*")
+            found = re.search(re.sub(r"\d+(?:\\\.\d+)?", r"(\\d+(?:\.\\d+)?)", there), printed)
+            assert found is not None, f"{step.text} printed no such line: {line}\n{printed}"
+            numbers = [float(number) for number in re.findall(r"\d+(?:\.\d+)?", line)]
+            assert [float(number) for number in found.groups()] == pytest.approx(numbers, rel=0.05), line
+            shown += len(numbers)
+    assert shown > 20
+
+
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A measured lab: what pages presuppose that do not begin with an empty folder."""
