@@ -16,7 +16,6 @@ from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.noise_error import noise_error_db
-from wavefocus.calibration.estimator.schedule_error import measure_decay
 from wavefocus.config.messages.campaign import Subscriber
 from wavefocus.storage.errors import InputError
 
@@ -59,7 +58,7 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
 
     publish: Receives every passing fault, and what is done about it, as in a campaign.
 
-    Raises InputError: the responses ring longer than the plan's taps, or no attempt has a usable reference.
+    Raises InputError: sequential sweeps show responses longer than the taps, or no attempt has a usable reference.
     InstrumentError: an instrument failed for good.
     """
     clock, position, sweep = setup.instruments.clock, check_position(plan), plan.excitation
@@ -68,11 +67,9 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
     asked, plain = (
         _measured(Station(one, setup, session), Attempt(position, number, 1)) for number, one in enumerate(plans, 1)
     )
-    response_s = plan.taps / sweep.sample_rate_hz
-    _require_taps(plain, plan)
     rows, others = (in_band(one.green, sweep.sample_rate_hz, sweep.band_hz) for one in (plain, asked))
     apart = np.linalg.norm(others - rows, axis=1) / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-    period_s = sweep.period_samples / sweep.sample_rate_hz
+    response_s, period_s = (samples / sweep.sample_rate_hz for samples in (plan.taps, sweep.period_samples))
     noise_db = noise_error_db(plain.snr_db, band_hz=sweep.band_hz, response_s=response_s, period_s=period_s)
     return ScheduleComparison(
         position,
@@ -87,17 +84,11 @@ def _measured(station: Station, attempt: Attempt) -> Estimate:
     result = station.measure(attempt, "trial", _is_spoilt)
     if result.estimate is None:
         raise InputError(f"the position that is measured by both schedules failed: {result.judgement.reason}")
+    for defect in result.judgement.defects:
+        if defect.name == "tail":
+            raise InputError(defect.sentence)
     return result.estimate
 
 
 def _is_spoilt(result: AttemptResult) -> bool:
     return result.estimate is None or any(any(recording.over_range) for recording in result.recordings)
-
-
-def _require_taps(estimate: Estimate, plan: Plan) -> None:
-    """Refuse responses that ring longer than the taps, where noise lets their decay be measured."""
-    try:
-        decay = measure_decay(estimate.green, plan.excitation.sample_rate_hz)
-    except InputError:
-        return
-    decay.require(plan.taps)

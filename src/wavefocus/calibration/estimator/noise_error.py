@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.estimator.schedule_error import degrees_of_freedom
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.point_status import median_of_pairs
 
@@ -21,8 +20,9 @@ def noise_error_db(
 ) -> Float64Array:
     """Relative L2 error in band that white noise leaves in Green's functions.
 
-    The ratio compares energies before the fit, over all bins of a period; a causal FIR of `response_s` seconds takes up
-    only the noise of its own degrees of freedom, so that its error is lower by their share.
+    The ratio compares energies before the fit, over all bins of a period; a causal FIR of T seconds takes up only the
+    noise of its own degrees of freedom, about 2 W T + 2 ln(2 pi W T) in a band of W Hz, so that its error is lower by
+    their share.
 
     snr_db, any shape: Signal-to-noise ratio in band of the records, see `Estimate`; NaN where unknown.
     band_hz: Lowest and highest frequency of the sweep in Hz.
@@ -31,8 +31,9 @@ def noise_error_db(
 
     Returns float64, the same shape: dB; held against the virtual rig's truth within 1 dB (tests/unit/test_noise_error).
     """
-    seen = 2 * (band_hz[1] - band_hz[0]) * period_s
-    share = min(degrees_of_freedom(band_hz, response_s) / seen, 1.0)
+    width_hz = band_hz[1] - band_hz[0]
+    freedom = 2 * width_hz * response_s + 2 * math.log(max(2 * math.pi * width_hz * response_s, 1.0))
+    share = min(freedom / (2 * width_hz * period_s), 1.0)
     return np.asarray(10 * math.log10(share) - np.asarray(snr_db, np.float64))
 
 
