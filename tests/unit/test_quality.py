@@ -18,7 +18,6 @@ def _estimate(records: int = 4, **changed: np.ndarray) -> Estimate:
         "residual_db": np.array([-70.0, -45.0, -27.0, -4.0], np.float32),
         "coherence": np.ones(records, np.float32),
         "peak_v": np.ones(records, np.float32),
-        "repeat_db": np.full(records, -40.0, np.float32),
         "noise_v": np.full(records, 1e-4, np.float32),
         "clip_count": np.zeros(records, np.int32),
         "offset_samples": np.zeros(records),

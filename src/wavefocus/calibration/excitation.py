@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -12,33 +11,6 @@ from wavefocus.calibration import Float64Array
 from wavefocus.calibration.waveforms import waveform_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import EMPTY, Schedule, staggered
-
-
-class Excitation(Protocol):
-    """A base signal and the silence after it, which a record holds `averages` times."""
-
-    @property
-    def sample_rate_hz(self) -> float:
-        """Rate in Hz."""
-
-    @property
-    def start_hz(self) -> float:
-        """Lower end of the band in Hz."""
-
-    @property
-    def stop_hz(self) -> float:
-        """Upper end of the band in Hz."""
-
-    @property
-    def decay_samples(self) -> int:
-        """Samples of silence after each base signal."""
-
-    @property
-    def averages(self) -> int:
-        """Base signals in a record."""
-
-    def base_v(self) -> Float64Array:
-        """One base signal and its silence in volts, float64 (period,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +133,9 @@ class RecordedExcitation:
         """One sweep and its silence in volts, shape (period,)."""
         return self.base
 
+
+Excitation = PlayedExcitation | RecordedExcitation
+"""A base signal and the silence after it, which a record holds several times."""
 
 # A record is longer than its periods by this share, twice what the fastest clock allowed takes.
 MARGIN_SHARE = 1e-3

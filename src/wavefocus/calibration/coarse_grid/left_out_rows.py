@@ -75,17 +75,8 @@ class RowsByWaves:
         self._noise: Float64Array = np.stack(noise, axis=1)
         self._free: Float64Array = 1.0 - np.square(np.abs(self._explained)).sum(axis=3, dtype=np.float64)
 
-    def errors(self) -> tuple[Complex128Array, Float64Array]:
-        """Error of every row, left out, and its expected square, (positions, actuators, frequencies); NaN if none."""
-        errors = np.full(self.values.shape, np.nan + 0j)
-        variance = np.full(self.values.shape, np.nan)
-        free = np.maximum(self._free, MIN_FREE)
-        errors[self._rows] = (self._noise * self._left / free).transpose(2, 0, 1)
-        variance[self._rows] = (np.square(self._noise) / free).transpose(2, 0, 1)
-        return errors, variance
-
     def errors_without(self, actuator: int, out: Int64Array) -> tuple[Complex128Array, Float64Array]:
-        """As `errors`, of one actuator's rows and with some positions left out of all predictions as well.
+        """Error of one actuator's rows, each left out with some positions, and its expected square; NaN if none.
 
         Returns errors, variance : (positions, frequencies).
         """
@@ -103,19 +94,6 @@ class RowsByWaves:
         free[:, number] = 1.0 / np.maximum(np.diagonal(inverse, axis1=1, axis2=2).real, 1.0)
         errors[self._rows], variance[self._rows] = (noise * found).T, (np.square(noise) / free).T
         return errors, variance
-
-    def at(self, position: int, offset_mm: Float64Array, values: Complex128Array) -> Complex128Array:
-        """Rows at places near a position, from all others, (places, actuators, frequencies).
-
-        values, complex128 (positions, actuators, frequencies): The rows to use. What the others predict of a row counts
-            for nothing: wrong ones, and the position's, are replaced by it.
-        """
-        points_mm = self._position_mm[position] + offset_mm
-        found = [
-            waves.at_points(points_mm, shares, values[self._rows, :, index])
-            for index, (waves, shares) in enumerate(self._waves)
-        ]
-        return np.stack(found, axis=2)
 
 
 def waves_of_rows(

@@ -26,7 +26,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from typing import Any, cast
 
 import numpy as np
@@ -193,15 +192,6 @@ class FrequencyWaves:
         x, y, _, noise = self._scaled(actuator, shares)
         explained = x @ _inverse_of(_factor(x)).conj().T
         return explained, y - explained @ (y.conj() @ explained).conj(), noise
-
-    def at_points(self, points_mm: Float64Array, shares: Float64Array, transfer: Complex128Array) -> Complex128Array:
-        """The waves at points (n, 2) for other measured values, complex128 (positions, actuators): (n, actuators)."""
-        other = copy(self)
-        other._values = transfer / np.sqrt(self._power)
-        strength = other.strengths(shares)
-        (own,), _ = waves_of_actuators([self.wavenumber], self._share, points_mm, self._actuator_mm)
-        sources = outgoing(self.wavenumber, distances_mm(points_mm, self._ring_mm))
-        return np.asarray(np.einsum("cpa,ca->pa", own, strength[: len(own)]) + sources @ strength[len(own) :])
 
     def variance(self, points_mm: Float64Array, shares: Float64Array) -> Float64Array:
         """Variance of the waves at points (n, 2), without noise: (n, actuators)."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
-from scipy.special import j1
 
 from wavefocus.calibration import Complex128Array, Float64Array
+from wavefocus.calibration.wave_model import disk_kernel
 
 REST_JUDGED, REST_POSITIONS = 16, 400
 """Frequencies at which the rest is judged, and positions that judge it, at most."""
@@ -37,7 +37,7 @@ def choose_rest(
         return NO_REST
     tries = []
     for radius in (REST_RADIUS * wavenumber, *(share * resolved for share in REST_RESOLVED)):
-        size, turn = eigh(disk(radius * apart_mm))
+        size, turn = eigh(disk_kernel(radius * apart_mm))
         seen = np.square(np.abs(turn.T @ residual))
         for ridge in REST_RIDGES:
             power = np.maximum(size, 0.0) + ridge
@@ -45,7 +45,7 @@ def choose_rest(
             cost = np.log(power).mean() + np.log(by_actuator).mean()
             tries.append((float(cost), float(radius), ridge))
     _, radius, ridge = min(tries)
-    missed = np.linalg.norm(left_out_rest(disk(radius * apart_mm), ridge, residual)[0], axis=1)
+    missed = np.linalg.norm(left_out_rest(disk_kernel(radius * apart_mm), ridge, residual)[0], axis=1)
     there = np.maximum(np.linalg.norm(residual, axis=1), 1e-300)
     left = min(float(np.median(missed / there)), float(np.linalg.norm(missed) / np.linalg.norm(there)))
     return (radius, ridge) if left < MAX_REST else NO_REST
@@ -58,9 +58,3 @@ def left_out_rest(
     inverse = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), np.eye(len(kernel)))
     share = 1.0 / inverse.diagonal()
     return np.asarray(inverse @ residual * share[:, None]), np.asarray(share)
-
-
-def disk(radians: Float64Array) -> Float64Array:
-    """2 J1(z) / z: the covariance of fields whose wave numbers fill a disk."""
-    safe = np.maximum(radians, 1e-8)
-    return np.asarray(2.0 * j1(safe) / safe)

@@ -29,7 +29,7 @@ from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.bounds import MIN_CHECKS, between, judged, judged_frequencies, typical
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
-from wavefocus.calibration.coarse_grid.rest import REST_JUDGED, REST_POSITIONS, choose_rest, disk, left_out_rest
+from wavefocus.calibration.coarse_grid.rest import REST_JUDGED, REST_POSITIONS, choose_rest, left_out_rest
 from wavefocus.calibration.coarse_grid.waves import (
     Dispersion,
     dispersion_of_own_waves,
@@ -40,6 +40,7 @@ from wavefocus.calibration.coarse_grid.waves import (
     waves_of_actuators_at_all,
 )
 from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.calibration.wave_model import disk_kernel
 
 Result = TypeVar("Result")
 
@@ -214,7 +215,7 @@ class RimWaves:
         for radius in np.unique(self.rest_radius[chosen]):
             if radius > 0:
                 places = np.flatnonzero(self.rest_radius[chosen] == radius)
-                kernel = disk(radius * apart_mm).astype(np.float32)
+                kernel = disk_kernel(radius * apart_mm).astype(np.float32)
                 found[places] += kernel @ self.rest[np.array(chosen)[places]]
         return np.asarray(found, dtype=np.complex128)
 
@@ -228,9 +229,9 @@ class RimWaves:
     def _variance(self, points_mm: Float64Array, number: int) -> Float64Array:
         if self.rest_radius[number] > 0:
             radius, ridge, power = self.rest_radius[number], self.rest_ridge[number], self.rest_power[number]
-            kernel = disk(radius * cdist(self.position_mm, self.position_mm))
+            kernel = disk_kernel(radius * cdist(self.position_mm, self.position_mm))
             kernel[np.diag_indices_from(kernel)] += ridge
-            across = disk(radius * cdist(points_mm, self.position_mm))
+            across = disk_kernel(radius * cdist(points_mm, self.position_mm))
             known = np.einsum("pn,np->p", across, cho_solve(cho_factor(kernel), across.T))
             return np.asarray((np.maximum(1.0 - known, 0.0) + ridge)[:, None] * power)
         _, near = cKDTree(self.position_mm).query(points_mm)
@@ -397,7 +398,7 @@ class _Fit:
         radius, ridge = self._rest_choice[min(self._rest_choice, key=lambda judged: abs(judged - number))]
         if not radius > 0:
             return strength, 0.0, 0.0, np.zeros(residual.shape[1]), np.zeros_like(residual)
-        kernel = disk(radius * self._apart_mm)
+        kernel = disk_kernel(radius * self._apart_mm)
         rest = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), residual)
         return strength, radius, ridge, np.einsum("pa,pa->a", residual.conj(), rest).real / len(rest), rest
 
@@ -416,7 +417,7 @@ class _Fit:
         radius, ridge, power = (part[number] for part in self._rest)
         if radius > 0:
             residual = self._transfer[number] - waves.sums(self._strength[number])
-            error, share = left_out_rest(disk(radius * self._apart_mm), ridge, residual)
+            error, share = left_out_rest(disk_kernel(radius * self._apart_mm), ridge, residual)
             variance = np.maximum(share[:, None] * power, 1e-300)
         else:
             error, variance = waves.left_out(self._shares[number])

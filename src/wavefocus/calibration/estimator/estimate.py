@@ -23,7 +23,6 @@ MERGED: dict[str, Callable[[NDArray[Any]], Any]] = {
     "residual_db": np.max,
     "coherence": np.min,
     "peak_v": np.max,
-    "repeat_db": np.max,
     "noise_v": np.max,
     "clip_count": np.sum,
     "defects": worst_of,
@@ -47,8 +46,6 @@ class Estimate:
     coherence, float32 (records,): Share of the response's energy, over all repeats, that one linear relation to the
         reference explains; NaN for a single sweep.
     peak_v, float32 (records,): Largest magnitude of the response in DAQ volts.
-    repeat_db, float32 (records,): Energy of the differences of the repeats from their common relation over that of the
-        response, scaled to the variance of one repeat; NaN for a single sweep.
     noise_v, float32 (records,): Rms in DAQ volts of the white noise on one response recording (0 to half the sample
         rate) that would leave this residual.
     clip_count, int32 (records,): Samples of either channel that are clipped: at 0.999 of its range or beyond, or on a
@@ -66,7 +63,6 @@ class Estimate:
     residual_db: Float32Array
     coherence: Float32Array
     peak_v: Float32Array
-    repeat_db: Float32Array
     noise_v: Float32Array
     clip_count: NDArray[np.int32]
     offset_samples: Float64Array

@@ -88,27 +88,18 @@ PROBES = 4
 MAX_JOINT_BYTES = 1 << 30
 
 
-def joint_bytes(period: int, band_cycles: float, taps: int) -> int:
-    """Bytes that a joint fit on a ring of `period` samples takes, for a band so many cycles per sample wide."""
-    rank = min(taps, 2 * band_cycles * taps + 48)
-    bins = band_cycles * period
-    return int(rank * (4 * 8 * taps + 2 * 16 * bins))
-
-
 @dataclass(frozen=True, slots=True)
 class JointSolution:
     """What a record says of each of its slots.
 
     green, float32 (slots, taps): FIRs, from the base signal to the response.
     energy, float64 (slots,): Energy that each slot's FIR explains of the whitened data.
-    unexplained: Energy that they leave.
     variance: Variance of the noise on one element of the whitened data.
     left, complex64 (bins,): What they leave of the whitened data.
     """
 
     green: Float32Array
     energy: Float64Array
-    unexplained: float
     variance: float
     left: Complex64Array
 
@@ -122,25 +113,17 @@ class JointFit:
 
     omega, float64 (bins,): Frequencies in radians per playback sample, multiples of one spacing, ascending.
     power, float64 (bins,): Squared magnitude of the base signal's spectrum, relative to its median in band.
-    period: Samples of the ring, or of the transform that the record was padded to.
+    period: Samples of the ring.
     taps: Length L of the FIRs.
-    delays, float64 (slots,): Delay of each slot in playback samples; L or more apart.
+    delays, float64 (slots,): Delay of each slot in playback samples; L or more apart, round the ring.
     ridge: Penalty relative to the median power in band.
-    periodic: Whether delays wrap round the period.
     """
 
     def __init__(
-        self,
-        omega: Float64Array,
-        power: Float64Array,
-        period: int,
-        taps: int,
-        delays: Float64Array,
-        ridge: float,
-        *,
-        periodic: bool,
+        self, omega: Float64Array, power: Float64Array, period: int, taps: int, delays: Float64Array, ridge: float
     ) -> None:
-        needed = joint_bytes(period, omega.size / period, taps)
+        # Singular vectors of the band's share of the taps, in double precision.
+        needed = min(taps, 2 * omega.size * taps / period + 48) * (4 * 8 * taps + 2 * 16 * omega.size)
         if needed > MAX_JOINT_BYTES:
             raise InputError(
                 f"actuators that play at once, {taps} taps and {omega.size} frequencies need {needed / 2**30:.1f} GiB; "
@@ -157,7 +140,7 @@ class JointFit:
         self._responses = (basis.right / basis.singular[:, None]).astype(np.float32)
         self._weak = np.flatnonzero(basis.singular < WEAK)
         self._penalty = (ridge / basis.singular**2).astype(np.float32)
-        ring = ring_slots(delays, period, taps) if periodic else None
+        ring = ring_slots(delays, period, taps)
         self._inverses: Complex64Array | None = None
         if ring is None:
             self._chosen = np.arange(delays.size)
@@ -190,7 +173,7 @@ class JointFit:
         squared = np.maximum(np.square(found[self._weak]), np.float32(1e-30))
         noise = np.float32(GARROTE * variance) * self._spread[:, None]
         found[self._weak] *= np.maximum(1 - noise / squared, 0)
-        return JointSolution(found.T @ self._responses, np.maximum(energy, 0), unexplained, variance, left)
+        return JointSolution(found.T @ self._responses, np.maximum(energy, 0), variance, left)
 
     def _seen(self, data: Complex64Array) -> Float32Array:
         """Data as the slots see it: coefficients (rank, slots)."""

@@ -8,14 +8,10 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numpy as np
-import scipy.fft
-
 from wavefocus.calibration import Float32Array
-from wavefocus.calibration.clock.foreign_excitation import find_sweeps, learn_base, learn_sweeps, whole_record
+from wavefocus.calibration.clock.foreign_excitation import find_sweeps, learn_base, learn_sweeps
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
-from wavefocus.calibration.estimator.multichannel_fir_fit import MAX_JOINT_BYTES, joint_bytes
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.estimator.whole_record import WholeRecordEstimator
@@ -24,8 +20,6 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import RawHeader
 from wavefocus.storage.raw.writer import DamagedError, RawFile, Recordings
 
-# References from which the base signal is learned: more make it cleaner, by 0.05 dB at 16.
-LEARNED_RECORDS = 16
 # Positions tried for one whose reference can be identified.
 LEARNED_POSITIONS = 16
 
@@ -80,7 +74,7 @@ def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None
     for first in _recorded(raw, LEARNED_POSITIONS):
         try:
             if header.schedule.period_s > 0:
-                return _periodic(raw, records, first, report)
+                return _periodic(header, records, first, report)
             return _with_silence(header, records, first, report)
         except (InputError, ReferenceMissingError) as error:
             failure = failure or InputError(f"{raw.path}: {error}")
@@ -175,15 +169,12 @@ def _recorded(raw: RawFile, most: int) -> Iterator[Recordings]:
             return
 
 
-def _periodic(raw: RawFile, records: Records, first: Recordings, report: Callable[[str], None]) -> PositionEstimator:
+def _periodic(
+    header: RawHeader, records: Records, first: Recordings, report: Callable[[str], None]
+) -> PositionEstimator:
     """The base signal is already running when a record starts."""
-    references = list(first.reference_v[:LEARNED_RECORDS])
-    if len(references) < LEARNED_RECORDS:
-        for more in _recorded(raw, LEARNED_RECORDS):
-            if not np.array_equal(more.reference_v[0], first.reference_v[0]):
-                references += list(more.reference_v)
-    base_v, ratio = learn_base(references[:LEARNED_RECORDS], raw.header)
-    report(f"a period of {raw.header.schedule.period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
+    base_v, ratio = learn_base(first.reference_v[0], header)
+    report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
     return StaggeredEstimator(base_v, records, expected_ratio=ratio)
 
 
@@ -194,23 +185,17 @@ def _with_silence(
     if header.same_clock:
         report("same_clock: whole records, each with its own reference")
         return WholeRecordEstimator(records)
-    reference, rate, taps = first.reference_v[0], header.sample_rate_hz, header.taps
+    reference, taps = first.reference_v[0], header.taps
     found = find_sweeps(reference, header)
-    shape, law = found.shape, f", {header.law}" if found.by_law else ""
     report(
-        f"{shape.averages} sweeps of {shape.sweep_samples / rate:g} s{law}; "
+        f"{found.averages} sweeps of {found.sweep_samples / header.sample_rate_hz:g} s, {header.law}; "
         f"clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"
     )
-    is_whole = header.averages is not None or shape.period_samples <= header.samples
-    if header.schedule.is_sequential and taps <= shape.period_samples - shape.sweep_samples and is_whole:
+    is_whole = header.averages is not None or found.period_samples <= header.samples
+    if header.schedule.is_sequential and taps <= found.period_samples - found.sweep_samples and is_whole:
         sweeps = learn_sweeps(found, reference, header)
         comparable = header.averages is not None
         return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=comparable)
-    latest = round(header.schedule.delay_s[header.schedule.actuator >= 0].max() * rate)
-    ring = scipy.fft.next_fast_len(2 * header.samples + latest + taps, real=True)
-    if joint_bytes(ring, (header.band_hz[1] - header.band_hz[0]) / rate, taps) <= MAX_JOINT_BYTES:
-        base_v = whole_record(found, reference, header, ring)
-        return StaggeredEstimator(base_v, records, expected_ratio=found.ratio)
 
     def clock(reference_v: Float32Array) -> tuple[float, float]:
         try:

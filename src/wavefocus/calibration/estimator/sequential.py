@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.calibration import Float32Array, Float64Array
+from wavefocus.calibration import Float32Array
 from wavefocus.calibration.clock.repeats import SweepCutter
 from wavefocus.calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from wavefocus.calibration.estimator.clipping import measure_levels
@@ -33,7 +33,7 @@ class SequentialEstimator:
     taps: Length L of the FIRs, 1 to the excitation's silence.
     channels: How the channels see it.
     schedule: Which actuator in which record, sequential; without it record k is that of actuator k.
-    comparable: Whether the figures that compare repeats mean something; else they are NaN.
+    comparable: Whether the coherence of the repeats means something; else it is NaN.
     ridge: Penalty on the FIR's energy relative to the sweep's median power in band, > 0.
 
     Raises InputError: a value outside the range above.
@@ -111,8 +111,7 @@ class SequentialEstimator:
         ]
         found = parts[0] if len(parts) == 1 else Estimate.joined(parts)
         if not self._comparable:
-            unknown = np.full_like(found.coherence, np.nan)
-            found = replace(found, coherence=unknown, repeat_db=unknown)
+            found = replace(found, coherence=np.full_like(found.coherence, np.nan))
         if self._schedule is None:
             return found
         slots = [self._schedule.slots(record) for record in range(records)]
@@ -135,7 +134,10 @@ class SequentialEstimator:
         answered = energy(y[..., here]).sum(axis=(1, 2), dtype=np.float64)
         # What one relation to the reference leaves of each sweep.
         differing = y - transfer[:, None] * x
-        coherence, repeat_db = self._repeatability(answered, energy(differing[..., here]))
+        coherence = np.full(answered.shape, np.nan, np.float32)
+        if self.excitation.averages > 1:
+            apart = energy(differing[..., here]).sum(axis=(1, 2), dtype=np.float64)
+            coherence = (1 - (apart + FLOOR) / (answered + FLOOR)).astype(np.float32)
         whole = energy(transfer[:, here] * self._weight).sum(axis=1, dtype=np.float64)
         left = energy(found.whitened[:, here]).sum(axis=1, dtype=np.float64)
         variance = left / max(self._share * (self._fit.elements - self._fit.rank), 1.0)
@@ -152,7 +154,6 @@ class SequentialEstimator:
             residual_db=residual_db,
             coherence=coherence,
             peak_v=levels.response_v,
-            repeat_db=repeat_db,
             noise_v=noise_v.astype(np.float32),
             clip_count=levels.clip_count,
             offset_samples=repeats.offset_samples,
@@ -160,12 +161,3 @@ class SequentialEstimator:
             defects=defects,
             reference_db=decibel(gain, self._reference_power),
         )
-
-    def _repeatability(self, whole: Float64Array, differing: Float32Array) -> tuple[Float32Array, Float32Array]:
-        averages = self.excitation.averages
-        if averages == 1:
-            unknown = np.full(whole.shape, np.nan, dtype=np.float32)
-            return unknown, unknown.copy()
-        apart = differing.sum(axis=(1, 2), dtype=np.float64)
-        coherence = 1 - (apart + FLOOR) / (whole + FLOOR)
-        return coherence.astype(np.float32), decibel(apart * averages / (averages - 1), whole)

@@ -34,13 +34,12 @@ MIN_PERIODS = 1.9
 class StaggeredEstimator:
     """Joint least squares for the causal FIRs of all slots of each record, on the ring of the playback clock.
 
-    A record holds a periodic base signal that is already running when it starts or, where the schedule has no period,
-    one that begins and ends in it. Offset and clock ratio come from the reference; the spectra of both channels are
-    then taken at the frequencies of the ring on the playback clock, exactly, whatever the record's length. The recorded
-    reference is cleaned of its noise: it is the base signal times a smooth factor. Safe to call from several threads.
+    A record holds a periodic base signal that is already running when it starts. Offset and clock ratio come from the
+    reference; the spectra of both channels are then taken at the frequencies of the ring on the playback clock,
+    exactly, whatever the record's length. The recorded reference is cleaned of its noise: it is the base signal times a
+    smooth factor. Safe to call from several threads.
 
-    base_v, float64 (period,): One period of the base signal in volts, on the playback clock; where it does not repeat,
-        all of it, with enough silence at its end for record, delays and responses.
+    base_v, float64 (period,): One period of the base signal in volts, on the playback clock.
     records: What plays when; delays are L or more apart on the ring.
     expected_ratio: DAQ rate over playback rate that is tried first; it saves time and changes nothing else.
 
@@ -49,7 +48,6 @@ class StaggeredEstimator:
 
     def __init__(self, base_v: Float64Array, records: Records, *, expected_ratio: float = 1.0) -> None:
         self._records, self._expected_ratio = records, expected_ratio
-        self._runs_on = records.schedule.period_s > 0
         self._rate_hz, self._period, self._base_v = records.sample_rate_hz, base_v.size, base_v
         nominal = scipy.fft.rfft(base_v)
         power = np.abs(nominal) ** 2
@@ -88,15 +86,15 @@ class StaggeredEstimator:
                 f"delays {delays[order[closest]]:g} and {delays[order[(closest + 1) % order.size]]:g}"
             )
         relative = self._nominal_power / self._median_power
-        return JointFit(self._omega, relative, self._period, taps, delays, RIDGE, periodic=self._runs_on)
+        return JointFit(self._omega, relative, self._period, taps, delays, RIDGE)
 
     def estimate(
         self, reference_v: Float32Array, response_v: Float32Array, *, range_v: tuple[float, float]
     ) -> Estimate:
         """See `PositionEstimator`.
 
-        Figures other than `green` and `snr_db` are the record's and the same for all its slots; the two that compare
-        repeats are NaN for less than two periods. `offset_samples` is where a period starts.
+        Figures other than `green` and `snr_db` are the record's and the same for all its slots; the coherence
+        is NaN for less than two periods. `offset_samples` is where a period starts.
         """
         self._records.require(reference_v, response_v)
         found = [
@@ -112,45 +110,38 @@ class StaggeredEstimator:
         channels, name = np.stack([reference_v, response_v]).astype(np.float32, copy=False), f"record {record}"
         levels = measure_levels(channels[:1], channels[1:], range_v, name)
         samples = channels.shape[1]
-        if self._runs_on:
-            require_coverage(samples, self._period, self._highest, name)
+        require_coverage(samples, self._period, self._highest, name)
         decimated = decimate(channels, self._highest)
         clock = self._clock.fit(decimated, self._expected_ratio)
         require_found(clock.explained, clock.ratio, channels[0], self._base_v, f"the reference of {name}", MAX_PPM)
         turn = 2 * np.pi / (self._period * clock.ratio)
-        sums = decimated.spectrum(turn, 0, self._bins.stop)
-        reference, answered = period_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self._period)
+        reference, answered = period_spectrum(decimated.spectrum(turn, 0, self._bins.stop), turn, samples)
         base = self._cleaned(reference[self._bins], clock)
         transfer = answered[self._bins] * base.conj() / np.maximum(np.square(np.abs(base)), FLOOR)
         data = (fit.weight * self._in_time * transfer).astype(np.complex64)
         solution = fit.solve(data)
 
         periods = samples / (self._period * clock.ratio)
-        coherence, repeat_db = self._repeatability(decimated, answered, turn, periods)
         here = self._in_band
         whole, unexplained = (float(np.vdot(values[here], values[here]).real) for values in (data, solution.left))
         variance = unexplained / (self._share * fit.left_share * fit.elements)
         level = float(np.square(np.abs(base) * self._period / 2).sum() / self._nominal_power.sum())
-        # Noise is recorded during silence too; over more than a period it is averaged.
-        averaged = periods if self._runs_on else 1 / periods
         defects = not_looked_at(solution.energy.size)
         defects["slip_db"] = decibel(max(1 - clock.explained, 0.0), 1.0)
-        if self._runs_on:
-            turned = solution.left * np.exp(1j * np.angle(base))
-            # The fit hides its share of what is there.
-            visible_db = decibel(unexplained / fit.left_share, whole)
-            for name, is_there, where in self._concentrated(turned):
-                defects[f"{name}_db"] = visible_db if is_there else -np.inf
-                defects["burst_s" if name == "burst" else "line_hz"] = where
+        turned = solution.left * np.exp(1j * np.angle(base))
+        # The fit hides its share of what is there.
+        visible_db = decibel(unexplained / fit.left_share, whole)
+        for name, is_there, where in self._concentrated(turned):
+            defects[f"{name}_db"] = visible_db if is_there else -np.inf
+            defects["burst_s" if name == "burst" else "line_hz"] = where
         return Estimate.of_slots(
             solution.green * scale[:, None],
             decibel(solution.energy, variance * fit.elements),
             defects=defects,
             residual_db=float(decibel(unexplained, whole)),
-            coherence=coherence,
+            coherence=self._coherence(decimated, answered, turn, periods),
             peak_v=float(levels.response_v[0]),
-            repeat_db=repeat_db,
-            noise_v=float(np.sqrt(variance * averaged * level * self._median_power)),
+            noise_v=float(np.sqrt(variance * periods * level * self._median_power)),
             clip_count=int(levels.clip_count[0]),
             offset_samples=clock.offset_samples,
             clock_ratio=clock.ratio,
@@ -178,12 +169,10 @@ class StaggeredEstimator:
         around = np.convolve(power, self._smoothing, mode="same")
         return np.asarray(fitted * alike / np.maximum(around, FLOOR))
 
-    def _repeatability(
-        self, decimated: Decimated, answered: Complex128Array, turn: float, periods: float
-    ) -> tuple[float, float]:
-        """Coherence and repeat difference: what of the response in band is not the same in every period."""
+    def _coherence(self, decimated: Decimated, answered: Complex128Array, turn: float, periods: float) -> float:
+        """Share of the response in band that is the same in every period."""
         if periods < MIN_PERIODS:
-            return float("nan"), float("nan")
+            return float("nan")
         inside, step = decimated.inside, decimated.step
         recorded = decimated.values[1, inside].astype(np.float64)
         place = decimated.first + step * inside.start
@@ -197,6 +186,4 @@ class StaggeredEstimator:
             float(np.square(np.abs(scipy.fft.rfft(signal, length)[band])).sum())
             for signal in (recorded - repeated, recorded)
         )
-        coherence = 1 - (differing + FLOOR) / (whole + FLOOR)
-        freed = differing * periods / (periods - 1)
-        return coherence, float(decibel(freed, whole))
+        return 1 - (differing + FLOOR) / (whole + FLOOR)

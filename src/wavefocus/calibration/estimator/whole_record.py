@@ -80,7 +80,6 @@ class WholeRecordEstimator:
             residual_db=float(decibel(solution.left, solution.whole)),
             coherence=np.nan,
             peak_v=float(levels.response_v.max()),
-            repeat_db=np.nan,
             noise_v=solution.noise_v,
             clip_count=int(levels.clip_count.sum()),
             offset_samples=clocks[0][1],

@@ -228,13 +228,11 @@ class TimeOfEnergy:
         level = [10 * math.log10(max(float(part.sum() / whole.sum()), 1e-16)) for part in (last, before)]
         said = [f"energy in the last tenth of the period {level[0]:.1f} dB, before zero {level[1]:.1f} dB"]
         early = (before > EARLY * whole) & (before > 2 * middle)
-        backwards = np.array([self._rises(row) for row in energy])
         warnings = []
         for found, share, where, words in (
-            (early & backwards, before, "before zero", "conjugated (of the time convention exp(-i omega t)) or"
-             " reversed in time; conjugate them"),
-            (early & ~backwards, before, "before zero", "leading: they begin before zero, as where the response was"
-             " recorded earlier than the drive; delay them by the lead"),
+            (early, before, "before zero", "conjugated (of the time convention exp(-i omega t)), reversed in time, or"
+             " leading, as where the response was recorded earlier than the drive; conjugate them, or delay them by the"
+             " lead"),
             (~early & (last > LATE * whole), last, "in the last tenth of the period", "aliased in time: they do not die"
              " away within a period, or are noisy; measure at a finer step of frequency"),
         ):  # fmt: skip
@@ -247,16 +245,6 @@ class TimeOfEnergy:
                     f"the frequency responses{which} look {words} ({share_db:.1f} dB of their energy {where})"
                 )
         return said, warnings
-
-    def _rises(self, energy: Float64Array) -> bool:
-        """Whether the energy (period,) grows slowly and ends at once, as no response to an impulse does."""
-        guard, quarter = self._guard, self._period // 4
-        near = np.convolve(np.concatenate([energy, energy[: 2 * guard]]), np.ones(2 * guard + 1), "valid")
-        peak = (int(np.argmax(near)) + guard) % self._period
-        around = np.roll(energy, self._period // 2 - peak)
-        middle = self._period // 2
-        rise, fall = around[middle - quarter : middle - guard].sum(), around[middle + guard : middle + quarter].sum()
-        return bool(rise > 2 * fall)
 
 
 def end_window(taps: int, kind: str) -> Float64Array:
