@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_grid
-from wavefocus.acquisition.plan import GEL_SPEED_M_S
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import load_calibration
 from wavefocus.config.fields import Table
@@ -123,6 +122,8 @@ def check_rows(configuration: Configuration) -> NDArray[np.int64]:
     return np.array(rows, dtype=np.int64)
 
 
+GEL_SPEED_M_S = 4.8
+"""Waves of a gel plate as in the paper: group velocity about 4.8 m/s."""
 DEFAULT_CHECKS = 24
 
 

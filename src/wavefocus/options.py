@@ -135,10 +135,6 @@ class ImportOptions:
     frequencies: tuple[float, float] | Path | None = option(
         None, "Frequencies of complex values, in Hz, where the file holds none.", metavar="FIRST,STEP|FILE"
     )
-    end: Literal["keep", "window", "damp"] = option(
-        "keep",
-        "Ends of the Green's functions: as they are, a half cosine over the last tenth, or damped to -60 dB.",
-    )
     direction: str = option("", "Response direction: x, y, z (uff), receiver (sofa) or index (arrays).", metavar="NAME")
     columns: str = option(
         "", "Coordinates that become x and y of the bank; by default the positions' own plane.", metavar="X,Y"

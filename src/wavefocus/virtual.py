@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wavefocus.acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded, evaluate
-from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.acquisition.plays import measuring_of
+from wavefocus.acquisition.attempt import Attempt, AttemptResult, Recorded
+from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.campaign.blueprint import blueprint_of
@@ -22,7 +22,6 @@ from wavefocus.config.messages.campaign import Event, Progress, State
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.configuration import Configuration, configuration_of
-from wavefocus.drivers.errors import InstrumentError
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import rim_places
 from wavefocus.rig import virtual_bench
@@ -184,10 +183,8 @@ class VirtualBench:
         ``recordings`` of the result has a record per actuator, in staggered capture per group of them; its ``volts``
         are float32 (2, samples), reference and response. Raises InputError: there is no such position.
         """
-        position = bank_row(position, len(self.position_mm))
-        plan, attempt = self._blueprint.plan, Attempt(position, 1, 1)
-        records = PositionRecords(plan, self._setup, measuring_of(plan, self._setup).plays, _pass_over)
-        return Recorded(attempt, records.take(attempt, "capture"), "")
+        attempt = Attempt(bank_row(position, len(self.position_mm)), 1, 1)
+        return Recorded(attempt, self._station.take(attempt, "capture"), "")
 
     @checked
     def estimate(self, recorded: Recorded) -> AttemptResult:
@@ -196,9 +193,8 @@ class VirtualBench:
         ``estimate.green`` of the result is float32 (actuators, taps), in m/s per V; ``judgement`` says whether it is
         good, and why not.
         """
-        plan = self._blueprint.plan
         with one_blas_thread():
-            return evaluate(recorded, measuring_of(plan, self._setup).estimator, self._setup.range_v, plan.quality)
+            return self._station.evaluate(recorded)
 
     def truth(self, position: int) -> NDArray[np.float64]:
         """The plate's true Green's functions at a position, float64 (actuators, taps), in m/s per V.
@@ -213,6 +209,11 @@ class VirtualBench:
     def _setup(self) -> Setup:
         rig = self.configuration.rig
         return open_rig(rig, openers_of(rig, self.configuration.run.virtual))
+
+    @cached_property
+    def _station(self) -> Station:
+        session = Session(self._setup.instruments.clock, lambda event: None, StopRequest())
+        return Station(self._blueprint.plan, self._setup, session)
 
     @cached_property
     def _plate(self) -> VirtualRig:
@@ -231,7 +232,3 @@ def _on_surface(position_mm: ArrayLike, rig: RigConfig) -> NDArray[np.float64]:
     if len(np.unique(places, axis=0)) < len(places):
         raise InputError(f"{SOURCE}: position_mm holds a position twice")
     return places
-
-
-def _pass_over(fault: InstrumentError, attempt: Attempt | None, *, retried: bool) -> None:
-    """A passing fault: the record is taken again."""

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from wavefocus.acquisition.calibrate_channels import (
-    ActuatorsTask,
     NotMeasuredError,
     OutputFigures,
     OutputsTask,
@@ -18,9 +17,9 @@ from wavefocus.acquisition.calibrate_channels import (
     measure_inputs,
     measure_outputs,
 )
-from wavefocus.acquisition.calibrate_mirror import Jog, JogView, fitted_marks, read_fiducials
+from wavefocus.acquisition.calibrate_mirror import Jog, JogView, read_fiducials, suspect_mark
 from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.calibration.mirror_map import MirrorMap, fit_mirror_map
 from wavefocus.config.messages.rig_checks import Here
 from wavefocus.config.outline import Outline, default_marks_mm
 from wavefocus.drivers.errors import InstrumentLostError
@@ -143,17 +142,16 @@ def test_given_an_instrument_that_is_lost_then_the_procedure_ends_with_its_name(
 def test_given_speckle_in_a_record_then_the_actuator_is_heard_again() -> None:
     fault = RigFault("recorder", "read", "dropout", position=1, attempt=1)
     _, setup, _ = bench(fault_plan=(fault,))
-    task = ActuatorsTask(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ)
-    found = measure_actuators(task, setup, lambda done, total: None)
+    found = measure_actuators(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ, setup)
     assert found.verdict == ("good",) * 3
     assert np.abs(found.level_db).max() < 2 * 2.0
 
 
 def test_given_a_response_too_loud_then_the_actuator_is_named() -> None:
     _, setup, _ = bench()
-    task = ActuatorsTask(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ)
+    places = listening_places(np.array(ACTUATORS), 30.0)
     with pytest.raises(NotMeasuredError, match="actuator 0 at 1 V reaches the end of an input's range"):
-        measure_actuators(task, replace(setup, range_v=(10.0, 0.02)), lambda done, total: None)
+        measure_actuators(places, 1.0, RATE_HZ, replace(setup, range_v=(10.0, 0.02)))
 
 
 @pytest.mark.parametrize(("length_mm", "width_mm"), [(250.0, 150.0), (150.0, 150.0), (1000.0, 50.0)])
@@ -161,7 +159,7 @@ def test_given_any_surface_then_the_marks_offered_lie_on_it_and_decide_a_map(len
     marks = default_marks_mm(length_mm, width_mm)
     assert Outline.stadium(length_mm, width_mm).contains(marks).all()
     angles = np.column_stack(MirrorMap.straight(1000.0).angles_mrad(*np.array(marks).T))
-    assert fitted_marks(marks, angles.tolist()).fit.rms_mm < 1e-6
+    assert fit_mirror_map(marks, angles.tolist()).rms_mm < 1e-6
 
 
 @pytest.mark.parametrize("off", range(7))
@@ -171,8 +169,8 @@ def test_given_one_mark_that_is_off_then_it_is_the_one_suspected(off: int) -> No
     there = np.array(marks) + rng.normal(0, 0.1, (7, 2))
     there[off] += (9.0, 6.0)
     angles = np.column_stack(MirrorMap.straight(1000.0).angles_mrad(*there.T))
-    found = fitted_marks(marks, angles.tolist())
-    assert found.suspect() == off
+    found = fit_mirror_map(marks, angles.tolist())
+    assert suspect_mark(found) == off
     assert found.worst_mm > 1.0
 
 

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.defects import Cure
-from wavefocus.acquisition.judgement import Judgement, judge
-from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.judgement import Judgement
 from wavefocus.acquisition.plays import Play, keep_recordings
-from wavefocus.acquisition.setup import Setup, point_at, start_move, take_record
+from wavefocus.acquisition.setup import Setup, take_record
 from wavefocus.calibration import Float64Array, Int64Array
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator, bank_figures
+from wavefocus.calibration.estimator.estimate import Estimate, bank_figures
 from wavefocus.config.limits import QualityLimits
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
@@ -27,61 +25,6 @@ from wavefocus.storage.raw.writer import RawWriter
 
 # A record is repeated so often before the whole attempt is given up for a passing fault.
 RECORD_REPEATS = 2
-
-
-class PositionRecords:
-    """Takes the records of positions, each of which plays one of `plays`; passed faults go to `report_fault`."""
-
-    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], report_fault: Callable[..., None]) -> None:
-        self._plan, self._setup, self.plays, self._report_fault = plan, setup, plays, report_fault
-
-    def take(
-        self, attempt: Attempt, purpose: str, taken: Callable[[int], None] = lambda record: None
-    ) -> tuple[Recording, ...]:
-        """Point at a position and take all its records.
-
-        attempt: Which position, and which try at it.
-        purpose: ``"capture"`` or ``"sentinel"``, for the instruments' logs.
-        taken: Called with the number of each record, from 1, once it is in.
-
-        Raises InstrumentError: of the instrument that failed; a passing fault only when repeated records did not cure
-        it.
-        """
-        point_at(self._setup, *self._place_mm(attempt))
-        recordings: list[Recording] = []
-        for number, play in enumerate(self.plays, 1):
-            label = RecordLabel(attempt.position, attempt.number, play.actuator, purpose)
-            recordings.append(self._record(play, label, attempt))
-            taken(number)
-        return tuple(recordings)
-
-    def probe(self, attempt: Attempt) -> Recording:
-        """Point at a position and take one record, to see how things stand; it goes nowhere.
-
-        Raises InstrumentError: as :meth:`take` does.
-        """
-        point_at(self._setup, *self._place_mm(attempt))
-        play = self.plays[0]
-        return self._record(play, RecordLabel(attempt.position, attempt.number, play.actuator, "probe"), attempt)
-
-    def set_out_for(self, attempt: Attempt) -> None:
-        """Let the mirror set out for a position; when it fails, pointing there will meet that again."""
-        try:
-            start_move(self._setup, *self._place_mm(attempt))
-        except InstrumentError as fault:
-            self._report_fault(fault, attempt, retried=True)
-
-    def _place_mm(self, attempt: Attempt) -> tuple[float, float]:
-        """Where the beam goes for an attempt."""
-        x_mm, y_mm = self._plan.position_mm[attempt.position]
-        return float(x_mm) + attempt.moved_mm[0], float(y_mm) + attempt.moved_mm[1]
-
-    def _record(self, play: Play, label: RecordLabel, attempt: Attempt) -> Recording:
-        setup = self._setup
-        if attempt.response_range_v is not None:
-            setup = replace(setup, range_v=(setup.range_v[0], attempt.response_range_v))
-        rate_hz = self._plan.excitation.sample_rate_hz
-        return record_play(setup, play, rate_hz, label, lambda fault: self._report_fault(fault, attempt, retried=True))
 
 
 def record_play(
@@ -170,42 +113,6 @@ class AttemptResult:
             float(np.median(self.estimate.clock_ratio) - 1.0) * 1e6,
             float(np.median(self.estimate.offset_samples)),
         )
-
-
-def evaluate(
-    recorded: Recorded,
-    estimator: PositionEstimator,
-    range_v: tuple[float, float],
-    limits: QualityLimits,
-    distance_mm: Float64Array | None = None,
-    before_db: float | None = None,
-) -> AttemptResult:
-    """Estimate the Green's functions of an attempt and judge them.
-
-    An attempt without recordings, or whose reference cannot be found, is judged
-    ``Status.FAILED``: nothing of it can be used.
-
-    recorded: The attempt's recordings.
-    estimator: What they become.
-    range_v: Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
-    limits: When the position is good enough.
-    distance_mm, float64 (actuators,): From the actuators to the position.
-    before_db: Level of the reference at the positions before, see `wavefocus.acquisition.judgement.judge`.
-    """
-    if recorded.attempt.response_range_v is not None:
-        range_v = (range_v[0], recorded.attempt.response_range_v)
-    if not recorded.recordings:
-        return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
-    reference_v = np.stack([recording.volts[0] for recording in recorded.recordings])
-    response_v = np.stack([recording.volts[1] for recording in recorded.recordings])
-    try:
-        estimate = estimator.estimate(reference_v, response_v, range_v=range_v)
-    except ReferenceMissingError as missing:
-        judgement = Judgement(Status.FAILED, str(missing), np.inf)
-        return AttemptResult(recorded.attempt, None, judgement, recordings=recorded.recordings)
-    over_range = any(any(recording.over_range) for recording in recorded.recordings)
-    judgement = judge(estimate, over_range, limits, distance_mm, before_db)
-    return AttemptResult(recorded.attempt, estimate, judgement, recordings=recorded.recordings)
 
 
 def commit_attempt(

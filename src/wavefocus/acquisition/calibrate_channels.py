@@ -11,7 +11,7 @@ import numpy as np
 from wavefocus.acquisition.attempt import record_play
 from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
 from wavefocus.acquisition.plays import Play, channels_of
-from wavefocus.acquisition.setup import Setup, point_at, take_record
+from wavefocus.acquisition.setup import Setup, point_at
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.comparison import (
@@ -26,7 +26,6 @@ from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.evidence import HEARD_DB, SOUND, TOLERANCE
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.
@@ -298,19 +297,6 @@ RESPONSE_S = 0.08  # the first waves; what comes back from the edge differs from
 POOR_RESIDUAL_DB = -30.0
 
 
-@dataclass(frozen=True, slots=True)
-class ActuatorsTask:
-    """Where and how loudly the actuators are checked.
-
-    position_mm, float64 (actuators, 2): Where each is listened to.
-    amplitude_v: Peak of the sweep in volts.
-    """
-
-    position_mm: Float64Array
-    amplitude_v: float
-    sample_rate_hz: float
-
-
 def listening_places(actuator_mm: Float64Array, distance_mm: float) -> Float64Array:
     """Places at one distance from each actuator, on the way to the surface's centre.
 
@@ -324,55 +310,50 @@ def listening_places(actuator_mm: Float64Array, distance_mm: float) -> Float64Ar
     return np.asarray(actuator_mm - distance_mm * outwards)
 
 
-def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int, int], None]) -> ActuatorComparison:
+def measure_actuators(
+    place_mm: Float64Array,
+    amplitude_v: float,
+    sample_rate_hz: float,
+    setup: Setup,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ActuatorComparison:
     """Listen to each actuator at the same distance and compare them.
 
-    task: Where and how loudly.
+    place_mm, float64 (actuators, 2): Where each is listened to.
+    amplitude_v: Peak of the sweep in volts.
     setup: The rig, the vibrometer plugged into its response input.
     progress: Called with the actuators done and the actuators there are.
 
     Raises NotMeasuredError: no signal from the loopback, or a response is too loud for its input. InstrumentError: of
     the instrument that failed for good.
     """
-    excitation = PlayedExcitation(task.sample_rate_hz, *BAND_HZ, DURATION_S, DECAY_S, task.amplitude_v, averages=1)
-    estimator = SequentialEstimator(excitation, round(RESPONSE_S * task.sample_rate_hz), channels_of(setup))
+    excitation = PlayedExcitation(sample_rate_hz, *BAND_HZ, DURATION_S, DECAY_S, amplitude_v, averages=1)
+    estimator = SequentialEstimator(excitation, round(RESPONSE_S * sample_rate_hz), channels_of(setup))
     estimates: list[Estimate] = []
-    for actuator, (x_mm, y_mm) in enumerate(task.position_mm):
-        progress(actuator, len(task.position_mm))
+    for actuator, (x_mm, y_mm) in enumerate(place_mm):
+        progress(actuator, len(place_mm))
         point_at(setup, float(x_mm), float(y_mm))
         estimates.append(_best_of(setup, excitation, estimator, actuator))
-    progress(len(task.position_mm), len(task.position_mm))
+    progress(len(place_mm), len(place_mm))
     green = np.stack([estimate.green[0] for estimate in estimates])
-    return compare_actuators(green, np.array([estimate.snr_db[0] for estimate in estimates]), task.sample_rate_hz)
+    return compare_actuators(green, np.array([estimate.snr_db[0] for estimate in estimates]), sample_rate_hz)
 
 
 def _best_of(setup: Setup, excitation: PlayedExcitation, estimator: SequentialEstimator, actuator: int) -> Estimate:
     """The best of a few records of one actuator; the first that is good enough ends it."""
-    best: Estimate | None = None
+    play, found = Play(actuator, setup.signals_v(excitation.signal_v(), actuator)), list[Estimate]()
     for attempt in range(1, TRIES + 1):
+        label = RecordLabel(actuator, attempt, 0, "calibration")
+        recording = record_play(setup, play, excitation.sample_rate_hz, label)
+        if any(recording.over_range):
+            raise NotMeasuredError(
+                f"actuator {actuator} at {excitation.amplitude_v:g} V reaches the end of an input's range: lower "
+                "--amplitude-v, or raise the ranges in the rig file"
+            )
         try:
-            estimate = _once(setup, excitation, estimator, RecordLabel(actuator, attempt, 0, "calibration"))
-        except TransientInstrumentError:
-            if attempt == TRIES and best is None:
-                raise
-            continue
-        if best is None or estimate.residual_db[0] < best.residual_db[0]:
-            best = estimate
-        if best.residual_db[0] < POOR_RESIDUAL_DB and best.snr_db[0] > HEARD_DB:
+            found.append(estimator.estimate(recording.volts[:1], recording.volts[1:], range_v=setup.range_v))
+        except ReferenceMissingError as missing:
+            raise check_loopback(missing) from None
+        if found[-1].residual_db[0] < POOR_RESIDUAL_DB and found[-1].snr_db[0] > HEARD_DB:
             break
-    assert best is not None  # the last attempt raises where none succeeded
-    return best
-
-
-def _once(setup: Setup, excitation: PlayedExcitation, estimator: SequentialEstimator, label: RecordLabel) -> Estimate:
-    signals_v = setup.signals_v(excitation.signal_v(), label.position)
-    recording = take_record(setup, signals_v, excitation.sample_rate_hz, label)
-    if any(recording.over_range):
-        raise NotMeasuredError(
-            f"actuator {label.position} at {excitation.amplitude_v:g} V reaches the end of an input's range: lower "
-            "--amplitude-v, or raise the ranges in the rig file"
-        )
-    try:
-        return estimator.estimate(recording.volts[:1], recording.volts[1:], range_v=setup.range_v)
-    except ReferenceMissingError as missing:
-        raise check_loopback(missing) from None
+    return min(found, key=lambda estimate: float(estimate.residual_db[0]))

@@ -11,7 +11,6 @@ import numpy as np
 
 from wavefocus.acquisition.grid import read_rows
 from wavefocus.acquisition.setup import Setup, naming_role
-from wavefocus.calibration import Float64Array
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, MirrorMapFit, fit_mirror_map
 from wavefocus.config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -99,46 +98,28 @@ def read_fiducials(path: Path) -> tuple[tuple[Place, ...], tuple[Place, ...] | N
     return places, tuple((mark[2], mark[3]) for _, mark in rows) if names == PLACES_AND_ANGLES else None
 
 
-@dataclass(frozen=True, slots=True)
-class MirrorFigures:
-    """The marks, the angles at which the beam was on them, and the map through them."""
+def suspect_mark(fit: MirrorMapFit) -> int:
+    """The mark, from 0, that is most likely to be wrong: the others agree best without it.
 
-    place_mm: Float64Array
-    angles_mrad: Float64Array
-    fit: MirrorMapFit
+    One mark that is off bends the map towards itself, and others then seem further off. With five marks or fewer the
+    others always agree, so there the mark that is missed most is suspected.
+    """
+    marks = len(fit.place_mm)
+    if marks <= MIN_MARKS + 1:
+        return int(np.argmax(fit.residual_mm))
 
-    @property
-    def worst_mm(self) -> float:
-        """By how much the map misses the mark that it misses most."""
-        return float(self.fit.residual_mm.max())
+    def rms_without(mark: int) -> float:
+        try:
+            return fit_mirror_map(*(np.delete(each, mark, axis=0) for each in (fit.place_mm, fit.angles_mrad))).rms_mm
+        except InputError:  # without it, the others decide nothing
+            return float("inf")
 
-    @property
-    def off_mm(self) -> Float64Array:
-        """Where the map lets the beam of each mark fall, less where the mark lies, shape (marks, 2)."""
-        return np.stack(self.fit.mirror_map.surface_mm(*self.angles_mrad.T), axis=-1) - self.place_mm
-
-    def suspect(self) -> int:
-        """The mark, from 0, that is most likely to be wrong: the others agree best without it.
-
-        One mark that is off bends the map towards itself, and others then seem further off. With five marks or
-        fewer the others always agree, so there the mark that is missed most is suspected.
-        """
-        if len(self.place_mm) <= MIN_MARKS + 1:
-            return int(np.argmax(self.fit.residual_mm))
-        without = [_rms_without(self.place_mm, self.angles_mrad, mark) for mark in range(len(self.place_mm))]
-        return int(np.argmin(without))
-
-
-def _rms_without(place_mm: Float64Array, angles_mrad: Float64Array, mark: int) -> float:
-    try:
-        return fit_mirror_map(np.delete(place_mm, mark, axis=0), np.delete(angles_mrad, mark, axis=0)).rms_mm
-    except InputError:  # without it, the others decide nothing
-        return float("inf")
+    return min(range(marks), key=rms_without)
 
 
 def measure_mirror(
     setup: Setup, marks_mm: Sequence[Place], limit_mrad: float, operator: Operator, limit_mm: float
-) -> MirrorFigures:
+) -> MirrorMapFit:
     """Let the operator bring the beam onto each mark, and fit the map.
 
     Each mark is approached with the map so far: the rig's own, moved to meet the marks done, and from
@@ -165,10 +146,10 @@ def measure_mirror(
     for mark, place_mm in enumerate(marks_mm):
         found.append(meet(mark, _approach(setup.mirror_map, marks_mm[:mark], found, place_mm)))
     while True:
-        figures: MirrorFigures | None = None
+        figures: MirrorMapFit | None = None
         refusal: InputError | NotMeasuredError | None = None
         try:
-            figures = fitted_marks(marks_mm, found)
+            figures = fit_mirror_map(marks_mm, found)
         except InputError as wrong:
             refusal = wrong
         if len(moved) < MIN_MARKS:  # the present map put the beam at the others, and would only be found again
@@ -212,36 +193,27 @@ def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> 
 
 def _view(
     marks_mm: Sequence[Place],
-    figures: MirrorFigures | None,
+    figures: MirrorMapFit | None,
     refusal: InputError | NotMeasuredError | None,
     limit_mm: float,
 ) -> MapView:
     if figures is None:
         return MapView(tuple(marks_mm), (), np.nan, np.nan, limit_mm, 0, str(refusal))
-    suspect, problem = figures.suspect() + 1, ""
+    suspect, problem = suspect_mark(figures) + 1, ""
     if figures.worst_mm > limit_mm:
         problem = (
             f"the map misses a mark by {figures.worst_mm:.2f} mm, more than the {limit_mm:g} mm allowed: most likely "
             f"mark {suspect} is wrong; check its place and jog the beam onto it again"
         )
     off_mm = tuple((float(x_mm), float(y_mm)) for x_mm, y_mm in figures.off_mm)
-    return MapView(tuple(marks_mm), off_mm, figures.fit.rms_mm, figures.worst_mm, limit_mm, suspect, problem)
-
-
-def fitted_marks(marks_mm: Sequence[Place], angles_mrad: Sequence[Place]) -> MirrorFigures:
-    """Fit the map through marks with measured angles.
-
-    Raises InputError: marks that no map can be fitted through.
-    """
-    place, angles = np.array(marks_mm, dtype=np.float64), np.array(angles_mrad, dtype=np.float64)
-    return MirrorFigures(place, angles, fit_mirror_map(place, angles))
+    return MapView(tuple(marks_mm), off_mm, figures.rms_mm, figures.worst_mm, limit_mm, suspect, problem)
 
 
 def _approach(first_guess: MirrorMap, done_mm: Sequence[Place], done_mrad: Sequence[Place], place_mm: Place) -> Place:
     """Where the beam is likely to meet a mark, from the marks done so far."""
     if len(done_mm) >= MIN_MARKS:
         try:
-            return _angles(fitted_marks(done_mm, done_mrad).fit.mirror_map, place_mm)
+            return _angles(fit_mirror_map(done_mm, done_mrad).mirror_map, place_mm)
         except InputError:  # marks on a line so far: the guess will do
             pass
     x_mrad, y_mrad = _angles(first_guess, place_mm)

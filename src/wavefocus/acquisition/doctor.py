@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol, TypeVar, cast, runtime_checkable
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,15 +94,6 @@ SETTLE_S = 5.0
 # A mirror that reads back and stands further off than this does not meet its positions: half a millimetre at 1 m.
 MAX_ASTRAY_MRAD = 0.5
 WEAK_LIGHT = 0.2
-
-
-@runtime_checkable
-class ReadsBack(Protocol):
-    """A mirror that can say where it stands."""
-
-    def where_mrad(self) -> tuple[float, float] | None:
-        """Optical angles in mrad; None where this model cannot say."""
-        ...
 
 
 def examine(
@@ -302,5 +293,5 @@ def _astray_mrad(mirror: Mirror, at_mrad: tuple[float, float]) -> list[float]:
     """Send the mirror somewhere and wait: how far off it stands, or nothing where it cannot say."""
     mirror.move_to(*at_mrad)
     mirror.wait_settled(SETTLE_S)
-    there = mirror.where_mrad() if isinstance(mirror, ReadsBack) else None
+    there = mirror.where_mrad()
     return [] if there is None else [max(abs(a - b) for a, b in zip(there, at_mrad, strict=True))]

@@ -25,8 +25,6 @@ from wavefocus.storage.point_status import Status
 if TYPE_CHECKING:
     from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
 
-AROUND = 13
-"""Rows that are not heard, where those of so many positions around are not either, are noise and need no judging."""
 NEIGHBOURHOOD = 250
 """So many nearest positions are enough to judge one."""
 
@@ -184,7 +182,7 @@ class NeighbourWatch:
         instead: dict[int, Float32Array],
         waves: Callable[[], WavesFound | None] | None = None,
     ) -> tuple[dict[int, tuple[NeighbourDifference, ...]], frozenset[int]]:
-        """What differs, and the positions all of whose rows could be judged."""
+        """What differs, and the positions most of whose rows could be judged."""
         if not len(rows):
             return {}, frozenset()
         header, all_rows = self._bank.header, np.ones(len(rows), dtype=bool)
@@ -195,9 +193,8 @@ class NeighbourWatch:
         for contradiction in verdict.differences:
             row = int(rows[contradiction.position])
             found[row] = (*found.get(row, ()), contradiction)
-        judged = (verdict.judged | ~self._strong(rows)).all(axis=1)
-        # Rows near their own actuator are not judged singly; the others of a position stand for them.
-        judged |= 2 * verdict.judged.sum(axis=1) > self._plan.actuators
+        # Rows near their own actuator, or of noise, are not judged singly; the others of a position stand for them.
+        judged = 2 * verdict.judged.sum(axis=1) > self._plan.actuators
         return found, frozenset(rows[judged].tolist())
 
     def _spectra(self, rows: Int64Array, instead: dict[int, Float32Array]) -> RowsAtFrequencies:
@@ -222,23 +219,6 @@ class NeighbourWatch:
             spectra, every = self._spectra(rows, {}), np.ones(len(rows), dtype=bool)
             self._waves = key, waves_of_rows(*places, spectra.values, spectra.frequency_hz, every)
         return self._waves[1]
-
-    def _strong(self, rows: Int64Array) -> BoolArray:
-        """Actuators with enough signal at some positions, or at all positions around them."""
-        snr_db = np.array([self._snr_db(row) for row in rows.tolist()]).reshape(len(rows), -1)
-        strong = ~(snr_db < HEARD_DB)
-        place_mm = self._plan.position_mm[rows]
-        for number in np.flatnonzero(~strong.all(axis=1)).tolist():
-            apart_mm = np.hypot(*(place_mm - place_mm[number]).T)
-            around = snr_db[np.argsort(apart_mm, kind="stable")[:AROUND]]
-            strong[number] |= ~(np.median(around, axis=0) < HEARD_DB)
-        return np.asarray(strong)
-
-    def _snr_db(self, row: int) -> Float32Array:
-        """Signal-to-noise ratios of a row, NaN where unknown."""
-        if not self._bank.status[row]:
-            return np.full(self._plan.actuators, np.nan, np.float32)
-        return self._bank.record(row).snr_db
 
 
 def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> Iterator[tuple[int, Judgement]]:

@@ -18,10 +18,6 @@ from wavefocus.config.limits import DriftLimits, QualityLimits
 POSITION_OVERHEAD_S = 0.05
 LEAK_S = 0.52
 """Length of the sweep that plays on the loopback alone, and of the longest delay that is looked for."""
-GEL_SPEED_M_S = 4.8
-"""Waves of a gel plate as in the paper: group velocity about 4.8 m/s."""
-# On the virtual rig, up to 500 Hz and 4.8 m/s: all positions are judged at 7 mm, 77 % at 10 mm, 7 % at 12 mm.
-COARSE_WAVELENGTHS = 1.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,18 +89,11 @@ class Plan:
 
         rows: The positions that are measured.
         """
-        if not self.quality.confirms or not len(rows):
+        if not self.quality.confirms:
             return 0
-        # With these comes SciPy.
-        from wavefocus.calibration.coarse_grid.left_out_rows import can_be_modelled
-        from wavefocus.calibration.neighbour_prediction import have_neighbours
+        from wavefocus.calibration.coarse_grid.left_out_rows import MIN_POSITIONS
 
-        apart_mm = COARSE_WAVELENGTHS * 1e3 * GEL_SPEED_M_S / self.excitation.stop_hz
-        places_mm = self.position_mm[rows]
-        judged = have_neighbours(places_mm, apart_mm)
-        if not judged.any() and can_be_modelled(places_mm, self.actuator_mm, np.ones(len(rows), dtype=bool)):
-            return 0
-        return len(rows) - int(np.count_nonzero(judged))
+        return len(rows) if len(rows) < MIN_POSITIONS else 0
 
 
 def lead_samples(signal: StaggeredSignal, margins: RecordMargins) -> int:

@@ -47,14 +47,6 @@ class Play:
         return recording if self.used is None else replace(recording, volts=recording.volts[:, self.used].copy())
 
 
-@dataclass(frozen=True, slots=True)
-class Measuring:
-    """How every position of a campaign is measured: the records of a position, and what becomes of them."""
-
-    plays: tuple[Play, ...]
-    estimator: PositionEstimator
-
-
 def channels_of(setup: Setup) -> Channels:
     """How the recorder's channels see drive and response."""
     return Channels(setup.reference_gain, setup.response_per_volt, setup.response_delay_s)
@@ -82,12 +74,8 @@ def used_samples(plan: Plan, margins: RecordMargins) -> slice | None:
     return slice(first, first + plan.staggered.used_samples)
 
 
-def measuring_of(plan: Plan, setup: Setup) -> Measuring:
-    """The records that a plan asks for on a rig, in order, and their estimator."""
-    return Measuring(_plays(plan, setup), position_estimator(plan, channels_of(setup)))
-
-
-def _plays(plan: Plan, setup: Setup) -> tuple[Play, ...]:
+def plays_of(plan: Plan, setup: Setup) -> tuple[Play, ...]:
+    """The records of each position that a plan asks for on a rig, in order."""
     channels, loopback = setup.actuator_channels, setup.loopback_channel
     if plan.staggered is None:
         signal_v = plan.excitation.signal_v()

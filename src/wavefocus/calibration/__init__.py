@@ -1,7 +1,7 @@
 """From recordings to Green's functions.
 
 =============================  ==================================================================
-`excitation`                   `PlayedExcitation`, `StaggeredSignal`: what plays; `waveforms` has a module for each
+`excitation`                   `PlayedExcitation`, `StaggeredSignal`: what plays; `waveforms`
 `clock.timing`                 `ClockFitter`, `to_playback_clock`: start offset and clock ratio
 `clock.foreign_excitation`                 what another program played, from only its reference channel
 `estimator.sequential`         `SequentialEstimator`; `estimator.staggered` has `StaggeredEstimator`

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.waveforms import waveform_of
+from wavefocus.calibration.waveforms import WAVEFORMS
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import EMPTY, Schedule, staggered
 
@@ -67,7 +67,8 @@ class PlayedExcitation:
                 f"sweep duration_s is {self.duration_s:g}; allowed is at least "
                 f"{4 / (self.stop_hz - self.start_hz):g} for a band of {self.stop_hz - self.start_hz:g} Hz"
             )
-        waveform_of(self.waveform)
+        if self.waveform not in WAVEFORMS:
+            raise InputError(f"sweep waveform is {self.waveform!r}; allowed is one of {', '.join(WAVEFORMS)}")
 
     @property
     def sweep_samples(self) -> int:
@@ -99,7 +100,7 @@ class PlayedExcitation:
             ramp = np.sin(np.pi / 2 * (np.arange(fade) + 0.5) / fade) ** 2
             envelope[:fade] = ramp
             envelope[samples - fade :] *= ramp[::-1]
-        sweep = envelope * waveform_of(self.waveform)(time_s, self.band_hz, self.duration_s)
+        sweep = envelope * WAVEFORMS[self.waveform](time_s, self.band_hz, self.duration_s)
         # A coil must not hold a direct voltage; the sweep's tiny mean goes where the envelope hides it.
         sweep -= envelope * (sweep.sum() / envelope.sum())
         base = np.zeros(self.period_samples)

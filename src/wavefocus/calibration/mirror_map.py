@@ -100,16 +100,29 @@ class MirrorMapFit:
     """A mirror map and by how much it misses each mark.
 
     mirror_map: From the surface to the mirror's angles.
-    residual_mm, float64 (marks,): Distance on the surface between each mark and where the map lets its beam fall.
+    place_mm, angles_mrad, float64 (marks, 2): Where the marks lie, and the angles at which the beam was on them.
+    off_mm, float64 (marks, 2): Where the map lets the beam of each mark fall, less where the mark lies.
     """
 
     mirror_map: MirrorMap
-    residual_mm: Float64Array
+    place_mm: Float64Array
+    angles_mrad: Float64Array
+    off_mm: Float64Array
+
+    @property
+    def residual_mm(self) -> Float64Array:
+        """Distance on the surface between each mark and where the map lets its beam fall."""
+        return np.asarray(np.hypot(*self.off_mm.T))
 
     @property
     def rms_mm(self) -> float:
         """Root mean square of the residuals."""
         return float(np.sqrt(np.mean(self.residual_mm**2)))
+
+    @property
+    def worst_mm(self) -> float:
+        """By how much the map misses the mark that it misses most."""
+        return float(self.residual_mm.max())
 
 
 def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorMapFit:
@@ -138,9 +151,9 @@ def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorMapFit:
     if not (np.column_stack([seen, np.ones(len(seen))]) @ homography[2] > 0).all():
         raise InputError("no plane surface has its marks at these angles; was a mark confused with another?")
     to_surface = np.linalg.inv(true_scale) @ homography @ seen_scale
-    residual_mm = np.hypot(*(_projected(to_surface, np.tan(angles / 1000)) - place).T)
+    off_mm = _projected(to_surface, np.tan(angles / 1000)) - place
     to_mirror = np.linalg.inv(to_surface)
-    return MirrorMapFit(MirrorMap(_rows(to_mirror / to_mirror[2, 2])), residual_mm)
+    return MirrorMapFit(MirrorMap(_rows(to_mirror / to_mirror[2, 2])), place, angles, off_mm)
 
 
 def _normalised(points: Float64Array, what: str) -> tuple[Float64Array, Float64Array]:

@@ -207,12 +207,7 @@ class _Judge:
 
     def _predict(self) -> None:
         """Errors without what is left out, over the prediction, and over the usual ones."""
-        if isinstance(self._rows, RowsByWaves):
-            out = np.flatnonzero(self._out)
-            parts = [self._rows.errors_without(one, out) for one in range(self._values.shape[1])]
-            errors, variance = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
-        else:
-            errors, variance = self._rows.errors_without(self._out)
+        errors, variance = self._rows.errors_without(self._out)
         self.errors: Complex128Array = errors
         predicted = np.linalg.norm(self._values - errors, axis=2)
         self._relative: Float64Array = np.linalg.norm(errors, axis=2) / np.maximum(predicted, 1e-300)

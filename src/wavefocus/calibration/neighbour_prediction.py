@@ -117,14 +117,6 @@ class RowsPredicted:
         self._kernels: dict[bytes, PatchKernel] = {}
 
 
-def have_neighbours(position_mm: Float64Array, furthest_spacing_mm: float) -> BoolArray:
-    """Positions that have neighbours to be predicted from, none where the grid's spacing is above a bound."""
-    patches, spacing_mm = _patches(position_mm, np.ones(len(position_mm), dtype=bool))
-    found = np.zeros(len(position_mm), dtype=bool)
-    found[list(patches) if spacing_mm <= furthest_spacing_mm else []] = True
-    return found
-
-
 def _patches(position_mm: Float64Array, usable: BoolArray) -> tuple[dict[int, Patch], float]:
     rows = np.flatnonzero(usable).astype(np.int64)
     if len(rows) <= MIN_NEIGHBOURS:

@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 
-MAX_GROWTH = 20.0
-"""Nepers to which rows at complex frequencies grow: the rest of a row that is over by then is noise."""
-
 
 def parabola_vertex(before: Any, at: Any, after: Any) -> Any:
     """Place of the top of a parabola through three evenly spaced values, relative to the middle one.
@@ -65,13 +62,11 @@ def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int,
     return np.asarray(product * chirp[:bins].conj(), dtype=np.complex128)
 
 
-def transform_at(
-    rows: NDArray[np.floating], frequency_hz: Float64Array | Complex128Array, rate_hz: float
-) -> NDArray[np.complexfloating]:
+def transform_at(rows: NDArray[np.floating], frequency_hz: Float64Array, rate_hz: float) -> NDArray[np.complexfloating]:
     """Fourier transform of real rows at any frequencies.
 
     rows, float32 or float64 (..., taps): FIRs or other signals.
-    frequency_hz, float64 or complex128 (frequencies,): In Hz; at complex ones growth ends at e to the `MAX_GROWTH`.
+    frequency_hz, float64 (frequencies,): In Hz.
     rate_hz: Sample rate in Hz.
 
     Returns complex (..., frequencies) of the precision of `rows`.
@@ -82,11 +77,10 @@ def transform_at(
 
 
 @lru_cache(maxsize=8)
-def _transform_matrix(taps: int, turns_per_sample: tuple[complex, ...], dtype: str) -> NDArray[np.floating]:
+def _transform_matrix(taps: int, turns_per_sample: tuple[float, ...], dtype: str) -> NDArray[np.floating]:
     """Real and imaginary parts of the transform in turn, (taps, 2 * frequencies): real products are twice as fast."""
     turns = np.outer(np.arange(taps), np.array(turns_per_sample))
-    growth = np.exp(np.minimum(2.0 * np.pi * turns.imag, MAX_GROWTH))
-    matrix = growth * np.exp(-2j * np.pi * np.remainder(turns.real, 1.0))
+    matrix = np.exp(-2j * np.pi * np.remainder(turns, 1.0))
     return np.asarray(matrix.view(np.float64), dtype)
 
 

@@ -30,7 +30,7 @@ STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""
 
 Waveform = Literal["linear", "multisine"]
-"""The modules of `wavefocus.calibration.waveforms`."""
+"""See `wavefocus.calibration.waveforms`."""
 
 
 class Grid(Table):

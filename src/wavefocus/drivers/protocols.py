@@ -129,6 +129,10 @@ class Mirror(Instrument):
     def block(self) -> None:  # most mirrors have no shutter
         """Close the shutter, if any. Safe to call at any time, from any state. Raises InstrumentError."""
 
+    def where_mrad(self) -> tuple[float, float] | None:
+        """Where the device says that it points; None where it cannot say. Raises InstrumentError."""
+        return None
+
 
 class Shutter(Instrument):
     """Blocks the laser beam, or holds an interlock."""

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.calibrate_channels import (
     REMEDIES,
-    ActuatorsTask,
     OutputsTask,
     Probe,
     listening_places,
@@ -30,15 +29,15 @@ from wavefocus.acquisition.calibrate_mirror import (
     NotMeasuredError,
     Operator,
     Place,
-    fitted_marks,
     measure_mirror,
     output,
     read_fiducials,
+    suspect_mark,
 )
 from wavefocus.acquisition.doctor_records import crosstalk_finding
 from wavefocus.acquisition.leak import measure_leak
 from wavefocus.acquisition.setup import Setup, identities_of, names_of
-from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap
+from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, fit_mirror_map
 from wavefocus.config.calibration import (
     FORMAT,
     FORMAT_VERSION,
@@ -102,7 +101,7 @@ def marks(rig: RigConfig, request: CalibrationOptions) -> tuple[tuple[Place, ...
             guessed = np.column_stack(MirrorMap(rig.mirror.matrix).angles_mrad(*np.array(places).T)).tolist()
         else:
             guessed = list(angles)
-        fitted_marks(places, guessed)
+        fit_mirror_map(places, guessed)
         if len(places) == MIN_MARKS:
             raise InputError(
                 f"{request.fiducials}: {MIN_MARKS} marks decide the map alone, so that nothing shows a mark that is "
@@ -269,28 +268,28 @@ class CalibrationSession:
             limits = self._rig.mirror.limit_mrad, operator, self._request.limit_mm
             found = measure_mirror(setup, self._marks, *limits)
         else:
-            found = fitted_marks(self._marks, self._angles)
-        operator.report(f"mirror: residual {found.fit.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
+            found = fit_mirror_map(self._marks, self._angles)
+        operator.report(f"mirror: residual {found.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
         if found.worst_mm > self._request.limit_mm:
             raise NotMeasuredError(
                 f"the map misses a mark by {found.worst_mm:.2f} mm, more than --limit-mm {self._request.limit_mm:g}: "
-                f"most likely mark {found.suspect() + 1} is wrong; check its place and jog the beam onto it again"
+                f"most likely mark {suspect_mark(found) + 1} is wrong; check its place and jog the beam onto it again"
             )
         self._take_up(
             "mirror",
             MirrorMeasured(
                 **self._by("mirror"),
-                map=found.fit.mirror_map.matrix,
-                residual_rms_mm=round(found.fit.rms_mm, 6),
+                map=found.mirror_map.matrix,
+                residual_rms_mm=round(found.rms_mm, 6),
                 fiducial=tuple(
                     Fiducial(place_mm=place, angles_mrad=angles, residual_mm=round(float(residual), 6))
                     for place, angles, residual in zip(
-                        self._marks, found.angles_mrad.round(6).tolist(), found.fit.residual_mm, strict=True
+                        self._marks, found.angles_mrad.round(6).tolist(), found.residual_mm, strict=True
                     )
                 ),
             ),
         )
-        return replace(setup, mirror_map=MirrorMap(found.fit.mirror_map.matrix))
+        return replace(setup, mirror_map=MirrorMap(found.mirror_map.matrix))
 
     def _actuators(self, setup: Setup, operator: Operator) -> Setup:
         channels = self._rig.player.channels
@@ -298,9 +297,8 @@ class CalibrationSession:
         operator.report(f"crosstalk: {leak.what}")
         if leak.verdict != "ok":
             self.problems.append(f"crosstalk: {leak.what}: {leak.remedy}")
-        task = ActuatorsTask(self._places, self._amplitude_v, SAMPLE_RATE_HZ)
         with progress("actuators", len(channels)) as report:
-            found = measure_actuators(task, setup, report)
+            found = measure_actuators(self._places, self._amplitude_v, SAMPLE_RATE_HZ, setup, report)
         for actuator, verdict in enumerate(found.verdict):
             if verdict != "good":
                 self.problems.append(

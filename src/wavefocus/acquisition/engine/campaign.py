@@ -86,9 +86,8 @@ class Campaign:
         self._report = CampaignReport(plan, setup, bank, session)
         self._station = station = Station(plan, setup, session, bank.reference_before_db)
         self._drift = DriftWatch(station, bank, self._report, self._mark_suspects, unvouched)
-        self._suspension = Suspension(
-            setup, session, Conditions(setup.watch, setup, plan.excitation), station.records, station.recovery
-        )
+        conditions = Conditions(setup.watch, setup, plan.excitation)
+        self._suspension = Suspension(setup, session, conditions, station.plays, station.probe)
         self._neighbours = NeighbourWatch(plan, bank)
         self._leak = LeakWatch(plan, setup, bank, session, station.recovery, unvouched, raw)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
@@ -283,12 +282,12 @@ class Campaign:
         if attempt.of_session == 1:
             self._drift.recorded()
         if self._queue:
-            self._station.records.set_out_for(self._queue[0])
+            self._station.set_out_for(self._queue[0])
         return Recorded(attempt, recordings, "")
 
     def _take(self, attempt: Attempt) -> tuple[Recording, ...]:
         def taken(record: int) -> None:
-            records = len(self._station.records.plays)
+            records = len(self._station.plays)
             if records > 1:
                 self._session.publish(RecordTaken, attempt.position, attempt.number, record, records)
             # An estimate that is done is collected, so that a repeat follows at once.

@@ -7,9 +7,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
-from wavefocus.acquisition.attempt import Attempt, PositionRecords
+from wavefocus.acquisition.attempt import Attempt
 from wavefocus.acquisition.conditions import Conditions
 from wavefocus.acquisition.engine.session import LOOKED_FOR_S, Session
+from wavefocus.acquisition.plays import Play
 from wavefocus.acquisition.setup import Setup, naming_role, silence, to_lost_error
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.campaign import ConditionsSeen, ReconnectTried, State
@@ -162,13 +163,21 @@ class SuspendedTooLongError(WavefocusError):
 
 
 class Suspension:
-    """Pauses and suspends a session, outputs muted and the mirror parked."""
+    """Pauses and suspends a session, outputs muted and the mirror parked.
+
+    probe: Takes one record of the first of `plays` at a position.
+    """
 
     def __init__(
-        self, setup: Setup, session: Session, conditions: Conditions, records: PositionRecords, recovery: Recovery
+        self,
+        setup: Setup,
+        session: Session,
+        conditions: Conditions,
+        plays: tuple[Play, ...],
+        probe: Callable[[Attempt], Recording],
     ) -> None:
         self._setup, self._session, self._stop = setup, session, session.stop
-        self._conditions, self._records, self._recovery = conditions, records, recovery
+        self._conditions, self._plays, self._probed = conditions, plays, probe
         self._last_good: int | None = None
 
     def pause(self) -> None:
@@ -203,7 +212,7 @@ class Suspension:
         """Conditions that left their bands for the whole rig; empty where none did."""
         if not self._conditions.watch.bands:
             return ""
-        reason = self._conditions.left(self._conditions.values(self._records.plays, recordings))
+        reason = self._conditions.left(self._conditions.values(self._plays, recordings))
         self._report_silent_sensors(attempt)
         if not reason:
             self._last_good = attempt.position
@@ -246,11 +255,11 @@ class Suspension:
         position = attempt.position if self._last_good is None else self._last_good
         probing = Attempt(position, attempt.number, attempt.of_session)
         try:
-            recording = self._recovery.retry_after_reconnect(lambda: self._records.probe(probing), probing)
+            recording = self._probed(probing)
         except InstrumentError as failure:
             self._session.fault(failure, probing, retried=False)
             raise
-        values = self._conditions.values(self._records.plays[:1], [recording])
+        values = self._conditions.values(self._plays[:1], [recording])
         self._report_silent_sensors(attempt)
         return values
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded, evaluate
+from wavefocus.acquisition.attempt import Attempt, AttemptResult, Recorded, record_play
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session
+from wavefocus.acquisition.judgement import Judgement, judge
 from wavefocus.acquisition.plan import Plan
-from wavefocus.acquisition.plays import measuring_of
-from wavefocus.acquisition.setup import Setup
-from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Recording
+from wavefocus.acquisition.plays import Play, channels_of, plays_of, position_estimator
+from wavefocus.acquisition.setup import Setup, point_at, start_move
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Recording, RecordLabel
+from wavefocus.storage.point_status import Status
 
 
 class Station:
@@ -29,24 +33,85 @@ class Station:
         session: Session,
         reference_before_db: Callable[[int], float | None] = lambda position: None,
     ) -> None:
-        measuring = measuring_of(plan, setup)
         self.plan, self.setup, self.session = plan, setup, session
+        self.plays, self._estimator = plays_of(plan, setup), position_estimator(plan, channels_of(setup))
         self.recovery = Recovery(setup, session)
-        self.records = PositionRecords(plan, setup, measuring.plays, session.fault)
-        self._estimator, self._reference_before_db = measuring.estimator, reference_before_db
+        self._reference_before_db = reference_before_db
 
     def take(
         self, attempt: Attempt, purpose: str, taken: Callable[[int], None] = lambda record: None
     ) -> tuple[Recording, ...]:
-        """All records of an attempt, see `PositionRecords.take`; from the first again after a lost instrument."""
-        return self.recovery.retry_after_reconnect(lambda: self.records.take(attempt, purpose, taken), attempt)
+        """Point at a position and take all its records; from the first again after a lost instrument.
+
+        attempt: Which position, and which try at it.
+        purpose: ``"capture"`` or ``"sentinel"``, for the instruments' logs.
+        taken: Called with the number of each record, from 1, once it is in.
+
+        Raises InstrumentError: of the instrument that failed; a passing fault only when repeated records did not cure
+        it.
+        """
+
+        def measure() -> tuple[Recording, ...]:
+            point_at(self.setup, *self._place_mm(attempt))
+            recordings: list[Recording] = []
+            for number, play in enumerate(self.plays, 1):
+                recordings.append(self._record(play, attempt, purpose))
+                taken(number)
+            return tuple(recordings)
+
+        return self.recovery.retry_after_reconnect(measure, attempt)
+
+    def probe(self, attempt: Attempt) -> Recording:
+        """Point at a position and take one record, to see how things stand; it goes nowhere. Raises as `take`."""
+
+        def measure() -> Recording:
+            point_at(self.setup, *self._place_mm(attempt))
+            return self._record(self.plays[0], attempt, "probe")
+
+        return self.recovery.retry_after_reconnect(measure, attempt)
+
+    def set_out_for(self, attempt: Attempt) -> None:
+        """Let the mirror set out for a position; when it fails, pointing there will meet that again."""
+        try:
+            start_move(self.setup, *self._place_mm(attempt))
+        except InstrumentError as fault:
+            self.session.fault(fault, attempt, retried=True)
+
+    def _place_mm(self, attempt: Attempt) -> tuple[float, float]:
+        """Where the beam goes for an attempt."""
+        x_mm, y_mm = self.plan.position_mm[attempt.position]
+        return float(x_mm) + attempt.moved_mm[0], float(y_mm) + attempt.moved_mm[1]
+
+    def _record(self, play: Play, attempt: Attempt, purpose: str) -> Recording:
+        label = RecordLabel(attempt.position, attempt.number, play.actuator, purpose)
+        setup, rate_hz = replace(self.setup, range_v=self._range_v(attempt)), self.plan.excitation.sample_rate_hz
+        return record_play(setup, play, rate_hz, label, lambda fault: self.session.fault(fault, attempt, retried=True))
+
+    def _range_v(self, attempt: Attempt) -> tuple[float, float]:
+        """Input ranges in volts of (reference, response); an attempt may have a larger one."""
+        reference_v, response_v = self.setup.range_v
+        return reference_v, response_v if attempt.response_range_v is None else attempt.response_range_v
 
     def evaluate(self, recorded: Recorded) -> AttemptResult:
-        """Estimate an attempt and judge it."""
-        position = recorded.attempt.position
-        distance_mm = np.hypot(*(self.plan.actuator_mm - self.plan.position_mm[position]).T)
-        before_db = self._reference_before_db(position)
-        return evaluate(recorded, self._estimator, self.setup.range_v, self.plan.quality, distance_mm, before_db)
+        """Estimate the Green's functions of an attempt and judge them.
+
+        An attempt without recordings, or whose reference cannot be found, is judged ``Status.FAILED``: nothing of it
+        can be used.
+        """
+        attempt, recordings = recorded.attempt, recorded.recordings
+        if not recordings:
+            return AttemptResult(attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
+        reference_v, response_v = (np.stack([one.volts[channel] for one in recordings]) for channel in (0, 1))
+        try:
+            estimate = self._estimator.estimate(reference_v, response_v, range_v=self._range_v(attempt))
+        except ReferenceMissingError as missing:
+            judgement = Judgement(Status.FAILED, str(missing), np.inf)
+            return AttemptResult(attempt, None, judgement, recordings=recordings)
+        over_range = any(any(recording.over_range) for recording in recordings)
+        distance_mm = np.hypot(*(self.plan.actuator_mm - self.plan.position_mm[attempt.position]).T)
+        before_db = self._reference_before_db(attempt.position)
+        judgement = judge(estimate, over_range, self.plan.quality, distance_mm, before_db)
+        return AttemptResult(attempt, estimate, judgement, recordings=recordings)
 
     def measure(self, attempt: Attempt, purpose: str, is_useless: Callable[[AttemptResult], bool]) -> AttemptResult:
         """Measure a position, again after passing faults and useless results, until its tries are used up.

@@ -80,11 +80,10 @@ class KnownSignalClock:
         """Spectrum of the base signal (bins,) as the reference channel carries it, but for the offset."""
         return np.asarray(self._whole * (fit.gain + fit.coupling @ self._all_coupling))
 
-    def fit(self, decimated: Decimated, expected: float = 1.0) -> KnownSignalFit:
-        """Find offset and ratio, first near the expected ratio, then further and further away.
+    def fit(self, decimated: Decimated) -> KnownSignalFit:
+        """Find offset and ratio, first near a ratio of 1, then further and further away.
 
         decimated: One recording of the reference.
-        expected: Clock ratio that is tried first.
 
         Returns KnownSignalFit: the best there is; its `explained` shows how good it is.
         """
@@ -95,7 +94,7 @@ class KnownSignalClock:
         step = 2 * SEARCH_TURN / (math.pi * self.highest * (place[short - 1] - place[0]))
         best: KnownSignalFit | None = None
         for turn in range(2 * math.ceil(1e-6 * self._max_ppm / step) + 1):
-            ratio = expected + (turn // 2 + turn % 2) * (1 if turn % 2 else -1) * step
+            ratio = 1.0 + (turn // 2 + turn % 2) * (1 if turn % 2 else -1) * step
             if turn and abs(ratio - 1) > 1e-6 * self._max_ppm + step:
                 continue
             start = self._offset(values[:short], place[:short], ratio)

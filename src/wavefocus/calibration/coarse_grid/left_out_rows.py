@@ -75,17 +75,23 @@ class RowsByWaves:
         self._noise: Float64Array = np.stack(noise, axis=1)
         self._free: Float64Array = 1.0 - np.square(np.abs(self._explained)).sum(axis=3, dtype=np.float64)
 
-    def errors_without(self, actuator: int, out: Int64Array) -> tuple[Complex128Array, Float64Array]:
-        """Error of one actuator's rows, each left out with some positions, and its expected square; NaN if none.
+    def errors_without(self, out: BoolArray) -> tuple[Complex128Array, Float64Array]:
+        """Error of every row, left out together with some positions, and its expected square; NaN if none.
 
-        Returns errors, variance : (positions, frequencies).
+        Returns errors, variance : (positions, actuators, frequencies).
         """
+        number = self._number[np.flatnonzero(out)]
+        parts = [self._errors_of(actuator, number) for actuator in range(self.values.shape[1])]
+        errors, variance = zip(*parts, strict=True)
+        return np.stack(errors, axis=1), np.stack(variance, axis=1)
+
+    def _errors_of(self, actuator: int, number: Int64Array) -> tuple[Complex128Array, Float64Array]:
+        """The same of one actuator; `number` counts among the rows that are there."""
         errors = np.full((len(self.values), self.values.shape[2]), np.nan + 0j)
         variance = np.full(errors.shape, np.nan)
-        number = self._number[out]
         explained, left, noise = self._explained[actuator], self._left[actuator], self._noise[actuator]
         of_out = explained[:, number].astype(np.complex128)
-        inverse = np.linalg.inv(np.eye(len(out)) * (1.0 + MIN_FREE) - of_out @ of_out.conj().swapaxes(1, 2))
+        inverse = np.linalg.inv(np.eye(len(number)) * (1.0 + MIN_FREE) - of_out @ of_out.conj().swapaxes(1, 2))
         between = -(explained @ of_out.conj().swapaxes(1, 2).astype(np.complex64))
         weights = between @ inverse
         free = np.maximum(self._free[actuator] - (weights * between.conj()).sum(axis=2).real, MIN_FREE)

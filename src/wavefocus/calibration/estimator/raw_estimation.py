@@ -175,7 +175,7 @@ def _periodic(
     """The base signal is already running when a record starts."""
     base_v, ratio = learn_base(first.reference_v[0], header)
     report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
-    return StaggeredEstimator(base_v, records, expected_ratio=ratio)
+    return StaggeredEstimator(base_v, records)
 
 
 def _with_silence(

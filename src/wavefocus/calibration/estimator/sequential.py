@@ -16,6 +16,8 @@ from wavefocus.calibration.excitation import Excitation
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Schedule
 
+# Penalty on the FIR's energy relative to the sweep's median power in band.
+RIDGE = 1e-6
 # Bounds memory to about 20 MB however many records are given, and to a tenth of a GB however long they are.
 BATCH_RECORDS = 32
 BATCH_VALUES = 1 << 19
@@ -34,7 +36,6 @@ class SequentialEstimator:
     channels: How the channels see it.
     schedule: Which actuator in which record, sequential; without it record k is that of actuator k.
     comparable: Whether the coherence of the repeats means something; else it is NaN.
-    ridge: Penalty on the FIR's energy relative to the sweep's median power in band, > 0.
 
     Raises InputError: a value outside the range above.
     """
@@ -47,7 +48,6 @@ class SequentialEstimator:
         *,
         schedule: Schedule | None = None,
         comparable: bool = True,
-        ridge: float = 1e-6,
     ) -> None:
         if not 1 <= taps <= excitation.decay_samples:
             raise InputError(
@@ -57,17 +57,15 @@ class SequentialEstimator:
             raise InputError(
                 f"inter_channel_delay_s is {channels.inter_channel_delay_s:g}; allowed is at most decay_s either way"
             )
-        if not 0 < ridge < 1:
-            raise InputError(f"ridge is {ridge:g}; allowed is a number between 0 and 1")
         self.excitation, self.taps = excitation, taps
         self._schedule, self._comparable = schedule, comparable
         self._cutter = SweepCutter(excitation, excitation.decay_samples - taps, MAX_PPM)
         omega, period = self._cutter.omega, self._cutter.period
         relative = self._cutter.power / self._cutter.median_power
         self._fit = (
-            CausalFit(omega, relative, period, taps, ridge, MAX_PPM)
+            CausalFit(omega, relative, period, taps, RIDGE, MAX_PPM)
             if 2 * omega.size * taps <= DENSE_ELEMENTS
-            else ToeplitzFit(omega, relative, period, taps, ridge)
+            else ToeplitzFit(omega, relative, period, taps, RIDGE)
         )
         self._batch = int(min(max(BATCH_VALUES // (excitation.averages * omega.size), 1), BATCH_RECORDS))
         # The sweep's fades reach beyond its band; what hums there does the Green's function no harm.

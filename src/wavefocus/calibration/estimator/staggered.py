@@ -41,13 +41,12 @@ class StaggeredEstimator:
 
     base_v, float64 (period,): One period of the base signal in volts, on the playback clock.
     records: What plays when; delays are L or more apart on the ring.
-    expected_ratio: DAQ rate over playback rate that is tried first; it saves time and changes nothing else.
 
     Raises InputError: delays closer than that, or too much for the memory of a joint fit.
     """
 
-    def __init__(self, base_v: Float64Array, records: Records, *, expected_ratio: float = 1.0) -> None:
-        self._records, self._expected_ratio = records, expected_ratio
+    def __init__(self, base_v: Float64Array, records: Records) -> None:
+        self._records = records
         self._rate_hz, self._period, self._base_v = records.sample_rate_hz, base_v.size, base_v
         nominal = scipy.fft.rfft(base_v)
         power = np.abs(nominal) ** 2
@@ -112,7 +111,7 @@ class StaggeredEstimator:
         samples = channels.shape[1]
         require_coverage(samples, self._period, self._highest, name)
         decimated = decimate(channels, self._highest)
-        clock = self._clock.fit(decimated, self._expected_ratio)
+        clock = self._clock.fit(decimated)
         require_found(clock.explained, clock.ratio, channels[0], self._base_v, f"the reference of {name}", MAX_PPM)
         turn = 2 * np.pi / (self._period * clock.ratio)
         reference, answered = period_spectrum(decimated.spectrum(turn, 0, self._bins.stop), turn, samples)

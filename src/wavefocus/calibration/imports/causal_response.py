@@ -247,20 +247,5 @@ class TimeOfEnergy:
         return said, warnings
 
 
-def end_window(taps: int, kind: str) -> Float64Array:
-    """Factors (taps,) for the ends of FIRs.
-
-    kind: ``"keep"``: 1; ``"window"``: a half cosine over the last tenth; ``"damp"``: an exponential decay that reaches
-        -60 dB at the end.
-    """
-    if kind == "damp":
-        return np.asarray(10.0 ** (-3.0 * np.arange(taps) / taps))
-    window = np.ones(taps)
-    if kind == "window":
-        fade = max(taps // 10, 1)
-        window[taps - fade :] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 1) / (fade + 1))
-    return window
-
-
 def _energy(rows: Float64Array) -> Float64Array:
     return np.asarray(np.square(rows).sum(axis=1))

@@ -16,7 +16,6 @@ from wavefocus.calibration.imports.causal_response import (
     CausalConverter,
     Motion,
     TimeOfEnergy,
-    end_window,
     frequency_axis,
 )
 from wavefocus.options import ImportOptions
@@ -48,14 +47,13 @@ class Conversion:
         self._rows = itertools.chain([first], rows)
         self._converter: CausalConverter | None = None
         self._take: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
-        self._cut = self._whole = self._ends = self._kept = self._all_lines = self._lines_out = 0.0
+        self._cut = self._whole = self._all_lines = self._lines_out = 0.0
         self._shift = 0
         if measured.frequency_hz is not None:
             self._from_spectra(measured, np.asarray(first), motion)
         else:
             self._from_samples(measured, motion)
         require_meant_rate(self.rate_hz, str(source))
-        self._window = end_window(self.taps, options.end)
 
     def _motion(self, measured: Measured) -> Motion:
         unit = self._options.unit or measured.unit
@@ -237,11 +235,6 @@ class Conversion:
             first, last = max(-self._shift, 0), max(self.taps - self._shift, 0)
             self._whole += _energy(row)
             self._cut += _energy(row[:, :first]) + _energy(row[:, max(last, first) :])
-        if self._options.end != "keep":
-            whole = green
-            green = (green * self._window).astype(np.float32)
-            self._ends += _energy(whole - green)
-            self._kept += _energy(whole)
         self._require_finite(green, position)
         return green, residual_db
 
@@ -294,9 +287,6 @@ class Conversion:
             said.append(f"samples left out hold {residual_db:.1f} dB of the energy")
         if self._lines_db is not None:
             said.append(f"frequencies left out hold {self._lines_db:.1f} dB of the energy")
-        if self._ends > 0:
-            level_db = 10 * math.log10(self._ends / self._kept)
-            said.append(f"end = {self._options.end} changes the responses by {level_db:.1f} dB of their energy")
         return said
 
 
