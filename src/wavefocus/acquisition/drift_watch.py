@@ -173,7 +173,7 @@ class DriftWatch:
 
     def _measured(self, attempt: Attempt) -> tuple[DriftFigures, _Look]:
         result = self._station.measure(attempt, "sentinel", says_nothing)
-        self._report.sentinel_done()
+        self._report.done("sentinel")
         if result.estimate is None or says_nothing(result):
             raise SentinelUnusableError(
                 f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "

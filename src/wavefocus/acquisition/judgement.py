@@ -39,30 +39,6 @@ class PositionRow:
     moved_mm: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class RepeatDifference:
-    """How two measurements of a position differ.
-
-    actuators: Whose Green's functions differ by more than they may, the farthest beyond first; none where the two
-        agree.
-    level_db: Energy of the first of them now over then, in dB.
-    relative: Norm of its difference over that of the louder one.
-    """
-
-    actuators: tuple[int, ...]
-    level_db: float = 0.0
-    relative: float = 0.0
-
-    def __bool__(self) -> bool:
-        return bool(self.actuators)
-
-    def __str__(self) -> str:
-        return (
-            f"actuator {self.actuators[0]}'s response differs by {100 * self.relative:.1f} %, "
-            f"{self.level_db:+.2f} dB" + (f", and {len(self.actuators) - 1} more" if len(self.actuators) > 1 else "")
-        )
-
-
 def in_band(green: NDArray[np.floating], sample_rate_hz: float, band_hz: tuple[float, float]) -> Complex128Array:
     """Spectra of Green's functions in the band of the sweep: outside of it, and at its edges, noise is magnified.
 
@@ -74,8 +50,8 @@ def in_band(green: NDArray[np.floating], sample_rate_hz: float, band_hz: tuple[f
     return np.asarray(np.fft.rfft(green.astype(np.float64), axis=1)[:, inside])
 
 
-def difference(then: PositionRow, now: PositionRow) -> RepeatDifference:
-    """Compare two measurements of a position, actuator by actuator.
+def difference(then: PositionRow, now: PositionRow) -> tuple[tuple[int, ...], str]:
+    """Actuators whose rows differ between two measurements of a position, the farthest first, and a sentence of it.
 
     Each may differ by 2 %, both being wrong by `SOUND`, or by `SIGMAS` times what the noise of both explains of it.
     Noise is spread over all of a Green's function, and little of it is in its level, so that the level is also compared
@@ -100,10 +76,12 @@ def difference(then: PositionRow, now: PositionRow) -> RepeatDifference:
     which = np.argsort(-beyond, kind="stable")
     which = which[beyond[which] > 1.0]
     if not which.size:
-        return RepeatDifference(())
+        return (), ""
     worst = int(which[0])
     level_db = 10 * np.log10(max(energies[1][worst], tiny) / max(energies[0][worst], tiny))
-    return RepeatDifference(tuple(which.tolist()), float(level_db), float(relative[worst]))
+    more = f", and {which.size - 1} more" if which.size > 1 else ""
+    sentence = f"actuator {worst}'s response differs by {100 * relative[worst]:.1f} %, {level_db:+.2f} dB{more}"
+    return tuple(which.tolist()), sentence
 
 
 def _noise_share(snr_db: Float32Array) -> Float64Array:
@@ -182,14 +160,14 @@ def judge(
     return Judgement(status, "; ".join(defect.sentence for defect in defects), score, tuple(defects))
 
 
-def differing(apart: RepeatDifference, score: float) -> Judgement:
+def differing(actuators: tuple[int, ...], apart: str, score: float) -> Judgement:
     """An attempt that is good by itself and not what the bank holds of the position."""
     sentence = (
         f"it is not what the bank holds: {apart}; to have such a row replaced, where two attempts agree, name the "
         "position to wavefocus remeasure with --replace"
     )
     return Judgement(
-        Status.POOR_SIGNAL, sentence, score, (RecordDefect("neighbours", apart.actuators, sentence, Cure.AGAIN),)
+        Status.POOR_SIGNAL, sentence, score, (RecordDefect("neighbours", actuators, sentence, Cure.AGAIN),)
     )
 
 

@@ -119,17 +119,17 @@ class NeighbourWatch:
                 must_agree = twice = True
         if not (must_agree and judgement.good):
             return replace(result, judgement=judgement)
-        apart = None
+        apart: tuple[tuple[int, ...], str] = (), ""
         if status & MEASURED:
             record, sweep = self._bank.record(position), self._plan.excitation
             held = in_band(self._bank.green(position), sweep.sample_rate_hz, sweep.band_hz)
             apart = difference(PositionRow(held, record.snr_db, record.moved_mm), row)
-            if not apart:
+            if not apart[0]:
                 return result
         before = None if earlier is None else self._row_of(earlier)
-        if twice and before is not None and not difference(before, row):
+        if twice and before is not None and not difference(before, row)[0]:
             return result
-        judgement = differing(apart, judgement.score) if apart else replace(UNCONFIRMED, score=judgement.score)
+        judgement = differing(*apart, judgement.score) if apart[0] else replace(UNCONFIRMED, score=judgement.score)
         return replace(result, judgement=judgement)
 
     def _row_of(self, result: AttemptResult) -> PositionRow | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from statistics import median
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +112,9 @@ def sentinel_of(plan: Plan, status: NDArray[np.uint8]) -> int | None:
 LATEST = 30
 
 
+Measurement = Literal["attempt", "sentinel", "leak"]
+
+
 class CampaignPace:
     """Learns from every attempt; one clock per instance.
 
@@ -123,24 +127,14 @@ class CampaignPace:
 
     def __init__(self, working_s: float) -> None:
         self._last_s = working_s
-        self._attempt_s: deque[float] = deque(maxlen=LATEST)
+        self._took_s: dict[Measurement, deque[float]] = {
+            "attempt": deque(maxlen=LATEST), "sentinel": deque(maxlen=LATEST), "leak": deque(maxlen=1)
+        }  # fmt: skip
         self._attempts_of: deque[int] = deque(maxlen=LATEST)
-        self._sentinel_s: deque[float] = deque(maxlen=LATEST)
-        self._leak_s = 0.0
 
-    def attempt_done(self, working_s: float) -> None:
-        """An attempt had all its records at `working_s`."""
-        self._attempt_s.append(working_s - self._last_s)
-        self._last_s = working_s
-
-    def sentinel_done(self, working_s: float) -> None:
-        """A measurement of the sentinel position came to its end."""
-        self._sentinel_s.append(working_s - self._last_s)
-        self._last_s = working_s
-
-    def leak_done(self, working_s: float) -> None:
-        """The loopback was played alone, as with each measurement of the sentinel."""
-        self._leak_s = working_s - self._last_s
+    def done(self, what: Measurement, working_s: float) -> None:
+        """All records of an attempt, or a measurement of the sentinel or of the leak, came to an end at `working_s`."""
+        self._took_s[what].append(working_s - self._last_s)
         self._last_s = working_s
 
     def position_settled(self, attempts: int) -> None:
@@ -150,10 +144,10 @@ class CampaignPace:
     @property
     def position_s(self) -> float:
         """Seconds that a position takes, its expected repeats included; 0 before the first."""
-        if not self._attempt_s:
+        if not self._took_s["attempt"]:
             return 0.0
         attempts = sum(self._attempts_of) / len(self._attempts_of) if self._attempts_of else 1.0
-        return median(self._attempt_s) * max(1.0, attempts)
+        return median(self._took_s["attempt"]) * max(1.0, attempts)
 
     def remaining_s(self, positions: int, sentinel_passes: int, working_s: float | None = None) -> float:
         """Seconds for so many positions and measurements of the sentinel.
@@ -164,8 +158,8 @@ class CampaignPace:
         """
         under_way_s = 0.0 if working_s is None else max(0.0, self.position_s - (working_s - self._last_s))
         # Before the first, a sentinel is taken for a position like any other.
-        sentinel_s = median(self._sentinel_s) if self._sentinel_s else self.position_s
-        return under_way_s + positions * self.position_s + sentinel_passes * (sentinel_s + self._leak_s)
+        sentinel_s = median(self._took_s["sentinel"] or [self.position_s])
+        return under_way_s + positions * self.position_s + sentinel_passes * (sentinel_s + sum(self._took_s["leak"]))
 
 
 def schedule_name(plan: Plan) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from wavefocus.acquisition.watch import NOTHING_WATCHED, Sensor, Watch
 from wavefocus.calibration import Float64Array
@@ -27,6 +27,7 @@ from wavefocus.drivers.timeouts import Role
 
 if TYPE_CHECKING:
     from wavefocus.config.rig import RigConfig
+    from wavefocus.config.rig_instruments import RecorderSection
 
 # Larger differences between the stated delay of the response input and the device's are reported: 0.5 us are an error
 # of -58 dB at 400 Hz.
@@ -221,18 +222,8 @@ Step = Literal["starting", "started", "playing"]
 ANSWER_MARGIN_S = 5.0
 
 
-class RecordMargins(Protocol):
-    """How long a record is before and after its signal; a `Setup` says so, and so does a rig's configuration."""
-
-    @property
-    def pre_roll_s(self) -> float:
-        """Recording before the player starts."""
-        ...
-
-    @property
-    def post_roll_s(self) -> float:
-        """Recording after it should have ended."""
-        ...
+RecordMargins: TypeAlias = "Setup | RecorderSection"
+"""What says how long a record is before and after its signal."""
 
 
 def record_samples(margins: RecordMargins, signal_samples: int, sample_rate_hz: float) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,35 +16,8 @@ from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.noise_error import noise_error_db
-from wavefocus.config.messages.campaign import Subscriber
+from wavefocus.config.messages.campaign import ScheduleSettled, Subscriber
 from wavefocus.storage.errors import InputError
-
-
-@dataclass(frozen=True, slots=True)
-class ScheduleComparison:
-    """One position measured by both schedules.
-
-    position: The position, nearest to the middle of the grid.
-    names: Of the schedule that was asked for, and of sequential capture.
-    error_db: Relative L2 difference in band of their rows, and what the noise of sequential capture explains of it;
-        medians over the actuators.
-    campaign_s: Seconds that the campaign would take by each.
-    took_s: Seconds on the rig's clock.
-    """
-
-    position: int
-    names: tuple[str, str]
-    error_db: tuple[float, float]
-    campaign_s: tuple[float, float]
-    took_s: float
-
-    def __str__(self) -> str:
-        return (
-            f"{self.names[0]} differs from {self.names[1]} by {self.error_db[0]:.1f} dB "
-            f"at position {self.position}, "
-            f"where noise explains {self.error_db[1]:.1f} dB; the campaign takes {hours(self.campaign_s[0])} "
-            f"instead of {hours(self.campaign_s[1])}"
-        )
 
 
 def check_position(plan: Plan) -> int:
@@ -53,8 +26,11 @@ def check_position(plan: Plan) -> int:
     return int(np.argmin(np.hypot(*(plan.position_mm - middle).T)))
 
 
-def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda event: None) -> ScheduleComparison:
+def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda event: None) -> ScheduleSettled:
     """Measure one position by a staggered plan and one actuator after the other.
+
+    Errors are medians over the actuators: relative L2 difference in band of the rows, and what the noise of sequential
+    capture explains of it.
 
     publish: Receives every passing fault, and what is done about it, as in a campaign.
 
@@ -71,13 +47,17 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
     apart = np.linalg.norm(others - rows, axis=1) / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
     response_s, period_s = (samples / sweep.sample_rate_hz for samples in (plan.taps, sweep.period_samples))
     noise_db = noise_error_db(plain.snr_db, band_hz=sweep.band_hz, response_s=response_s, period_s=period_s)
-    return ScheduleComparison(
-        position,
-        (schedule_name(plans[0]), schedule_name(plans[1])),
-        (20 * math.log10(max(float(np.median(apart)), 1e-15)), float(np.median(noise_db))),
-        (plan.positions * plan.position_s(setup), plan.positions * plans[1].position_s(setup)),
-        clock.now_s() - began_s,
+    error_db = 20 * math.log10(max(float(np.median(apart)), 1e-15)), float(np.median(noise_db))
+    names, seconds = zip(*((schedule_name(one), plan.positions * one.position_s(setup)) for one in plans), strict=True)
+    sentence = (
+        f"{names[0]} differs from {names[1]} by {error_db[0]:.1f} dB at position {position}, where noise explains "
+        f"{error_db[1]:.1f} dB; the campaign takes {hours(seconds[0])} instead of {hours(seconds[1])}"
     )
+    candidates = tuple(
+        {"name": name, "error_db": error, "campaign_s": campaign_s}
+        for name, error, campaign_s in zip(names, error_db, seconds, strict=True)
+    )
+    return ScheduleSettled(clock.now_s() - began_s, position, names[0], sentence, seconds[0] / 3600, candidates)
 
 
 def _measured(station: Station, attempt: Attempt) -> Estimate:

@@ -27,13 +27,10 @@ class ActuatorComparison:
     """Each actuator against the others.
 
     level_db, float64 (actuators,): Energy of the response over the median's.
-    likeness, float64 (actuators,): Correlation with the common response, -1 to 1; negative where the actuator moves the
-        other way.
     verdict: ``"good"``, ``"weak"``, ``"dead"``, ``"reversed"`` or ``"unlike"``, for each.
     """
 
     level_db: Float64Array
-    likeness: Float64Array
     verdict: tuple[Verdict, ...]
 
     @property
@@ -67,7 +64,7 @@ def compare_actuators(
         found = _correlations(shapes, common, round(MAX_LAG_S * sample_rate_hz))
         likeness[alive] = found if np.count_nonzero(found < 0) <= len(found) / 2 else -found
     verdicts = tuple(_verdict(*figures) for figures in zip(alive, level_db, likeness, strict=True))
-    return ActuatorComparison(level_db, likeness, verdicts)
+    return ActuatorComparison(level_db, verdicts)
 
 
 def _verdict(alive: np.bool_, level_db: float, likeness: float) -> Verdict:

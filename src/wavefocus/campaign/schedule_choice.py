@@ -28,13 +28,8 @@ def compared_schedules(blueprint: Blueprint, source: str) -> tuple[ScheduleSettl
             found = compare_schedules(blueprint.plan, setup, _say_fault)
     except InputError as error:
         raise InputError(f"{source}: capture: {error}") from None
-    say(str(found))
-    candidates = tuple(
-        {"name": name, "error_db": error_db, "campaign_s": campaign_s}
-        for name, error_db, campaign_s in zip(found.names, found.error_db, found.campaign_s, strict=True)
-    )
-    own = found.position, found.names[0], str(found), found.campaign_s[0] / 3600
-    return (ScheduleSettled(found.took_s, *own, candidates),)
+    say(found.reason)
+    return (found,)
 
 
 def _say_fault(event: Event) -> None:

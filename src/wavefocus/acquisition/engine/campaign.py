@@ -206,7 +206,7 @@ class Campaign:
         """Record an attempt while the one before is estimated, judged and committed."""
         recorded = self._record(self._queue.popleft())
         self._recording = False
-        self._report.attempt_recorded()
+        self._report.done("attempt")
         self._collect()
         self._pending = self._worker.submit(self._evaluate_and_commit, recorded)
 
@@ -230,7 +230,7 @@ class Campaign:
         """Measure how much of the loopback leaks; no Ctrl-C lands in the worker, which marks what has it."""
         for position in self._leak.look(self._worker):
             self._report.marked(position, judgement_of(self._leak.found))
-        self._report.leak_done()
+        self._report.done("leak")
 
     def _compare_sentinel(self) -> None:
         """Before this session measures anything, see whether it is still the plate that the bank holds."""

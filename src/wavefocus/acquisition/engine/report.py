@@ -9,7 +9,7 @@ import numpy as np
 from wavefocus.acquisition.attempt import Attempt, AttemptResult
 from wavefocus.acquisition.engine.session import Session
 from wavefocus.acquisition.judgement import Judgement
-from wavefocus.acquisition.plan import CampaignPace, Plan, sentinel_of
+from wavefocus.acquisition.plan import CampaignPace, Measurement, Plan, sentinel_of
 from wavefocus.acquisition.setup import Setup, identities_of
 from wavefocus.calibration import Int64Array
 from wavefocus.config.messages.campaign import (
@@ -50,20 +50,10 @@ class CampaignReport:
         self._second_looks = 0  # from here on they are among those that are left
         self._session.publish(PassStarted, positions)
 
-    def attempt_recorded(self) -> None:
-        """An attempt has all its records, or was given up."""
+    def done(self, what: Measurement) -> None:
+        """An attempt has all its records, or was given up; or the sentinel or the leak was measured."""
         for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
-            pace.attempt_done(working_s)
-
-    def sentinel_done(self) -> None:
-        """The sentinel's measurement came to its end; it is not a position."""
-        for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
-            pace.sentinel_done(working_s)
-
-    def leak_done(self) -> None:
-        """The loopback was played alone."""
-        for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
-            pace.leak_done(working_s)
+            pace.done(what, working_s)
 
     def repeat(self, result: AttemptResult, following: Attempt) -> None:
         """An attempt was not good enough; the next one follows."""
