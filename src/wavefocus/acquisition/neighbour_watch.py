@@ -16,7 +16,7 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
-from wavefocus.calibration.evidence import CERTAIN_SHARE, HEARD_DB
+from wavefocus.calibration.evidence import CERTAIN_SHARE
 from wavefocus.calibration.neighbour_judge import NeighbourDifference, RowsAtFrequencies, judge_rows
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.writer import BankWriter
