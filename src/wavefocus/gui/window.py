@@ -20,7 +20,7 @@ from wavefocus.gui.tab import Act, ClosingQuestion, Tab, TabContext, make_tabs
 from wavefocus.gui.theme import BoxStyle, use_desktop_theme
 from wavefocus.storage.errors import InputError
 
-_SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)
+_SIZE, _FRAME = QSize(1240, 720), QSize(16, 48)
 _LAB = "lab"
 # Holds docs and, once it is built, the site made of them.
 _ROOT = Path(__file__).resolve().parents[3]
@@ -62,7 +62,7 @@ class Window(QMainWindow):
         if not self.restoreGeometry(settings.bytes("geometry")):
             screen = QGuiApplication.primaryScreen()
             room = _SIZE if screen is None else screen.availableSize() - _FRAME
-            self.resize(_SIZE.boundedTo(room.expandedTo(_LEAST)))
+            self.resize(_SIZE.boundedTo(room))
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.refresh)
         self._timer.start(50)
