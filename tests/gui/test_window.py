@@ -188,7 +188,7 @@ def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(o
         if not control.objectName().startswith("qt_") and type(control).__name__ != "QTableCornerButton"
         and not isinstance(control.parent(), QTableView | QComboBox | QAbstractSpinBox | QLineEdit | QTabBar)
     ]  # fmt: skip
-    assert len(own) > 150
+    assert len(own) > 120
     assert [type(control).__name__ for control in own if not control.accessibleName()] == []
     assert [one.accessibleName() for one in own if isinstance(one, with_tip) and not one.toolTip()] == []
     actions = [action for tab in window.tabs[:2] for action in tab.menu_actions() if action is not None]
