@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import pytest
 
 from wavefocus.campaign.status import CampaignStatus
-from wavefocus.commands.status import _print_pace
+from wavefocus.commands.status import _pace_sentences
 from wavefocus.config.messages.campaign import Logged, PositionCommitted, Progress, State
 from wavefocus.gui.campaign.model import Extra, ShownState, line_of
 from wavefocus.gui.campaign.panels import pace_text
@@ -49,10 +49,9 @@ def test_given_a_rate_that_is_not_known_then_nothing_is_said_about_it() -> None:
     assert pace_text(paced(math.nan, math.nan), going_on=True) == ""
 
 
-def test_given_the_last_position_then_the_rate_stands_without_an_empty_part(capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_the_last_position_then_the_rate_stands_without_an_empty_part() -> None:
     progress = Progress(
         time_s=1.0, done=9, total=9, elapsed_s=1.0, remaining_s=0.0, wall_remaining_s=0.0, positions_per_hour=57_400.0
     )
-    _print_pace(CampaignStatus(State.RUNNING, progress=progress, progress_at=datetime.now(UTC)), 0)
-    (line,) = capsys.readouterr().out.splitlines()
+    (line,) = _pace_sentences(CampaignStatus(State.RUNNING, progress=progress, progress_at=datetime.now(UTC)), 0)
     assert line.startswith("57400 positions an hour (last position ")

@@ -47,7 +47,7 @@ OPTIONS = {
     "--control": "a correction is judged at the foci and quiet places of its scene",
     "--against": "verify.json of both verifications has their figures, and the symptoms of each against the bank",
     "--allow-large": "a scene may have 8 GiB of drives and a million path points; split a larger one",
-    "import --end": "wf.import_bank takes end",
+    "import --end": "responses are kept as they are; fade or damp them before the import",
     "extend --accept-drift": "wavefocus resume takes it for the new bank",
     "extend --accept-calibration": "wavefocus resume takes it for the new bank",
     "status --force": "status writes nothing",
