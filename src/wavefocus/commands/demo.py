@@ -51,7 +51,6 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
     _prepare(out, force=force)
     run, bank, scene, drive = out / "run.toml", out / "plate.h5", out / "scene.toml", out / "drive.h5"
     some = "0-9" if quick else "700-709"
-    pictures: dict[str, Any] = {"wav": out / "drive.wav", "picture": out / "scene.png", "rig_file": None}
     steps: dict[str, Callable[[], object]] = {
         "Configuration": lambda: _configure(out, plate, quick=quick),
         "Compute the plate, or read it from the cache": lambda: _rig(run),
@@ -62,7 +61,7 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
         "Check every row": lambda: check.check(bank, as_json=False),
         "Compare with the plate's truth": lambda: _compare(bank),
         "Render the scene": lambda: rendering.render(
-            scene, bank, drive, **pictures, options=RenderOptions(), as_json=False
+            scene, bank, drive, wav=out / "drive.wav", rig_file=None, options=RenderOptions(), as_json=False
         ),
         "Predict ten positions of its field": lambda: prediction.predict(
             drive, bank, out / "field.h5", some, as_json=False
