@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 
 import wavefocus as wf
-from tests.lab_files import change_text
+from tests.lab_files import POSITIONS as POSITIONS_MM
+from tests.lab_files import change_text, write_positions
+from tests.system.test_trials import TRIALS
 from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import staged_folder
@@ -102,6 +104,58 @@ def test_a_capture_with_recordings_that_is_killed_then_goes_on_by_the_same_comma
         assert killed_at(renaming, RUNS, *command)
         assert run(command) == 0
         assert run(["check", str(lab / f"{renaming}.raw.h5")]) == 0
+
+
+def test_an_extension_with_recordings_that_is_killed_then_goes_on(lab: Path) -> None:
+    change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
+    write_positions(lab, POSITIONS_MM[:2])
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    write_positions(lab, POSITIONS_MM[:3])
+    for renaming in range(1, 4):  # recordings, bank; the third is of the heartbeat of its capture
+        new = lab / f"{renaming}.h5"
+        command = ["extend", str(lab / "plate.h5"), "--run", str(lab / "run.toml"), "--bank", str(new)]
+        assert killed_at(renaming, RUNS, *command)
+        assert run(["resume", str(new)] if new.exists() else command) == 0
+        assert run(["check", str(lab / f"{renaming}.raw.h5")]) == 0
+        with wf.open_bank(new) as bank:
+            assert bank.status.tolist() == [1, 1, 1]
+
+
+def test_trials_that_are_killed_while_stimuli_are_prepared_go_on(lab: Path, bank: Path) -> None:
+    (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
+    common = ["trials", str(lab / "trials.toml"), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--prepare"]
+    whole = prepared_by([*common, "--out", str(lab / "whole")])
+    for renaming in range(1, 20):
+        command = [*common, "--out", str(lab / str(renaming))]
+        if not killed_at(renaming, RUNS, *command):
+            break
+        assert prepared_by(command) == whole
+    assert renaming == 5  # the list, two drives, the list again
+
+
+def prepared_by(command: list[str]) -> dict[str, str]:
+    """Hashes of the stimuli that a command prepares, as their list has them."""
+    assert run(command) == 0
+    manifest = json.loads((Path(command[-1]) / "stimuli" / "manifest.json").read_text(encoding="utf-8"))
+    return {name: entry["sha256"] for name, entry in manifest["stimuli"].items()}
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+def test_a_corrected_verification_that_is_killed_then_goes_on(lab: Path, bank: Path) -> None:
+    command = ["verify", str(lab / "scene.toml"), "--bank", str(bank), "--rig", str(lab / "rig.toml")]
+    for renaming in range(1, 60):
+        out = lab / str(renaming)
+        this = [*command, "--out", str(out), "--positions", "0,1,2", "--correct", "1"]
+        if not killed_at(renaming, RUNS, *this):
+            break
+        assert run(this) == 0
+        record = json.loads((out / "verify.json").read_text(encoding="utf-8"))
+        assert record["correction"] is not None
+        left = {file.name for file in out.iterdir()}
+        assert {*VERIFIED, "drive-corrected.h5"} <= left
+        assert not {name for name in left if "unfinished" in name or "partial" in name}
+    assert renaming > len(VERIFIED)
 
 
 STAGED = """
