@@ -134,7 +134,6 @@ def test_given_a_wrong_type_then_it_is_an_input_error(
         ("export_bank", {"per": "actuators"}),
         ("export_bank", {"to": "MAT"}),
         ("export_bank", {"binary": 1}),
-        ("import_bank", {"measurements": "zz"}),
         ("import_bank", {"kind": "xyz"}),
         ("import_bank", {"measurements": "rows"}),
         ("import_bank", {"band_hz": (50.0, 450.0, 3.0)}),
