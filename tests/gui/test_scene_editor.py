@@ -355,7 +355,7 @@ def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happe
     point, circle, line = ("[[source]]" + text for text in WILD.split("[[source]]")[1:])
     wait(qtbot, lambda: tab.surface.problem.startswith("source 1: its last focus is later than numbers reach"))
     tab.document.replace(point + line)
-    wait(qtbot, lambda: "at most 100000000 are allowed" in tab.surface.problem)
+    wait(qtbot, lambda: "at most 1000000 are allowed" in tab.surface.problem)
     tab.document.replace(point)
     wait(qtbot, lambda: "1 of 1 points (crosses) are over" in tab.surface.problem)
     (trace,) = tab.live.preview.traces
