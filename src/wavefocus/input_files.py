@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.console import say
+from wavefocus.console import say, spinner
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_text
 
 if TYPE_CHECKING:
     from wavefocus.rendering.scene.model import Scene
+    from wavefocus.storage.bank.reading import Bank
 
 
 def input_files(*files: Path | None) -> list[Path]:
@@ -101,3 +102,9 @@ def name_unverified(path: Path, *, verified: bool) -> None:
     """Warn of a drive or field file that does not carry checksums of all its values."""
     if not verified:
         say(f"warning: {path} carries no checksums: its values are unverified")
+
+
+def require_sound(bank: Bank) -> None:
+    """Verify the rows of a bank as `Bank.require_sound` does, and say so on a terminal while it lasts."""
+    with spinner("verifying the rows of the bank"):
+        bank.require_sound()

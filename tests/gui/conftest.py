@@ -209,12 +209,6 @@ def drag(qtbot: QtBot, shown: SurfaceView, points: list[QPoint], keys: Qt.Keyboa
     mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
 
 
-def double_click(shown: SurfaceView, at: QPoint) -> None:
-    click(shown, at)
-    mouse(shown, QEvent.Type.MouseButtonDblClick, at, NO_KEY, held=True)
-    mouse(shown, QEvent.Type.MouseButtonRelease, at, NO_KEY, held=False)
-
-
 def line_scene(
     end_mm: float = 4.5, amplitude: float = 1.0, step_mm: float = 1.5, emission: str = "continuous", **output: Any
 ) -> SceneConfig:

@@ -54,7 +54,6 @@ speed_mm_s = 90
 step_mm = 1.5
 amplitude = 0.005
 """
-OF = 6
 Opens = Callable[..., TrialsWindow]
 
 

@@ -37,10 +37,6 @@ def hdf5(path: Path, change: Callable[[h5py.File], None]) -> Path:
     return path
 
 
-def without_green(file: h5py.File) -> None:
-    del file["green"]
-
-
 def linked(tmp_path: Path) -> Path:
     hdf5(tmp_path / "other.nc", lambda file: None)
 

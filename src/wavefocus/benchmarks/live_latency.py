@@ -56,7 +56,7 @@ LEVEL_RADII_MM, QUIET_SOURCES = (30.0, 17.0), 4
 PERIOD_FRAMES = 1024
 AHEAD_MS = {"virtual": 40.0, "emulated": 80.0}
 """The audio server asks for 21.3 ms at a time: so much more waits. A shorter period runs dry in the server itself."""
-BLOCK_S, INTERFACE_HZ, LOOK_AHEAD_S = 0.005, 48_000, 0.05
+BLOCK_S, LOOK_AHEAD_S = 0.005, 0.05
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from wavefocus.console import progress, say, spinner
 from wavefocus.drives import naming
-from wavefocus.input_files import input_files
+from wavefocus.input_files import input_files, require_sound
 from wavefocus.options import RenderOptions
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import cuda_device
@@ -55,8 +55,7 @@ def render(
     require_outputs((out, wav), input_files(scene_file, bank, rig_file), force=force)
     scene = load_scene(scene_file)
     with open_bank(bank) as view:
-        with spinner("verifying the rows of the bank"):
-            view.require_sound()
+        require_sound(view)
         if wav is not None and view.drive_unit not in PLAYED_UNITS:
             raise InputError(
                 f"--wav {wav}: {bank} takes drives in {view.drive_unit}, and a WAV file's full scale is in volts"

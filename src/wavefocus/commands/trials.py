@@ -14,9 +14,10 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.config.messages.codec import Message, tag
 from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from wavefocus.config.rig import RigConfig
-from wavefocus.console import progress, say, spinner
+from wavefocus.console import progress, say
 from wavefocus.ending import ending_at_once, interrupt
 from wavefocus.exits import Exit
+from wavefocus.input_files import require_sound
 from wavefocus.json_lines import LinesIn, LinesOut, read_order
 from wavefocus.options import TrialsOptions
 from wavefocus.rig.limits import interface_of, rig_of, stricter
@@ -47,8 +48,7 @@ def trials(trials_file: Path, bank: Path, rig_file: Path, out: Path, options: Tr
             return _in_window(trials_file, bank, rig_file, participant, out, fast=fast)
     line = None if options.only_prepare else _Line(LinesOut())
     with open_bank(bank) as view, AnswersFile(out) as answers:
-        with spinner("verifying the rows of the bank"):
-            view.require_sound()
+        require_sound(view)
         rig = rig_of(rig_file, view)
         assert rig is not None  # one that is named is there
         if fast and not rig.is_virtual:

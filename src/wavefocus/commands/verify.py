@@ -24,12 +24,12 @@ from wavefocus.campaign.verification_log import VerifyLog
 from wavefocus.config.messages.campaign import Event, Subscriber
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
-from wavefocus.console import Report, progress, say, spinner
+from wavefocus.console import Report, progress, say
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drives import naming, render_by_options
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit
-from wavefocus.input_files import input_files, scan_rows
+from wavefocus.input_files import input_files, require_sound, scan_rows
 from wavefocus.options import RenderOptions
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.metrics import grid_spacing_mm
@@ -118,8 +118,7 @@ def verify(
         require_output_folder(out, results, inputs, force=force, may_exist=working_files)
     scene = load_scene(scene_file)
     with open_bank(bank) as view:
-        with spinner("verifying the rows of the bank"):
-            view.require_sound()
+        require_sound(view)
         configuration = bank_configuration(view)
         rig = _checked_rig(rig_file, configuration, view)
         rows = scan_rows(positions, scene, view.position_mm, scene_file)

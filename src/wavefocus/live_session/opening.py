@@ -12,6 +12,7 @@ from wavefocus.config.messages.live import LiveReady
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress, spinner
 from wavefocus.drives import naming
+from wavefocus.input_files import require_sound
 from wavefocus.live_session.session import LiveSession, Publish
 from wavefocus.options import LiveOptions
 from wavefocus.rendering.greens.source import is_check, usable
@@ -56,8 +57,7 @@ def open_session(
         regularisation = regularisation.model_copy(update={"independent": True})
     with ExitStack() as opened:
         view = opened.enter_context(open_bank(bank))
-        with spinner("verifying the rows of the bank"):
-            view.require_sound()
+        require_sound(view)
         if view.drive_unit not in PLAYED_UNITS:
             raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
         rig = rig_of(rig_file, view)

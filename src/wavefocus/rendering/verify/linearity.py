@@ -61,13 +61,11 @@ class Linearity:
             " positions"
         )
         apart = f"norm of the difference{what}, without the noise's part, over the norm of the scan"
-        gain, beyond = (
-            f"by how much the scan is quieter than in proportion, by the best gain{what}",
-            100.0 * self.beyond,
-        )
+        quieter_by = f"by how much the scan is quieter than in proportion, by the best gain{what}"
+        beyond = 100.0 * self.beyond
         return (
             judged("linearity", "%", apart, beyond, "at most", 100.0 * error_limit, difference=beyond),
-            Figure("compression", "dB", gain, difference=self.compressed_db, value=self.compressed_db),
+            Figure("compression", "dB", quieter_by, difference=self.compressed_db, value=self.compressed_db),
         )
 
 
