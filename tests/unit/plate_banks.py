@@ -60,6 +60,15 @@ def plate_bank(position_mm=SQUARE_MM, *, noise_db=None, seed=0, status=None):
     return GreenArray(values, position_mm, RATE_HZ, status=status, actuator_mm=ACTUATOR_MM, band_hz=BAND_HZ)
 
 
+NOISE_MM = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
+
+
+def noise_bank(taps=60, actuators=3, seed=0, *, scale=1.0, **options):
+    """Random rows at 1 kHz; all doubtful: to judge what lies between their positions takes longer than a render."""
+    values = scale * np.random.default_rng(seed).standard_normal((len(NOISE_MM), actuators, taps))
+    return GreenArray(values, NOISE_MM, 1000.0, **{"status": np.full(len(NOISE_MM), 4, np.uint8), **options})
+
+
 def errors_at(frequency_hz, greens, points_mm):
     """Relative errors of Green's functions at points: L2 norms over the actuators, (points,)."""
     index = round(frequency_hz * TAPS / RATE_HZ)

@@ -11,28 +11,18 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.unit.plate_banks import noise_bank
+from tests.unit.test_drive import MOVING, REPEATING, STANDING
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.device import Device, cuda_device, host_device
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import Prediction
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Circle, Line, Point
-from wavefocus.rendering.scene.signals import Noise, Sine
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 
-RATE_HZ = 1000.0
 STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
-MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
-REPEATING = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 0.05, 4), 0.2, 100.0, 3.0, 1.5, "per_point")
-STANDING = Source(Point((3, 3)), Sine(70, 0.3), 0.3)
-
-
-def make_bank(scale: float = 1.0, seed: int = 0, taps: int = 60) -> GreenArray:
-    position_mm = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
-    values = np.random.default_rng(seed).standard_normal((len(position_mm), 3, taps))
-    return GreenArray(values * scale, position_mm, RATE_HZ, band_hz=(50.0, 400.0))
 
 
 @settings(max_examples=12)
@@ -54,7 +44,7 @@ def test_given_any_bank_and_scene_then_the_standard_alone_gives_the_drives(
     taps: int,
     seed: int,
 ) -> None:
-    bank = make_bank(scale, seed, taps)
+    bank = noise_bank(taps, seed=seed, scale=scale, band_hz=(50.0, 400.0))
     scene = Scene(
         "s",
         tuple(sources),
@@ -77,12 +67,9 @@ def test_given_any_bank_and_scene_then_the_standard_alone_gives_the_drives(
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
 def test_given_a_gpu_then_it_gives_the_drives_of_the_cpu() -> None:
     scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(saturation=0.7), Output(interpolation="bilinear"))
-    here = render_with_report(scene, make_bank(taps=500))[0].drive_v
-    there = render_with_report(scene, make_bank(taps=500), device=cuda_device())[0].drive_v
+    here = render_with_report(scene, noise_bank(500, band_hz=(50.0, 400.0)))[0].drive_v
+    there = render_with_report(scene, noise_bank(500, band_hz=(50.0, 400.0)), device=cuda_device())[0].drive_v
     assert np.abs(there - here).max() <= 1e-12 * np.abs(here).max()
-
-
-STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
 
 
 def drive_of(drive_v: np.ndarray) -> Drive:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.unit.plate_banks import noise_bank
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.drives import render
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.render_report import RenderWarning
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Line, Point
@@ -23,12 +25,6 @@ NEAREST = Output(interpolation="nearest")
 
 RATE_HZ = 1000.0
 COLUMNS, ROWS, PITCH_MM = 9, 7, 4.0
-
-
-def make_bank(taps=60, actuators=3, seed=0, **options):
-    position_mm = np.array([(PITCH_MM * x - 16.0, PITCH_MM * y - 12.0) for y in range(ROWS) for x in range(COLUMNS)])
-    values = np.random.default_rng(seed).standard_normal((len(position_mm), actuators, taps))
-    return GreenArray(values, position_mm, RATE_HZ, **options)
 
 
 def green_at(bank, point, kind):
@@ -100,7 +96,7 @@ STANDING = Source(Point((3, 3)), Sine(70, 0.3), 0.3)
 @pytest.mark.parametrize("threshold", [None, 0.9])
 @pytest.mark.parametrize("sources", [(MOVING,), (REPEATING,), (STANDING,), (MOVING, REPEATING, STANDING)])
 def test_a_scene_renders_to_the_direct_evaluation_of_the_equations(sources, threshold, interpolation, method):
-    bank = make_bank()
+    bank = noise_bank()
     scene = Scene(
         "s", sources, Regularisation(saturation_absolute=threshold or 0.0), Output(interpolation=interpolation)
     )
@@ -120,7 +116,7 @@ def test_a_scene_renders_to_the_direct_evaluation_of_the_equations(sources, thre
     method=st.sampled_from(["sampled", "exact"]),
 )
 def test_any_scene_renders_to_the_direct_evaluation(seed, taps, start_s, speed_mm_s, step_mm, emission, method):
-    bank = make_bank(taps, 2, seed)
+    bank = noise_bank(taps, 2, seed)
     end = tuple(np.random.default_rng(seed).uniform(-12, 12, 2))
     source = Source(Line((-13, 5), end), Noise((0, 500), 0.03, seed), start_s, speed_mm_s, step_mm, 0.7, emission)
     scene = Scene("s", (source,), output=NEAREST)
@@ -132,7 +128,7 @@ def test_any_scene_renders_to_the_direct_evaluation(seed, taps, start_s, speed_m
 
 @given(position=st.integers(0, ROWS * COLUMNS - 1), amplitude=st.floats(0.01, 100), start_s=st.floats(0, 0.2))
 def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus(position, amplitude, start_s):
-    bank = make_bank()
+    bank = noise_bank()
     at_mm = tuple(bank.position_mm[position])
     scene = Scene(
         "s",
@@ -149,14 +145,14 @@ def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus(position, a
 
 def test_a_continuous_emission_lasts_until_the_next_focus_would_come():
     drive, _ = render_with_report(
-        Scene("s", (Source(Line((-8, 0), (8, 0)), Sine(50, 0.01), 0.0, 80.0, 4.0),), output=NEAREST), make_bank()
+        Scene("s", (Source(Line((-8, 0), (8, 0)), Sine(50, 0.01), 0.0, 80.0, 4.0),), output=NEAREST), noise_bank()
     )
     assert drive.drive_v.shape[1] == 250 + 60 - 1
     assert drive.focus_sample.tolist() == [0, 50, 100, 150, 200]
 
 
 def test_the_method_is_sampled_only_where_every_source_emits_per_point():
-    bank = make_bank()
+    bank = noise_bank()
 
     def method_of(*sources, **options):
         return render_with_report(Scene("s", sources, output=NEAREST), bank, **options)[0].method
@@ -169,21 +165,19 @@ def test_the_method_is_sampled_only_where_every_source_emits_per_point():
 
 def test_a_drive_that_does_not_fit_into_float64_is_refused():
     source = Source(Point((0, 0)), Impulse(), amplitude=1e300)
-    bank = make_bank()
-    tiny = GreenArray(bank.values * 1e-90, bank.position_mm, RATE_HZ)
     with pytest.raises(InputError, match="does not fit into float64"):
-        render(Scene("s", (source,), output=NEAREST), tiny)
+        render(Scene("s", (source,), output=NEAREST), noise_bank(scale=1e-90))
 
 
 def banded_bank(seed, taps, leak):
     """Green's functions within 50 to 150 Hz, and white noise `leak` times as strong everywhere."""
-    bank = make_bank(taps, 2, seed)
+    bank = noise_bank(taps, 2, seed)
     spectrum = np.fft.rfft(bank.values, axis=2)
     frequency = np.fft.rfftfreq(taps, 1 / RATE_HZ)
     spectrum[..., (frequency < 50) | (frequency > 150)] = 0
     values = np.fft.irfft(spectrum, taps, axis=2) * np.exp(-np.arange(taps) / (taps / 6))
     values += leak * values.std() * np.random.default_rng(seed + 1).standard_normal(values.shape)
-    return GreenArray(values, bank.position_mm, RATE_HZ, band_hz=(50.0, 150.0))
+    return replace(bank, values=values, band_hz=(50.0, 150.0))
 
 
 @given(
@@ -234,7 +228,7 @@ def test_the_bound_holds_with_weak_actuators_short_responses_and_quiet_stretches
     bank = banded_bank(seed, 300, 0.0)
     values = bank.values * np.exp(-np.arange(300) / decay)
     values[:, 1] *= weak
-    bank = GreenArray(values, bank.position_mm, RATE_HZ, band_hz=(50.0, 150.0))
+    bank = replace(bank, values=values)
     signal = np.random.default_rng(seed).standard_normal(900)
     signal[300:700] *= quiet
     file = tmp_path_factory.mktemp("signal") / "quiet.wav"
@@ -259,13 +253,13 @@ def test_the_bound_holds_with_weak_actuators_short_responses_and_quiet_stretches
 )
 def test_a_source_that_cannot_be_sampled_is_refused(source, message):
     with pytest.raises(InputError, match=message):
-        render(Scene("s", (source,), output=NEAREST), make_bank())
+        render(Scene("s", (source,), output=NEAREST), noise_bank())
 
 
 def test_a_doubtful_row_on_the_path_is_used_with_a_warning():
     status = np.ones(ROWS * COLUMNS, np.uint8)
     status[31] = 4
-    bank = make_bank(status=status)
+    bank = noise_bank(status=status)
     _, report = render_with_report(Scene("s", (Source(Point((0, 0)), Impulse()),), output=NEAREST), bank)
     assert report.rows == (31,)
     assert any("position 31" in text for text in report.warnings)

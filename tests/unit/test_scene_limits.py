@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from tests.unit.plate_banks import NOISE_MM, noise_bank
 from wavefocus.config.scene import SceneConfig
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import build_scene, read_scene
 from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.scene.size import MAX_DRIVE_BYTES, check_scene_size, scene_size
@@ -38,11 +38,6 @@ LARGE = {
 }
 
 
-def bank() -> GreenArray:
-    position_mm = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
-    return GreenArray(np.random.default_rng(0).standard_normal((63, 3, 40)), position_mm, RATE_HZ)
-
-
 def source(keys: str, path: str, signal: str) -> str:
     return f"[[source]]\n{keys}\npath = {path}\nsignal = {signal}\n"
 
@@ -53,7 +48,7 @@ def read(text: str, folder: Path = Path()):
 
 @pytest.mark.parametrize("name", LARGE)
 def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name: str) -> None:
-    scene, small = read(source(*LARGE[name])), bank()
+    scene, small = read(source(*LARGE[name])), noise_bank(40)
     tracemalloc.start()
     try:
         for make in (
@@ -72,13 +67,13 @@ def test_a_long_scene_is_rendered_in_the_size_stated_and_a_longer_one_refused() 
         "speed_mm_s = 0.001\nstep_mm = 0.005", '{ kind = "line", start_mm = [0, 0], end_mm = [4, 0] }', IMPULSE
     )
     stated = scene_size(read(text), sample_rate_hz=RATE_HZ, taps=40, actuators=3)
-    live = SceneRenderer(read(text), bank(), method="sampled")
+    live = SceneRenderer(read(text), noise_bank(40), method="sampled")
     assert live.shape[1] == stated.samples
     assert sum(len(one.focus_sample) for one in live.sampled.sources) == stated.path_points
     slower = read(text.replace("speed_mm_s = 0.001", "speed_mm_s = 0.00001"))
     assert scene_size(slower, sample_rate_hz=RATE_HZ, taps=40, actuators=3).drive_bytes > MAX_DRIVE_BYTES
     with pytest.raises(InputError, match="8 GiB of drives are allowed: split it"):
-        SceneRenderer(slower, bank(), method="sampled")
+        SceneRenderer(slower, noise_bank(40), method="sampled")
 
 
 @pytest.mark.parametrize("turns", [1e9, 1e12])
@@ -86,7 +81,7 @@ def test_a_path_of_any_length_is_refused_where_only_its_positions_are_sought(tur
     path = f'{{ kind = "circle", radius_mm = 8, turns = {turns} }}'
     scene = read(source("speed_mm_s = 80\nstep_mm = 4", path, IMPULSE))
     with pytest.raises(InputError, match="points"):
-        scene_rows(scene, bank().position_mm)
+        scene_rows(scene, NOISE_MM)
 
 
 def test_a_text_of_thousands_of_letters_is_refused() -> None:
@@ -110,7 +105,7 @@ def test_a_sound_file_is_refused_by_what_it_declares(tmp_path: Path) -> None:
     declaring(tmp_path / "a.flac", 10**8)
     text = source("", POINT, '{ kind = "file", path = "a.flac" }')
     with pytest.raises(InputError, match="samples of signals are allowed"):
-        render_with_report(read(text, tmp_path), bank())
+        render_with_report(read(text, tmp_path), noise_bank(40))
     with pytest.raises(InputError, match=r"a\.flac cannot be read"):
         read(text, tmp_path).sources[0].signal.samples(RATE_HZ)
 
@@ -136,7 +131,7 @@ def test_a_sound_file_of_many_channels_is_sized_by_its_frames_and_read_one_chann
 def test_a_sound_file_without_a_usable_header_is_one_sentence(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=name):
-        render_with_report(read(source("", POINT, f'{{ kind = "file", path = "{name}" }}'), tmp_path), bank())
+        render_with_report(read(source("", POINT, f'{{ kind = "file", path = "{name}" }}'), tmp_path), noise_bank(40))
 
 
 SVGS = {
@@ -256,7 +251,7 @@ def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables: dict)
         warnings.simplefilter("error")
         try:
             scene = build_scene(SceneConfig.model_validate(tables), Path("scene.toml"))
-            drive, _ = render_with_report(scene, bank())
+            drive, _ = render_with_report(scene, noise_bank(40))
         except (InputError, ValidationError):
             return
     assert np.isfinite(drive.drive_v).all()

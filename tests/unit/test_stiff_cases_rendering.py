@@ -31,6 +31,8 @@ def random_values(actuators=3, seed=0):
 
 
 def make_bank(values=None, **options):
+    # All doubtful: to judge what lies between the positions takes longer than a render.
+    options = {"status": np.full(len(GRID_MM), 4, np.uint8), **options}
     return GreenArray(random_values() if values is None else values, GRID_MM, RATE_HZ, **options)
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import soundfile
 
+from tests.unit.plate_banks import NOISE_MM, noise_bank
+from tests.unit.test_drive import MOVING, REPEATING, STANDING
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.coil_limits import levels_of
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, stream_wav
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Line, Point
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
@@ -29,23 +30,14 @@ def limited(**limits):
 NEAREST = limited()
 
 RATE_HZ = 1000.0
-MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
-REPEATING = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 0.05, 4), 0.2, 100.0, 3.0, 1.5, "per_point")
-STANDING = Source(Point((3, 3)), Sine(70, 0.3), 0.3)
-
-
-def make_bank(scale=1.0):
-    position_mm = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
-    values = np.random.default_rng(0).standard_normal((len(position_mm), 3, 60))
-    return GreenArray(values * scale, position_mm, RATE_HZ)
 
 
 @pytest.mark.parametrize("tolerance_db", [None, -30.0])
 def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(tolerance_db):
     scene = Scene("s", (MOVING,), output=NEAREST)
-    whole, report = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
+    whole, report = render_with_report(scene, noise_bank(), tolerance_db=tolerance_db)
     assert report.single == (tolerance_db is not None)
-    renderer = SceneRenderer(scene, make_bank(), tolerance_db=tolerance_db)
+    renderer = SceneRenderer(scene, noise_bank(), tolerance_db=tolerance_db)
     blocks = list(renderer.unlimited_blocks())
     assert len(blocks) > 2
     np.testing.assert_array_equal(np.concatenate(blocks, axis=1), whole.drive_v)
@@ -55,7 +47,7 @@ def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(tolerance_d
 @pytest.mark.parametrize("scale", [1.0, 1e-12])
 def test_drives_of_several_sources_are_the_sum_of_each_source_s(scale):
     """Sources that begin and end at other times and of other lengths share blocks and transforms."""
-    output, bank = Output(interpolation="bilinear"), make_bank(scale)
+    output, bank = Output(interpolation="bilinear"), noise_bank(scale=scale)
     sources = (MOVING, REPEATING, STANDING, Source(Point((-3, 5)), Impulse(), 9.0))
     whole, _ = render_with_report(Scene("s", sources, output=output), bank)
     summed = np.zeros_like(whole.drive_v)
@@ -69,11 +61,9 @@ def test_drives_of_several_sources_are_the_sum_of_each_source_s(scale):
 
 def test_blocks_come_before_the_scene_is_rendered_to_its_end():
     """The last row of this path cannot be used; what is before it comes all the same."""
-    bank = make_bank()
-    last = int(np.argmin(((bank.position_mm - (15, 10)) ** 2).sum(axis=1)))
-    status = np.ones(63, np.uint8)
-    status[last] = 8
-    bank = GreenArray(bank.values, bank.position_mm, RATE_HZ, status=status)
+    status = np.full(len(NOISE_MM), 4, np.uint8)
+    status[np.argmin(((NOISE_MM - (15, 10)) ** 2).sum(axis=1))] = 8
+    bank = noise_bank(status=status)
     source = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 60.0, 4), 0.0, 0.6, 0.3)
     blocks = SceneRenderer(Scene("s", (source,), output=NEAREST), bank, method="sampled").unlimited_blocks()
     assert len(list(itertools.islice(blocks, 3))) == 3
@@ -84,9 +74,9 @@ def test_blocks_come_before_the_scene_is_rendered_to_its_end():
 @pytest.mark.parametrize("interface_rate_hz", [1000, 4800, 44_100])
 def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz):
     scene = Scene("s", (MOVING, REPEATING), output=NEAREST)
-    whole, _ = render_with_report(scene, make_bank())
+    whole, _ = render_with_report(scene, noise_bank())
     scale_v = 1.5 * float(np.abs(whole.drive_v).max())
-    renderer = SceneRenderer(scene, make_bank())
+    renderer = SceneRenderer(scene, noise_bank())
     stream_wav(
         tmp_path / "a.wav", [whole.drive_v], renderer.shape, RATE_HZ,
         interface_rate_hz=interface_rate_hz, full_scale_v=scale_v,
@@ -102,7 +92,7 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz):
 
 
 def test_a_streamed_wav_beyond_full_scale_is_refused_and_leaves_no_file(tmp_path):
-    renderer = SceneRenderer(Scene("s", (MOVING,), output=NEAREST), make_bank())
+    renderer = SceneRenderer(Scene("s", (MOVING,), output=NEAREST), noise_bank())
     blocks = renderer.unlimited_blocks()
     with pytest.raises(InputError, match="beyond the interface's full scale"):
         stream_wav(tmp_path / "b.wav", blocks, renderer.shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
@@ -116,8 +106,8 @@ LIMITS = [limited(limit_v=1e-3), limited(limit_rms_v=2e-4), limited(limit_v=1e-3
 @pytest.mark.parametrize("tolerance_db", [None, -40.0])
 def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(output, tolerance_db, tmp_path):
     scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(saturation=0.5), output)
-    whole, report = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
-    streamed = SceneRenderer(scene, make_bank(), tolerance_db=tolerance_db)
+    whole, report = render_with_report(scene, noise_bank(), tolerance_db=tolerance_db)
+    streamed = SceneRenderer(scene, noise_bank(), tolerance_db=tolerance_db)
     told = streamed.write(tmp_path / "d.h5")
     written = read_drive(tmp_path / "d.h5")
     drive_v = written.drive_v
@@ -143,7 +133,7 @@ def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(output, 
 def test_a_written_drive_stays_within_full_scale_between_its_samples(tmp_path):
     scene = Scene("s", (MOVING, REPEATING), output=limited(limit_v=5e-4))
     interface = Interface(4800, np.array([6e-4, 5e-4, 5e-4]))
-    streamed = SceneRenderer(scene, make_bank(), interface=interface)
+    streamed = SceneRenderer(scene, noise_bank(), interface=interface)
     told = streamed.write(tmp_path / "d.h5")
     with drive_pieces(tmp_path / "d.h5") as pieces:
         played_v = np.concatenate(list(InterfaceRate(RATE_HZ, 4800).pieces(pieces, *streamed.shape, 4096)), axis=1)
@@ -156,7 +146,7 @@ def test_a_written_drive_stays_within_full_scale_between_its_samples(tmp_path):
 
 def test_a_method_that_is_not_known_is_refused():
     with pytest.raises(InputError):
-        SceneRenderer(Scene("s", (MOVING,), output=NEAREST), make_bank(), method="fast")
+        SceneRenderer(Scene("s", (MOVING,), output=NEAREST), noise_bank(), method="fast")
 
 
 def test_memory_does_not_grow_with_the_drives():
@@ -164,7 +154,7 @@ def test_memory_does_not_grow_with_the_drives():
     most = {}
     for turns in (2.0, 32.0):
         source = Source(Circle((0, 0), 10.0, turns), Sine(70, 1.0), 0.0, 40.0, 3.0)
-        streamed = SceneRenderer(Scene("s", (source,), output=limited(limit_v=1e-3, limit_rms_v=1e-3)), make_bank())
+        streamed = SceneRenderer(Scene("s", (source,), output=limited(limit_v=1e-3, limit_rms_v=1e-3)), noise_bank())
         tracemalloc.start()
         for _ in streamed.unlimited_blocks():
             pass
@@ -177,18 +167,18 @@ def test_memory_does_not_grow_with_the_drives():
 
 def test_a_scene_of_one_sample_is_written(tmp_path):
     scene = Scene("s", (Source(Point((3, 3)), Impulse(), 0.0),), output=limited(limit_rms_v=1e-3))
-    whole, _ = render_with_report(scene, make_bank())
-    SceneRenderer(scene, make_bank()).write(tmp_path / "d.h5")
+    whole, _ = render_with_report(scene, noise_bank())
+    SceneRenderer(scene, noise_bank()).write(tmp_path / "d.h5")
     np.testing.assert_allclose(read_drive(tmp_path / "d.h5").drive_v, whole.drive_v, rtol=1e-9, atol=1e-18)
 
 
 def test_drives_beyond_single_precision_are_written_and_larger_ones_refused(tmp_path):
     source = Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=1e42)
-    streamed = SceneRenderer(Scene("s", (source,), output=NEAREST), make_bank(), tolerance_db=-40.0)
+    streamed = SceneRenderer(Scene("s", (source,), output=NEAREST), noise_bank(), tolerance_db=-40.0)
     report = streamed.write(tmp_path / "d.h5")
     drive_v = read_drive(tmp_path / "d.h5").drive_v
     assert not report.single
-    plain, _ = render_with_report(Scene("s", (replace(source, amplitude=1.0),), output=NEAREST), make_bank())
+    plain, _ = render_with_report(Scene("s", (replace(source, amplitude=1.0),), output=NEAREST), noise_bank())
     np.testing.assert_allclose(drive_v, plain.drive_v * 1e42, rtol=1e-9, atol=1e-12 * streamed.peak_v)
     with pytest.raises(InputError, match="does not fit into float64"):
-        render_with_report(Scene("s", (replace(source, amplitude=1e200),), output=NEAREST), make_bank())
+        render_with_report(Scene("s", (replace(source, amplitude=1e200),), output=NEAREST), noise_bank())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
@@ -57,8 +58,17 @@ def _spoilt(name: str, kind: str, greens: np.ndarray, position: int, rng: np.ran
         greens[position] *= 10 ** ((-3 if "fainter" in kind else 3) / 20)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", MAKERS)
+def some_of(values: Iterable[object]) -> list[object]:
+    """Each plate with each value; each value at once on one plate, the rest with `make test-all`."""
+    plates = list(MAKERS)
+    return [
+        pytest.param(name, value, marks=() if name == plates[number % len(plates)] else pytest.mark.long)
+        for number, value in enumerate(values)
+        for name in plates
+    ]
+
+
+@pytest.mark.parametrize(("name", "kind"), some_of(KINDS))
 def test_eight_wrong_positions_are_found_and_named_and_no_other(name: str, kind: str) -> None:
     rng = np.random.default_rng(5)
     grid, actuator_mm, green = _plate(name)
@@ -73,8 +83,7 @@ def test_eight_wrong_positions_are_found_and_named_and_no_other(name: str, kind:
     assert {one.kind for one in found} == {KINDS[kind]}
 
 
-@pytest.mark.parametrize("snr_db", [25.0, 40.0, 80.0])
-@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize(("name", "snr_db"), some_of([25.0, 40.0, 80.0]))
 def test_a_right_plate_has_no_differences(name: str, snr_db: float) -> None:
     verdict = _judged(name, _noisy(_plate(name)[2], snr_db, 1))
     assert verdict.differences == ()

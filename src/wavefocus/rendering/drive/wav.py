@@ -102,10 +102,9 @@ class InterfaceRate:
                 waiting = waiting[:, length:]
         rest = max(waiting.shape[1] - around, 0)
         if rest:
-            chunks = -(-rest // length)
-            padded = np.pad(waiting, ((0, 0), (0, chunks * length + 2 * around - waiting.shape[1])))
-            for chunk in range(chunks):
-                yield padded[:, chunk * length : (chunk + 1) * length + 2 * around]
+            padded = np.pad(waiting, ((0, 0), (0, -rest % self._ratio.denominator + around)))
+            for begin in range(0, rest, length):
+                yield padded[:, begin : begin + length + 2 * around]
 
 
 def largest_of(pieces: Iterable[Float64Array], actuators: int) -> Float64Array:
