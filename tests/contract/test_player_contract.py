@@ -72,9 +72,7 @@ def test_given_too_little_time_then_waiting_fails(bench):
 
 def test_given_a_signal_then_only_its_channel_sounds(bench):
     silent = recorded_reference(bench, {bench.actuator_channel: tone(bench)})
-    sounding = recorded_reference(bench, {bench.loopback_channel: tone(bench)})
     assert np.abs(silent).max() < 0.05
-    assert np.abs(sounding).max() == pytest.approx(0.5, rel=0.02)
 
 
 def test_given_full_scale_then_it_is_played_and_no_more_is(bench):
@@ -135,7 +133,7 @@ def test_given_a_signal_changed_after_the_call_then_what_was_given_is_played(ben
         player.wait(5.0)
         return recorder.read(10.0).volts[0]
 
-    assert np.abs(bench.undisturbed(take)).max() > 0.4
+    assert np.abs(bench.undisturbed(take)).max() == pytest.approx(0.5, rel=0.02)
 
 
 def test_given_any_state_then_muting_is_safe(bench):

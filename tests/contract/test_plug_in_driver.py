@@ -95,6 +95,7 @@ def test_given_the_example_as_a_distribution_then_it_passes_the_tests_of_mirrors
     assert "6 passed" in done.stdout
 
 
+@pytest.mark.long
 def test_given_no_package_of_the_maker_then_doctor_names_it_and_blames_no_defect(installed, rig):
     done = python("-m", "wavefocus", "doctor", rig, "--json", paths=(installed,))
     assert done.returncode == 1

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.wire.serial_bench import LOCAL, ImpatientClock, wire
+from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
@@ -38,10 +39,16 @@ def controller(device: VibrometerDevice, folder: Path, *faults: WireFault) -> It
         yield emulated
 
 
-def read(driver: str, emulated: EmulatedSerial, identity: str | None = None, **keys: float) -> VibrometerReading:
+def read(
+    driver: str,
+    emulated: EmulatedSerial,
+    identity: str | None = None,
+    clock: Callable[[], WallClock] = ImpatientClock,
+    **keys: float,
+) -> VibrometerReading:
     opened = VIBROMETERS.all()[driver](**keys)  # type: ignore[call-arg]
     return opened.read(  # type: ignore[call-arg]
-        emulated.address, identity=identity, answer_s=0.2, clock=ImpatientClock()
+        emulated.address, identity=identity, answer_s=0.2, clock=clock()
     )
 
 
@@ -97,7 +104,7 @@ def test_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range
         controller(ECHOING[driver](), tmp_path, fault("garbled", count=100_000)) as emulated,
         pytest.raises((TransientInstrumentError, InstrumentLostError)),
     ):
-        read(driver, emulated)
+        read(driver, emulated, clock=HurriedClock)
 
 
 def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back(driver: str, tmp_path: Path) -> None:

@@ -10,21 +10,37 @@ import numpy as np
 import pytest
 
 from tests.system.crash.logged import INODE, LoggedFile, WithoutFirstBarrier, WithoutSecondBarrier
-from tests.system.crash.power_cuts import Call, Disk, images
-from tests.system.crash.shares import Share
-from tests.system.test_bank_crash import green_of, header, record_of
+from tests.system.crash.power_cuts import Call, Disk, evenly, images
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import OpenFile
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.owner import owner_path
 from wavefocus.storage.raw.header import RawHeader, sequential
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
-POSITIONS = 3
+POSITIONS, ACTUATORS, TAPS = 3, 2, 16
 TRIED = 40
 # One position twice, so that the journal is used.
 TURNS = ((2, 1), (0, 1), (2, 2), (1, 1))
 STEP_V = 2.0**-15
+
+
+def header() -> BankHeader:
+    grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
+    corner = np.full((ACTUATORS, 2), np.nan)
+    return BankHeader(10_000.0, TAPS, (20.0, 500.0), grid, corner, "{}", "{}", "ab" * 32, "wavefocus test")
+
+
+def green_of(position: int, attempt: int = 1) -> np.ndarray:
+    return np.random.default_rng([position, attempt]).normal(size=(ACTUATORS, TAPS)).astype(np.float32)
+
+
+def record_of(position: int, attempt: int = 1) -> PointRecord:
+    figures = np.arange(ACTUATORS, dtype=np.float32) + position + attempt / 10
+    return PointRecord(1, attempt, figures, -figures, figures / 100, figures * 2)
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +52,7 @@ def cuts(path: Path, before: bytes, log: list[Call]) -> Iterator[tuple[int, byte
     """Some (calls that had returned, bytes of the file) that a power cut can leave; `make soak` tries thousands."""
     found = list(images(Disk({path: before}, {path: INODE}), log, np.random.default_rng(1), 3))
     assert len(found) > TRIED
-    return ((image.step, image.files[str(path)]) for image in Share(TRIED).evenly(found, len(found)))
+    return ((image.step, image.files[str(path)]) for image in evenly(found, len(found), TRIED))
 
 
 def measure(writer: BankWriter) -> list[tuple[int, int, int]]:
@@ -51,7 +67,7 @@ def measure(writer: BankWriter) -> list[tuple[int, int, int]]:
 
 def logged_bank(path: Path, open_file: OpenFile) -> tuple[bytes, list[Call], list[tuple[int, int, int]]]:
     """Measure a bank from its beginning; return that, the log and what was acknowledged when."""
-    create_bank(path, header(POSITIONS))
+    create_bank(path, header())
     before = path.read_bytes()
     with BankWriter.open(path, open_file=open_file) as writer:
         LoggedFile.log.clear()
@@ -161,3 +177,14 @@ def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(tm
         with RawWriter.open(path, open_file=LoggedFile) as writer:
             record(writer)
         assert path.read_bytes() == finished
+
+
+def test_disk_without_room_for_owners_name_then_bank_is_measured_all_same(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    create_bank(path, header())
+    owner_path(path).mkdir()  # a name that cannot be written, whoever asks
+    with BankWriter.open(path) as writer:
+        writer.commit(0, green_of(0), record_of(0))
+        owner_path(path).rmdir()
+    with open_bank(path) as bank:
+        assert bank.status.tolist() == [1, 0, 0]

@@ -109,7 +109,7 @@ def test_given_sessions_that_are_killed_then_no_answer_is_lost_and_the_order_sta
     kill(killed, 2, 3, 2)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.timeout(900)
 def test_hundreds_of_kills_and_full_disks_then_no_answer_is_lost_and_the_order_stays(killed: Killed) -> None:
     kill(killed, 100, 100, 100)

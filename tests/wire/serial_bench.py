@@ -56,6 +56,13 @@ class ImpatientClock(WallClock):
         super().sleep(min(seconds, 0.005))
 
 
+class HurriedClock(ImpatientClock):
+    """Runs eight times as fast: what never gets an answer gives up soon."""
+
+    def now_s(self) -> float:
+        return 8 * super().now_s()
+
+
 @dataclass
 class MirrorBench:
     """An emulated instrument, and mirrors that are opened on it."""

@@ -11,7 +11,6 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.wire.serial_bench import WIRES, wire
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
@@ -69,32 +68,6 @@ def test_given_polytec_then_it_answers_as_public_programs_expect():
             assert ask(f"Set,VeloDec,1,Range,{refused}\nGet,VeloDec,1,Range") == "5mm/s/V LP\n"
         assert ask("Set,VeloDec,1,Range,Off\nGet,VeloDec,1,Range") == "Off\n"
         assert "125mm/s/V LP" in ask("GetDevInfo,VeloDec,1,Range").split(",")
-
-
-def test_given_a_second_terminal_then_it_is_hung_up_on_and_the_first_goes_on():
-    with EmulatedSerial(GenericMirrorDevice(motion()), TcpWire()) as far:
-        at = (urlsplit(far.address).hostname, urlsplit(far.address).port)
-        with socket.create_connection(at, timeout=30) as first, socket.create_connection(at, timeout=30) as second:
-            first.sendall(b"BUSY?\n")
-            assert first.recv(10) == b"0\r\n"
-            assert second.recv(10) == b""
-
-
-@pytest.mark.parametrize("kind", WIRES)
-def test_given_plugs_pulled_and_put_back_at_will_then_the_address_stays(kind, tmp_path):
-    far = EmulatedSerial(GenericMirrorDevice(motion()), wire(kind, tmp_path))
-    address = far.address
-    with far:
-        for _ in range(3):
-            far.unplug()
-            far.unplug()
-            assert kind == "tcp" or not Path(address).exists()
-            far.plug()
-            far.plug()
-            assert kind == "tcp" or Path(address).exists()
-        assert far.address == address
-    far.close()
-    assert kind == "tcp" or not Path(address).is_symlink()
 
 
 def test_given_a_fault_at_a_time_then_it_strikes_by_the_clock():

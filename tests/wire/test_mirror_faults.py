@@ -57,9 +57,8 @@ def test_two_answers_that_cannot_be_had_then_attempt_fails_and_next_one_works(wh
         bench.check_move(mirror)
 
 
-@pytest.mark.parametrize("where", [FIRST, OVER_TCP])
-def test_an_answer_later_than_all_patience_then_it_is_not_taken_for_the_next_one(where, tmp_path):
-    with bench_at(where, tmp_path, move_fault("late", seconds=6 * ANSWER_S)) as bench:
+def test_an_answer_later_than_all_patience_then_it_is_not_taken_for_the_next_one(tmp_path):
+    with bench_at(FIRST, tmp_path, move_fault("late", seconds=6 * ANSWER_S)) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         with pytest.raises(TransientInstrumentError):
             mirror.move_to(40.0, -25.0)

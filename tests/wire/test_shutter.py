@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from tests.wire.analog_bench import analog_rig
+from tests.wire.audio_bench import wait_until
 from tests.wire.daq_bench import Tone
 from wavefocus.acquisition.setup import silence
 from wavefocus.config.rig import RigConfig
@@ -208,74 +207,25 @@ HOLD = """
 import sys
 from pathlib import Path
 from wavefocus.configuration import load_rig
-from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.rig.instruments import openers_of
 mirror = openers_of(load_rig(Path(sys.argv[1]))).mirror()
-
-def point():
-    mirror.move_to(10.0, 10.0)
-    mirror.wait_settled(1.0)
-    print("there", flush=True)
-
-point()
+mirror.move_to(10.0, 10.0)
+mirror.wait_settled(1.0)
+print("there", flush=True)
 sys.stdin.readline()
-try:
-    mirror.wait_settled(1.0)
-except InstrumentLostError as lost:
-    print(lost.cause, flush=True)
-mirror.reconnect()
-point()
-sys.stdin.readline()
-mirror.close()
 """
 
 
-@contextmanager
-def holding_program(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """A program that has pointed the beam and holds it there."""
-    command = [sys.executable, "-c", HOLD, str(folder / "rig.toml")]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
-        assert program.stdout is not None
-        assert program.stdout.readline() == "there\n"
-        yield program
-
-
-def wait_for_rest(box: NiServer, within_s: float) -> None:
-    latest_s = time.monotonic() + within_s
-    while box.level(LINE) or box.level("ao0") > -3.0:
-        assert time.monotonic() < latest_s
-        time.sleep(0.01)
-
-
+# A program that is stopped instead of killed: tests/wire/test_campaign_analog.py.
 def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_parks(
     opened: ExitStack, tmp_path: Path
 ) -> None:
     box = server(opened)
     rig(tmp_path, box.address)
-    with holding_program(tmp_path) as program:
-        assert box.level(LINE) == 1.0
-        program.kill()
-    wait_for_rest(box, 30.0)
-
-
-@pytest.mark.may_skip("Windows has no signal that stops a program")
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="POSIX")
-def test_program_is_stopped_then_beam_is_blocked_and_it_goes_on_by_rules_of_loss(
-    opened: ExitStack, tmp_path: Path
-) -> None:
-    box = server(opened)
-    rig(tmp_path, box.address)
-    with holding_program(tmp_path) as program:
-        assert program.stdin is not None
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "rig.toml")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
-        program.send_signal(signal.SIGSTOP)
-        wait_for_rest(box, 30.0)
-        program.send_signal(signal.SIGCONT)
-        program.stdin.write("\n")
-        program.stdin.flush()
-        assert "this program was stopped for more than 5 s" in program.stdout.readline()
         assert program.stdout.readline() == "there\n"
         assert box.level(LINE) == 1.0
-        program.stdin.write("\n")
-    assert program.returncode == 0
-    assert box.level(LINE) == 0.0
+        program.kill()
+    wait_until(lambda: not box.level(LINE) and box.level("ao0") <= -3.0, "the shutter is closed, the mirror parked")

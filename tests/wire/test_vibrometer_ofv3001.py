@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from tests.wire.serial_bench import LOCAL, ImpatientClock, wire
+from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.vibrometer.polytec_ofv3001 import PolytecOfv3001
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.vibrometer import Ofv3001Device, vibrometer_device
 
 
-def read(device, folder):
+def read(device, folder, clock=ImpatientClock):
     with EmulatedSerial(device, wire(LOCAL, folder)) as emulated:
-        reading = PolytecOfv3001().read(emulated.address, answer_s=0.1, clock=ImpatientClock())
+        reading = PolytecOfv3001().read(emulated.address, answer_s=0.1, clock=clock())
         return reading, emulated.commands
 
 
@@ -62,7 +62,7 @@ def test_given_answers_that_differ_or_are_no_range_then_there_is_no_reading(answ
             return f"{answers[self.asked % len(answers)]}\n"
 
     with pytest.raises(InstrumentError):
-        read(Odd(), tmp_path)
+        read(Odd(), tmp_path, HurriedClock)
 
 
 def test_given_no_answer_at_all_then_the_remedy_names_cable_and_baud(tmp_path):
@@ -71,7 +71,7 @@ def test_given_no_answer_at_all_then_the_remedy_names_cable_and_baud(tmp_path):
             return ""
 
     with pytest.raises(InstrumentLostError) as caught:
-        read(Silent(), tmp_path)
+        read(Silent(), tmp_path, HurriedClock)
     assert "baud" in caught.value.remedy
 
 

@@ -127,8 +127,7 @@ def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, 
         read(far, answer_s=0.1)
 
 
-@pytest.mark.parametrize("with_light", [False, True])
-def test_range_that_is_changed_meanwhile_then_condition_is_left_until_it_is_set_back(with_light, tmp_path):
+def test_range_that_is_changed_meanwhile_then_condition_is_left_until_it_is_set_back(tmp_path):
     device = PolytecDevice()
     with EmulatedSerial(device, wire(LOCAL, tmp_path), WireFaultPlan("vibrometer", ())) as far:
         section = VibrometerSection(driver="polytec-ofv5000", port=far.address)
@@ -136,8 +135,7 @@ def test_range_that_is_changed_meanwhile_then_condition_is_left_until_it_is_set_
         band = range_band(read(far).sensitivity_m_s_per_v)
 
         def left():
-            if with_light:
-                vibrometer.light()
+            vibrometer.light()
             return band.left(vibrometer.sensitivity())
 
         assert left() == ""

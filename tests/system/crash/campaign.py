@@ -115,11 +115,10 @@ class Campaign:
     """The campaign in its folder, with the processes that carry it out.
 
     folder: A new folder for all of it.
-    library: The built `calls.c`.
     keep_raw: Whether it keeps its recordings; then their file is held to the same.
     """
 
-    def __init__(self, folder: Path, library: Path | None = None, *, keep_raw: bool = False) -> None:
+    def __init__(self, folder: Path, *, keep_raw: bool = False) -> None:
         self.lab = folder / "lab"
         self.run_file = write_lab(self.lab, keep_raw=keep_raw)
         self.bank = self.lab / BANK
@@ -127,7 +126,7 @@ class Campaign:
         self.folder = folder
         says = folder / "says"
         says.mkdir()
-        self.processes = Processes(says, self.lab, library)
+        self.processes = Processes(says, self.lab)
         self.capture = ("capture", self.run_file, "--bank", self.bank, "--json")
         self.resume = ("resume", self.bank, "--json")
         self.remeasure = ("remeasure", self.bank, "--status", "poor", "--json")

@@ -8,9 +8,8 @@ from collections.abc import Generator, Iterator
 import numpy as np
 
 from tests.system.crash.campaign import Campaign, Verdict, acknowledged
-from tests.system.crash.power_cuts import Call, Disk, Image, Kind, images, read_log
+from tests.system.crash.power_cuts import Call, Disk, Image, Kind, evenly, images, read_log
 from tests.system.crash.processes import How, Order
-from tests.system.crash.shares import Share
 
 # Random subsets of what was not synced, for each call: as few as give the cuts that are wanted.
 SUBSETS = (0, 8, 16, 32, 64, 128)
@@ -18,13 +17,13 @@ SUBSETS = (0, 8, 16, 32, 64, 128)
 PER_STATE = 40
 
 
-def in_capture(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def in_capture(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Cut the power in a capture, from the making of the bank on."""
     campaign.clear()
-    yield from _cut(campaign, campaign.capture, chance, set(), share)
+    yield from _cut(campaign, campaign.capture, chance, set(), count)
 
 
-def in_repair(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def in_repair(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Cut the power in a resume, after a kill within any commit."""
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
@@ -33,14 +32,14 @@ def in_repair(campaign: Campaign, chance: random.Random, share: Share) -> Genera
         order = Order(How.KILL_WITHIN, chance.randrange(calls // 4, calls), chance.choice((512, 1000, 4608)))
         ended = campaign.interrupted(campaign.capture, order)
         if campaign.bank.exists():
-            yield from _cut(campaign, campaign.resume, chance, acknowledged(ended.out), Share(PER_STATE))
+            yield from _cut(campaign, campaign.resume, chance, acknowledged(ended.out), PER_STATE)
 
 
-def in_remeasure(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def in_remeasure(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Cut the power while a position is replaced."""
     campaign.restore(campaign.captured)
     everything = set(range(len(campaign.rows)))
-    yield from _cut(campaign, campaign.remeasure, chance, everything, share, remeasure=True)
+    yield from _cut(campaign, campaign.remeasure, chance, everything, count, remeasure=True)
 
 
 def _cut(
@@ -48,7 +47,7 @@ def _cut(
     command: tuple[object, ...],
     chance: random.Random,
     promised: set[int],
-    share: Share,
+    count: int,
     *,
     remeasure: bool = False,
 ) -> Generator[Verdict, None, None]:
@@ -68,9 +67,9 @@ def _cut(
 
     for subsets in SUBSETS:
         total = sum(1 for _ in found(subsets))
-        if total >= share.count:
+        if total >= count:
             break
-    for image in share.evenly(found(subsets), total):
+    for image in evenly(found(subsets), total, count):
         so_far = promised.union(*(positions for step, positions in told if step <= image.step))
         yield replayed(campaign, image, so_far, remeasure=remeasure)
 

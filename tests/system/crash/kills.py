@@ -9,14 +9,14 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from tests.system.crash.campaign import Campaign, Verdict, acknowledged, require_well_told
+from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import Ended, How, Order
-from tests.system.crash.shares import Share
 
 # Of a resume's calls these are repair; then it measures as any capture does.
 REPAIR_CALLS, SECONDS = 14, 5
 
 
-def at_random(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def at_random(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Kill a capture at any moment; one in three resumes is killed as well."""
     campaign.clear()
     start_s = time.monotonic()
@@ -33,17 +33,17 @@ def at_random(campaign: Campaign, chance: random.Random, share: Share) -> Genera
             yield judged(campaign, ended, promised, killed)
 
 
-def at_calls(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def at_calls(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Kill a capture before and within each of its calls, from the bank's creation on."""
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
-    for order in share.evenly(_orders(calls, chance), 2 * calls):
+    for order in evenly(_orders(calls, chance), 2 * calls, count):
         campaign.clear()
         ended = campaign.interrupted(campaign.capture, order)
         yield judged(campaign, ended, acknowledged(ended.out), int(ended.killed))
 
 
-def in_repair(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def in_repair(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Kill a capture at some call and then, at each of the first calls of the resume, that too."""
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
@@ -64,12 +64,12 @@ def in_repair(campaign: Campaign, chance: random.Random, share: Share) -> Genera
             yield judged(campaign, again, acknowledged(ended.out) | acknowledged(again.out), int(again.killed))
 
 
-def in_remeasure(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def in_remeasure(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Kill the replacement of a position, before and within each call."""
     campaign.restore(campaign.captured)
     calls = campaign.processes.run(*campaign.remeasure).calls or 0
     everything = set(range(len(campaign.rows)))
-    for order in share.evenly(_orders(calls, chance), 2 * calls):
+    for order in evenly(_orders(calls, chance), 2 * calls, count):
         campaign.restore(campaign.captured)
         ended = campaign.interrupted(campaign.remeasure, order)
         yield judged(campaign, ended, everything, int(ended.killed), remeasure=True)

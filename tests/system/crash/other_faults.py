@@ -15,31 +15,31 @@ import numpy as np
 
 from tests.system.crash.campaign import Campaign, Verdict, acknowledged, require_well_told
 from tests.system.crash.kills import judged
+from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import How, HungError, Order, Processes
-from tests.system.crash.shares import Share
 
 WRONG_INPUT, FAILED, BUSY = 2, 3, 75
 
 
-def full_disk(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def full_disk(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Let each call, and all after it that need space, find the disk full; then there is space again."""
-    yield from _failing(campaign, How.FAIL_ON, errno.ENOSPC, share)
+    yield from _failing(campaign, How.FAIL_ON, errno.ENOSPC, count)
 
 
-def failing_disk(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def failing_disk(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Let each call fail once."""
-    yield from _failing(campaign, How.FAIL_ONCE, errno.EIO, share)
+    yield from _failing(campaign, How.FAIL_ONCE, errno.EIO, count)
 
 
-def dead_disk(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def dead_disk(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Let each call, and all after it, fail."""
-    yield from _failing(campaign, How.FAIL_ON, errno.EIO, share)
+    yield from _failing(campaign, How.FAIL_ON, errno.EIO, count)
 
 
-def _failing(campaign: Campaign, how: How, error: int, share: Share) -> Generator[Verdict, None, None]:
+def _failing(campaign: Campaign, how: How, error: int, count: int) -> Generator[Verdict, None, None]:
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
-    for call in share.evenly(range(1, calls + 1), calls):
+    for call in evenly(range(1, calls + 1), calls, count):
         campaign.clear()
         ended = campaign.interrupted(campaign.capture, Order(how, call, error=error))
         verdict = campaign.judge(acknowledged(ended.out))
@@ -48,7 +48,7 @@ def _failing(campaign: Campaign, how: How, error: int, share: Share) -> Generato
         yield verdict
 
 
-def flipped_bytes(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def flipped_bytes(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Flip bits of a byte anywhere in a bank: it is harmless, repaired or named, and no more is lost."""
     campaign.clear()
     half = campaign.interrupted(campaign.capture, Order(How.KILL_BEFORE, _calls(campaign) * 3 // 5))
@@ -128,12 +128,12 @@ def _places(campaign: Campaign) -> dict[str, list[tuple[int, int]]]:
     return places | {f"metadata{turn}": metadata for turn in range(len(places))}
 
 
-def second_process(campaign: Campaign, chance: random.Random, share: Share) -> Generator[Verdict, None, None]:
+def second_process(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
     """Start a second process while the first is stopped at a call; then let that go on, or kill it meanwhile."""
     rivals_folder = campaign.folder / "rival"
     rivals_folder.mkdir(exist_ok=True)
     calls = _calls(campaign)
-    with Processes(rivals_folder, campaign.lab, campaign.processes.library) as rival:
+    with Processes(rivals_folder, campaign.lab) as rival:
         rival.warm_up(["resume", campaign.folder / "warm" / campaign.bank.name])
         while True:
             campaign.clear()

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
+T = TypeVar("T")
 SECTOR, PAGE = 512, 4096
 _ENTRY = struct.Struct("<IIIIQQ")
 
@@ -193,6 +195,13 @@ def images(
         disk.take(call)
     for subset in ("all", "none", *["some"] * subsets):
         yield from new(disk.cut(len(log), chance, None, 0, subset))
+
+
+def evenly(found: Iterable[T], total: int, count: int) -> Iterator[T]:
+    """Choose about `count` of `total` things, evenly from the first to the last."""
+    for place, one in enumerate(found):
+        if not place or count >= total or place * count // total != (place - 1) * count // total:
+            yield one
 
 
 def _tear(content: bytearray, call: Call, torn: int, chance: np.random.Generator) -> None:

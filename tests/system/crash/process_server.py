@@ -9,7 +9,6 @@ from __future__ import annotations
 import atexit
 import ctypes
 import gc
-import importlib
 import json
 import os
 import sys
@@ -72,13 +71,13 @@ def become(order: dict[str, object]) -> None:
         ctypes.c_int,
     ]
     how = [int(order[key]) for key in ("how", "call", "part", "error")]  # type: ignore[call-overload]
-    module, name = str(order["entry"]).split(":")
     sys.argv = ["wavefocus", *order["arguments"]]  # type: ignore[misc]
-    entry = getattr(importlib.import_module(module), name)
+    from wavefocus.__main__ import main
+
     library.crash_order(os.fsencode(str(order["folder"])), *how, log)
     code = 0
     try:
-        entry()
+        main()
     except SystemExit as ended:
         code = int(ended.code or 0)
     # As the interpreter ends, but for taking down what it inherited, which takes longer than a capture.

@@ -20,7 +20,6 @@ from typing import Self
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
-COMMAND = "wavefocus.__main__:main"
 # A tiny capture takes a second; one that takes this long hangs.
 PATIENCE_S = 60.0
 
@@ -72,15 +71,6 @@ class HungError(Exception):
     """A process that should have ended did not."""
 
 
-def build_library(folder: Path) -> Path:
-    """Compile `calls.c`."""
-    library = folder / "calls.so"
-    compiler = shutil.which("cc") or shutil.which("gcc") or "gcc"
-    command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", "-o", library, HERE / "calls.c"]
-    subprocess.run([*command, "-ldl", "-lpthread"], check=True)
-    return library
-
-
 class Processes:
     """Starts processes, one at a time, by forking one that has imported everything; a context manager.
 
@@ -88,12 +78,15 @@ class Processes:
     watched: Calls on files in this folder are counted.
     """
 
-    def __init__(self, folder: Path, watched: Path, library: Path | None = None) -> None:
+    def __init__(self, folder: Path, watched: Path) -> None:
         self.folder = folder
         self.watched = watched.resolve()
-        self.library = library or build_library(folder)
+        library = folder / "calls.so"
+        compiler = shutil.which("cc") or shutil.which("gcc") or "gcc"
+        command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", "-o", library, HERE / "calls.c"]
+        subprocess.run([*command, "-ldl", "-lpthread"], check=True)
         # One thread for linear algebra: more would outlive no fork.
-        surroundings = os.environ | {"LD_PRELOAD": str(self.library), "OPENBLAS_NUM_THREADS": "1"}
+        surroundings = os.environ | {"LD_PRELOAD": str(library), "OPENBLAS_NUM_THREADS": "1"}
         self._server = subprocess.Popen(
             [sys.executable, "-W", "ignore", "-m", "tests.system.crash.process_server"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT, env=surroundings,
@@ -110,7 +103,6 @@ class Processes:
         self,
         *arguments: object,
         order: Order | None = None,
-        entry: str = COMMAND,
         log: Path | None = None,
         stdin: Path | str = os.devnull,
     ) -> int:
@@ -119,7 +111,7 @@ class Processes:
         for name in ("calls.txt", "out.txt", "err.txt"):  # it may be killed before it makes its own
             (self.folder / name).unlink(missing_ok=True)
         line = {
-            "entry": entry, "arguments": [str(one) for one in arguments], "folder": str(self.watched),
+            "arguments": [str(one) for one in arguments], "folder": str(self.watched),
             "stdin": str(stdin), "stdout": str(self.folder / "out.txt"), "stderr": str(self.folder / "err.txt"),
             "ended": str(self.folder / "calls.txt"), "log": str(log) if log else "",
             "how": order.how, "call": order.call, "part": order.part, "error": order.error,
@@ -142,16 +134,14 @@ class Processes:
         out, err, calls = (self._said_in(name) for name in ("out.txt", "err.txt", "calls.txt"))
         return Ended(code, out, err, int(calls) if calls else None)
 
-    def run(
-        self, *arguments: object, order: Order | None = None, entry: str = COMMAND, log: Path | None = None
-    ) -> Ended:
+    def run(self, *arguments: object, order: Order | None = None, log: Path | None = None) -> Ended:
         """Start a process and wait for its end."""
-        self.start(*arguments, order=order, entry=entry, log=log)
+        self.start(*arguments, order=order, log=log)
         return self.wait()
 
-    def run_for(self, lifetime_s: float, *arguments: object, entry: str = COMMAND) -> Ended:
+    def run_for(self, lifetime_s: float, *arguments: object) -> Ended:
         """Start a process and kill it after so many seconds, unless it has ended."""
-        self.start(*arguments, entry=entry)
+        self.start(*arguments)
         deadline_s = time.monotonic() + lifetime_s
         # Not through select: its rounding to milliseconds is coarse beside a commit.
         while time.monotonic() < deadline_s and not self._has_answer():
