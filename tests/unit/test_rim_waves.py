@@ -201,3 +201,26 @@ def test_positions_that_are_one_line_of_a_strip_are_modelled_along_it_only():
     k = LAW.wavenumber(STIFF_HZ)[0]
     model = RimWaves.fit(STIFF_HZ, strip_mm, ACTUATOR_MM, disk_response(k, strip_mm, ACTUATOR_MM)[None], workers=1)
     assert np.isfinite(model.values(strip_mm)).all()
+
+
+def test_a_plate_of_glass_measured_at_few_frequencies_gets_waves_of_the_plate_s_size():
+    hz = np.array([25.0, 60.0, 100.0, 105.0, 110.0, 180.0, 250.0, 255.0, 270.0, 380.0, 450.0, 455.0, 495.0])
+    size_mm, number = np.array([220.0, 140.0]), np.arange(1, 40)
+    turn = 2.0 * np.pi * (np.arange(12) + 0.3) / 12
+    actuator_mm = np.stack([101.0 * np.cos(turn), 60.0 * np.sin(turn)], axis=1)
+    place_mm = lattice(20.0, 1e3)
+    place_mm = place_mm[np.hypot(*(place_mm / [95.0, 57.0]).T) <= 1.0]
+    shapes = [
+        np.sin(np.pi * np.outer(at_mm[:, axis] / size_mm[axis] + 0.5, number))
+        for at_mm in (place_mm, actuator_mm)
+        for axis in (0, 1)
+    ]
+    square = np.square(np.pi * number / size_mm[0])[:, None] + np.square(np.pi * number / size_mm[1])
+    modes = [1.0 / (square**2 - (0.0424 * np.sqrt(one / 450.0)) ** 4 * (1 - 0.02j)) for one in hz]
+    transfer = np.array([np.einsum("pm,pn,am,an,mn->pa", *shapes, mode, optimize=True) for mode in modes])
+    noise = RNG.standard_normal((*transfer.shape, 2)).view(complex)[..., 0] * 1e-3 / np.sqrt(2)
+    noise *= np.sqrt(np.square(np.abs(transfer)).mean(axis=0))
+    model = RimWaves.fit(hz, place_mm, actuator_mm, transfer + noise, workers=1)
+    values = model.values(place_mm)
+    assert np.linalg.norm(values - transfer) < 0.05 * np.linalg.norm(transfer)
+    assert 2 * np.pi / np.abs(model.wavenumber).max() < 24 * np.hypot(*size_mm)

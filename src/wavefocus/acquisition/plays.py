@@ -149,7 +149,7 @@ def require_same(raw: RawWriter, wanted: RawHeader) -> None:
 
 
 def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recording], leak_db: float = math.nan) -> None:
-    """Commit all records of an attempt.
+    """Commit all records of an attempt; of a check position those of the first time.
 
     Of an attempt that was taken in a wider range, what lies beyond the file's counts is cut to them: an estimate then
     marks the position as over-range, while the bank has it right. `leak_db` is the leak's level at the look before.
@@ -158,7 +158,7 @@ def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recordin
     """
     kept = []
     for channel, step_v in enumerate(raw.header.volts_per_count):
-        volts = np.stack([recording.volts[channel] for recording in recordings])
+        volts = np.stack([recording.volts[channel] for recording in recordings[: raw.header.records]])
         kept.append(np.clip(volts, -COUNTS * step_v, (COUNTS - 1) * step_v, dtype=np.float32))
     raw.commit(position, kept[0], kept[1], leak_db)
 

@@ -52,7 +52,7 @@ class Blueprint:
             plan_sha256=plan.sha256,
             software=f"wavefocus {version('wavefocus')}",
             directions_deg=plate_behind(configuration.rig, configuration.run).directions_deg,
-            check_rows=tuple(check_rows(configuration).tolist()),
+            check_rows=tuple(sorted(plan.check_rows)),
         )
 
 
@@ -155,6 +155,7 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
         quality=run.quality,
         drift=run.drift,
         staggered=staggered,
+        check_rows=frozenset(check_rows(configuration).tolist()),
     )
     return Blueprint(configuration, plan)
 
@@ -168,7 +169,7 @@ def needed_by(scene_files: Sequence[Path], blueprint: Blueprint) -> frozenset[in
     from wavefocus.rendering.scene.scene_rows import scene_rows
 
     plan = blueprint.plan
-    position_mm, coarse = plan.position_mm, bool(len(check_rows(blueprint.configuration)))
+    position_mm, coarse = plan.position_mm, bool(plan.check_rows)
     needed: set[int] = set()
     for file in scene_files:
         scene = load_scene(file)

@@ -17,7 +17,6 @@ from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
-from wavefocus.configuration import check_rows
 from wavefocus.console import answer
 from wavefocus.rig.setup import open_setup
 
@@ -33,10 +32,10 @@ def plan(run_file: Path, scene_files: Sequence[Path] = (), *, details: bool = Fa
     facts: dict[str, Any] = {
         "positions": the_plan.positions,
         "positions_needed": len(rows),
-        "check_positions": len(check_rows(blueprint.configuration)),
+        "check_positions": len(the_plan.check_rows),
         "actuators": the_plan.actuators,
         "schedule": schedule_name(the_plan),
-        "records": the_plan.positions * the_plan.records,
+        "records": the_plan.looks(*range(the_plan.positions)) * the_plan.records,
         "taps": the_plan.taps,
         "band_hz": list(the_plan.excitation.band_hz),
         "averages": the_plan.excitation.averages,

@@ -204,9 +204,10 @@ class Campaign:
 
     def _measure(self) -> None:
         """Record an attempt while the one before is estimated, judged and committed."""
-        recorded = self._record(self._queue.popleft())
+        attempt = self._queue.popleft()
+        recorded = self._record(attempt)
         self._recording = False
-        self._report.done("attempt")
+        self._report.done("attempt", self._plan.looks(attempt.position))
         self._collect()
         self._pending = self._worker.submit(self._evaluate_and_commit, recorded)
 
@@ -287,7 +288,7 @@ class Campaign:
 
     def _take(self, attempt: Attempt) -> tuple[Recording, ...]:
         def taken(record: int) -> None:
-            records = len(self._station.plays)
+            records = self._plan.records * self._plan.looks(attempt.position)
             if records > 1:
                 self._session.publish(RecordTaken, attempt.position, attempt.number, record, records)
             # An estimate that is done is collected, so that a repeat follows at once.
@@ -346,7 +347,8 @@ class Campaign:
         if result.committed:
             self._drift.committed(result.attempt.position)
             self._leak.committed(result.attempt.position)
-        self._report.position_done(result, len(self._queue), recording=self._recording)
+        left = self._plan.looks(*(attempt.position for attempt in self._queue))
+        self._report.position_done(result, left, recording=self._recording)
         self._require_a_sound_rig(result)
         self._count_failures(result)
 

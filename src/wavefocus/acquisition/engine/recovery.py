@@ -212,7 +212,8 @@ class Suspension:
         """Conditions that left their bands for the whole rig; empty where none did."""
         if not self._conditions.watch.bands:
             return ""
-        reason = self._conditions.left(self._conditions.values(self._plays, recordings))
+        plays = self._plays * (len(recordings) // len(self._plays))
+        reason = self._conditions.left(self._conditions.values(plays, recordings))
         self._report_silent_sensors(attempt)
         if not reason:
             self._last_good = attempt.position

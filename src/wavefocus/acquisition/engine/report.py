@@ -50,10 +50,10 @@ class CampaignReport:
         self._second_looks = 0  # from here on they are among those that are left
         self._session.publish(PassStarted, positions)
 
-    def done(self, what: Measurement) -> None:
+    def done(self, what: Measurement, looks: int = 1) -> None:
         """An attempt has all its records, or was given up; or the sentinel or the leak was measured."""
         for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
-            pace.done(what, working_s)
+            pace.done(what, working_s, looks)
 
     def repeat(self, result: AttemptResult, following: Attempt) -> None:
         """An attempt was not good enough; the next one follows."""

@@ -15,6 +15,7 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import Play, channels_of, plays_of, position_estimator
 from wavefocus.acquisition.setup import Setup, point_at, start_move
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.estimator.estimate import Estimate, mean_estimate
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.point_status import Status
@@ -41,7 +42,9 @@ class Station:
     def take(
         self, attempt: Attempt, purpose: str, taken: Callable[[int], None] = lambda record: None
     ) -> tuple[Recording, ...]:
-        """Point at a position and take all its records; from the first again after a lost instrument.
+        """Point at a position and take all its records, of a check position several times.
+
+        From the first again after a lost instrument.
 
         attempt: Which position, and which try at it.
         purpose: ``"capture"`` or ``"sentinel"``, for the instruments' logs.
@@ -54,9 +57,10 @@ class Station:
         def measure() -> tuple[Recording, ...]:
             point_at(self.setup, *self._place_mm(attempt))
             recordings: list[Recording] = []
-            for number, play in enumerate(self.plays, 1):
-                recordings.append(self._record(play, attempt, purpose))
-                taken(number)
+            for look in range(self.plan.looks(attempt.position)):
+                for play in self.plays:
+                    recordings.append(self._record(play, attempt, purpose, look))
+                    taken(len(recordings))
             return tuple(recordings)
 
         return self.recovery.retry_after_reconnect(measure, attempt)
@@ -82,8 +86,9 @@ class Station:
         x_mm, y_mm = self.plan.position_mm[attempt.position]
         return float(x_mm) + attempt.moved_mm[0], float(y_mm) + attempt.moved_mm[1]
 
-    def _record(self, play: Play, attempt: Attempt, purpose: str) -> Recording:
-        label = RecordLabel(attempt.position, attempt.number, play.actuator, purpose)
+    def _record(self, play: Play, attempt: Attempt, purpose: str, look: int = 0) -> Recording:
+        record = play.actuator + look * self.plan.actuators
+        label = RecordLabel(attempt.position, attempt.number, record, purpose)
         setup, rate_hz = replace(self.setup, range_v=self._range_v(attempt)), self.plan.excitation.sample_rate_hz
         return record_play(setup, play, rate_hz, label, lambda fault: self.session.fault(fault, attempt, retried=True))
 
@@ -101,9 +106,9 @@ class Station:
         attempt, recordings = recorded.attempt, recorded.recordings
         if not recordings:
             return AttemptResult(attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
-        reference_v, response_v = (np.stack([one.volts[channel] for one in recordings]) for channel in (0, 1))
+        looks = [recordings[low : low + self.plan.records] for low in range(0, len(recordings), self.plan.records)]
         try:
-            estimate = self._estimator.estimate(reference_v, response_v, range_v=self._range_v(attempt))
+            estimate = mean_estimate([self._estimated(look, attempt) for look in looks])
         except ReferenceMissingError as missing:
             judgement = Judgement(Status.FAILED, str(missing), np.inf)
             return AttemptResult(attempt, None, judgement, recordings=recordings)
@@ -112,6 +117,10 @@ class Station:
         before_db = self._reference_before_db(attempt.position)
         judgement = judge(estimate, over_range, self.plan.quality, distance_mm, before_db)
         return AttemptResult(attempt, estimate, judgement, recordings=recordings)
+
+    def _estimated(self, recordings: tuple[Recording, ...], attempt: Attempt) -> Estimate:
+        reference_v, response_v = (np.stack([one.volts[channel] for one in recordings]) for channel in (0, 1))
+        return self._estimator.estimate(reference_v, response_v, range_v=self._range_v(attempt))
 
     def measure(self, attempt: Attempt, purpose: str, is_useless: Callable[[AttemptResult], bool]) -> AttemptResult:
         """Measure a position, again after passing faults and useless results, until its tries are used up.

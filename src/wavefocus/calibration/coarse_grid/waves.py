@@ -45,6 +45,8 @@ def outgoing_each(waves: Sequence[tuple[complex, int]], distance_mm: Float64Arra
     """H(2)(k r) of several wave numbers and orders, (waves, *distances).
 
     At many distances from splines of the envelopes ``H exp(j k r) sqrt(r)`` over log r, all with the same nodes.
+
+    Raises LinAlgError: a wave is too large for any number, as of a law that fits few frequencies by chance.
     """
     wavenumber = np.array([k for k, _ in waves], dtype=np.complex128)
     order = np.array([order for _, order in waves])
@@ -54,6 +56,8 @@ def outgoing_each(waves: Sequence[tuple[complex, int]], distance_mm: Float64Arra
     nodes_mm = np.geomspace(distance_mm.min() * 0.999, distance_mm.max() * 1.001, ENVELOPE_NODES)
     k = wavenumber[:, None]
     envelope = hankel2(order[:, None], k * nodes_mm) * np.exp(1j * k * nodes_mm) * np.sqrt(nodes_mm)
+    if not np.isfinite(envelope).all():
+        raise np.linalg.LinAlgError("a wave number makes waves beyond all numbers")
     found = CubicSpline(np.log(nodes_mm), envelope, axis=1)(np.log(distance_mm))
     different, same = np.unique(wavenumber, return_inverse=True)
     found *= np.exp(-1j * different[each] * distance_mm)[same]
@@ -253,7 +257,10 @@ def dispersion_of_own_waves(
     def left(vector: Float64Array) -> float:
         wavenumber = Dispersion.of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
         # No plate's wave number falls with frequency, or grows with more than its square.
-        if not (abs(vector[2]) <= 1.0 and abs(wavenumber[-1].imag) <= MAX_LOSS * abs(wavenumber[-1])):
+        length_mm = 2.0 * np.pi / max(abs(wavenumber[-1]), 1e-300)
+        if not (abs(vector[2]) <= 1.0 and shortest_mm <= length_mm <= longest_mm):
+            return 1.0
+        if not abs(wavenumber[-1].imag) <= MAX_LOSS * abs(wavenumber[-1]):
             return 1.0
         explained = 0.0
         share = float(np.clip(vector[4], 0.02, 1.0)) if pressure_share else 0.0
@@ -266,9 +273,10 @@ def dispersion_of_own_waves(
 
     if not energy > 0:
         raise ValueError("no transfer function is above 0")
+    shortest_mm = MIN_WAVELENGTH_SPACINGS * spacing_mm
+    longest_mm = MAX_WAVELENGTH_SIZES * float(np.hypot(*np.ptp(points_mm, axis=0)))
     if elastic_near is None:
-        size_mm = float(np.hypot(*np.ptp(points_mm, axis=0)))
-        lengths_mm = np.geomspace(MIN_WAVELENGTH_SPACINGS * spacing_mm, MAX_WAVELENGTH_SIZES * size_mm, SCANNED_SPEEDS)
+        lengths_mm = np.geomspace(shortest_mm, longest_mm, SCANNED_SPEEDS)
         loss = np.log(SCANNED_LOSS * 2.0 * np.pi * middle_hz)
         starts = [
             np.array(

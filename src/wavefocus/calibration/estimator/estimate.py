@@ -117,6 +117,14 @@ class Estimate:
         )
 
 
+def mean_estimate(looks: Sequence[Estimate]) -> Estimate:
+    """The estimate of a position that was measured several times: see `Estimate.by_actuator`."""
+    if len(looks) == 1:
+        return looks[0]
+    actuator = np.tile(np.arange(looks[0].snr_db.size), len(looks))
+    return Estimate.joined(looks).by_actuator(actuator, np.ones(actuator.size))
+
+
 @dataclass(frozen=True, slots=True)
 class Channels:
     """How the two DAQ channels see drive and response.

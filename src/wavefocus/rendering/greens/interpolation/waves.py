@@ -211,12 +211,15 @@ def _fit(bank: GreenSource) -> BankWaves:
     # Frequencies with less of the loudest one's power are left out.
     loud = np.flatnonzero(power > 1e-5 * power.max())
     inside = slice(int(loud[0]), int(loud[-1]) + 1)
-    model = RimWaves.fit(
-        bins_hz[chosen[inside]], position_mm[rows], np.asarray(bank.actuator_mm, dtype=np.float64), spectra[inside],
-        position_mm[checks], _spectra(reader, np.flatnonzero(checks), samples, chosen[inside]),
-        _spectral_noise(bank, reader, np.flatnonzero(checks)),
-        band_hz=bank.band_hz, resolution_hz=float(bank.sample_rate_hz) / bank.taps,
-    )  # fmt: skip
+    try:
+        model = RimWaves.fit(
+            bins_hz[chosen[inside]], position_mm[rows], np.asarray(bank.actuator_mm, dtype=np.float64), spectra[inside],
+            position_mm[checks], _spectra(reader, np.flatnonzero(checks), samples, chosen[inside]),
+            _spectral_noise(bank, reader, np.flatnonzero(checks)),
+            band_hz=bank.band_hz, resolution_hz=float(bank.sample_rate_hz) / bank.taps,
+        )  # fmt: skip
+    except np.linalg.LinAlgError as error:
+        raise InputError(f"interpolation is 'waves', but no waves fit the bank ({error}); use 'nearest'") from error
     return BankWaves(model, samples, int(chosen[inside][0]))
 
 
