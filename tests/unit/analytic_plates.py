@@ -163,12 +163,9 @@ def green(plate: str, medium: Medium = Medium(), place_mm: np.ndarray | None = N
 
 @dataclass(frozen=True)
 class Case:
-    """What a scan shows, and the cause that is right, if any, with its actuators and the level in dB or delay in ms."""
+    """What a scan shows."""
 
     green: np.ndarray
-    code: str = ""
-    actuators: tuple[int, ...] = ()
-    value: float = 0.0
     respond: Callable[[np.ndarray], np.ndarray] = lambda response: response
 
 
@@ -212,55 +209,11 @@ def verified(plate: str, case: Case, rng: np.random.Generator, *, quiet_db: floa
     )  # fmt: skip
 
 
-def _some(rng: np.random.Generator, least: int, most: int) -> list[int]:
-    return sorted(rng.permutation(ACTUATORS)[: rng.integers(least, most + 1)].tolist())
-
-
-def _sign(rng: np.random.Generator) -> float:
-    return float(rng.choice([-1.0, 1.0]))
-
-
-def electric(plate: str, rng: np.random.Generator, kind: int, values: np.ndarray) -> Case:
-    """Level, delay, polarity, silence, exchange."""
-    factor, late_s = np.ones(ACTUATORS), np.zeros(ACTUATORS)
-    if kind == 8:
-        chosen = _some(rng, 2, 2)
-        order = np.arange(ACTUATORS)
-        order[chosen] = order[chosen[::-1]]
-        return Case(values[:, order], "swapped", tuple(chosen))
-    value = 0.0
-    if kind < 2:
-        code = "polarity" if kind == 0 else "silent"
-        chosen = _some(rng, 1, 4 - kind)
-        factor[chosen] = -1.0 if kind == 0 else 0.0
-    else:
-        chosen = [_some(rng, 1, 1), _some(rng, 2, ACTUATORS - 1), list(range(ACTUATORS))][(kind - 2) % 3]
-        if kind < 5:
-            code, value = "level", _sign(rng) * rng.uniform(1.0, 6.0)
-            factor[chosen] = 10 ** (value / 20)
-        else:
-            # Waves of glass have no front: earlier ones would begin before the first tap.
-            code, sign = "delay", _sign(rng) if plate != "bending" else 1.0
-            value = 1e3 * sign * rng.uniform(1e-4, 2e-3)
-            late_s[chosen] = 1e-3 * value
-    turn = np.exp(-2j * np.pi * late_s[:, None] * FREQUENCY_HZ) * factor[:, None]
-    changed = np.fft.irfft(np.fft.rfft(values, LENGTH) * turn, LENGTH)[..., :TAPS]
-    return Case(changed, code, () if len(chosen) == ACTUATORS else tuple(chosen), value)
-
-
-def affine(plate: str, rng: np.random.Generator, kind: int) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and offset of a mirror's error: shift, rotation, scale, one axis."""
-    pitch, matrix, offset = PITCH_MM.get(plate, 4.0), np.eye(2), np.zeros(2)
-    if kind == 0:
-        angle = rng.uniform(0, 2 * np.pi)
-        offset = rng.uniform(0.15, 1.2) * pitch * np.array([np.cos(angle), np.sin(angle)])
-    elif kind == 1:
-        turn = np.radians(_sign(rng) * rng.uniform(3.0, 15.0))
-        matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    else:
-        size = 1.0 + _sign(rng) * rng.uniform(0.05, 0.2)
-        matrix = np.diag([size, size if kind == 2 else 1.0])
-    return matrix, offset
+def driven(values: np.ndarray, actuators: tuple[int, ...], factor: float, late_ms: float) -> np.ndarray:
+    """Green's functions where the drives of some actuators have another level and come later."""
+    turn = np.ones((ACTUATORS, len(FREQUENCY_HZ)), complex)
+    turn[list(actuators)] = factor * np.exp(-2e-3j * np.pi * late_ms * FREQUENCY_HZ)
+    return np.fft.irfft(np.fft.rfft(values, LENGTH) * turn, LENGTH)[..., :TAPS]
 
 
 def unlisted(plate: str) -> dict[str, Case]:

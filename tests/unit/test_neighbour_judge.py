@@ -131,6 +131,7 @@ def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_othe
     assert (level.level_db, whole.level_db) == pytest.approx((-7.96, -4.44), abs=0.4)
 
 
+@pytest.mark.long
 def test_waves_that_leave_no_noise_or_none_at_all_then_judge_no_row(coarse: np.ndarray) -> None:
     spectra, usable = spectra_of(coarse), np.ones(len(coarse), bool)
     position_mm = np.vstack([COARSE_MM, CHECKS_MM])

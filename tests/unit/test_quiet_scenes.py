@@ -94,8 +94,7 @@ def test_given_an_impulse_then_the_response_at_its_focus_is_its_amplitude(bank):
     assert response[TAPS - 1] == pytest.approx(3.0, rel=1e-9)
 
 
-@pytest.mark.parametrize("saturation", [0.0, 0.8])
-@pytest.mark.parametrize("places", [2, 12])
+@pytest.mark.parametrize(("places", "saturation"), [(2, 0.0), (12, 0.8)])
 def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, places, saturation):
     """w = A^-1 h* a / (h A^-1 h*) with the reported multipliers, by transforms of twice the filters' length."""
     at = [(16.0 - 4.0 * (k % 4), 8.0 + 4.0 * (k // 4)) for k in range(places)]
@@ -305,11 +304,8 @@ def test_a_place_that_cannot_be_quiet_is_refused_by_name(bank, case):
 
 
 STIFF = {
-    "within 3 mm of the focus": scene_of((-6.0, 1.0)),
     "within half a millimetre of the focus": scene_of((-7.6, 0.3)),
-    "two 1 mm apart": scene_of((16.0, 8.0), (16.0, 9.0)),
     "two at one place": scene_of((16.0, 8.0), (16.0, 8.0)),
-    "more than actuators": scene_of(*[(x, y) for x in range(4, 24, 4) for y in range(-16, 20, 8)]),
     "fifty": scene_of(*[(x, y) for x in range(0, 22, 2) for y in range(-20, 20, 8)][:50]),
     "a source that runs through it": scene_of((4.0, 0.0), path=Line((-12.0, 0.0), (12.0, 0.0)), speed=40.0),
     "a sine": scene_of((16.0, 8.0), signal=Sine(250.0, 0.2)),
@@ -325,9 +321,9 @@ def test_stiff_scenes_are_finite_within_the_energy_and_say_what_is_not_reached(b
     assert energy(drive) <= 10.5 * energy(plain)
     missed = [track.name for track in report.quiet_tracks if track.rendered_db > track.level_db + 0.5]
     assert all(any(name in text for text in report.warnings) for name in missed)
-    if "apart" in case or "one place" in case or "sine" in case:
+    if "one place" in case or "sine" in case:
         assert not missed
-    if "more" in case or "fifty" in case or "half" in case:
+    if "fifty" in case or "half" in case:
         assert missed
     if "through" in case:
         assert any("source 0 is at quiet[0]" in text for text in report.warnings)

@@ -154,7 +154,7 @@ STIFF = {
 STIFF_HZ = np.array([350.0])
 
 
-LONG = ("10 % of the positions missing", "random positions", "a wave speed that depends on direction")
+LONG = ("one actuator", "10 % of the positions missing", "random positions", "a wave speed that depends on direction")
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in STIFF])

@@ -56,7 +56,7 @@ def _plate(force_deg: float, oscillation_deg: float, source_mm: np.ndarray = SOU
     return SolidPlate(source_mm, DISK, np.ones_like, **KEYS, force_deg=force_deg, oscillation_deg=oscillation_deg)
 
 
-@pytest.mark.parametrize("frequency_hz", [60.0, 450.0])
+@pytest.mark.parametrize("frequency_hz", [pytest.param(60.0, marks=pytest.mark.long), 450.0])
 def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(
     elements: Elements, frequency_hz: float
 ) -> None:

@@ -32,18 +32,6 @@ NEAREST = limited()
 RATE_HZ = 1000.0
 
 
-@pytest.mark.parametrize("tolerance_db", [None, -30.0])
-def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(tolerance_db):
-    scene = Scene("s", (MOVING,), output=NEAREST)
-    whole, report = render_with_report(scene, noise_bank(), tolerance_db=tolerance_db)
-    assert report.single == (tolerance_db is not None)
-    renderer = SceneRenderer(scene, noise_bank(), tolerance_db=tolerance_db)
-    blocks = list(renderer.unlimited_blocks())
-    assert len(blocks) > 2
-    np.testing.assert_array_equal(np.concatenate(blocks, axis=1), whole.drive_v)
-    assert (renderer.shape, renderer.sampled.start_s) == (whole.drive_v.shape, whole.start_s)
-
-
 @pytest.mark.parametrize("scale", [1.0, 1e-12])
 def test_drives_of_several_sources_are_the_sum_of_each_source_s(scale):
     """Sources that begin and end at other times and of other lengths share blocks and transforms."""

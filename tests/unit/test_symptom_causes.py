@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from tests.unit import analytic_plates as plates
-from tests.unit.analytic_plates import ACTUATORS, Case, Medium, green, verified
+from tests.unit.analytic_plates import ACTUATORS, Case, Medium, driven, green, verified
 from tests.unit.line_verification import rendered, scan_of
 from wavefocus.rendering.verify.linearity import QUIETER_DB, linearity
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.verdict import Verification
 
 
-def chance(number: int = 1) -> np.random.Generator:
-    return np.random.default_rng([7, number])
+def chance() -> np.random.Generator:
+    return np.random.default_rng([7, 1])
 
 
 def certain(found: Verification) -> set[tuple[str, tuple[int, ...]]]:
@@ -27,21 +27,48 @@ def later(*case: object) -> object:
 
 
 @pytest.mark.parametrize(
-    ("plate", "kind"), [("gel", 0), ("bending", 1), ("disk", 3), ("mirrors", 6), later("gel", 7), ("disk", 8)]
+    ("plate", "code", "actuators", "value"),
+    [
+        ("gel", "polarity", (4, 6), 0.0),
+        ("bending", "silent", (7,), 0.0),
+        ("disk", "level", (0, 1, 2, 5, 6, 7, 9, 11), 5.48),
+        ("mirrors", "delay", (1, 10), 0.377),
+        later("gel", "delay", (), -0.74),
+        ("disk", "swapped", (0, 7), 0.0),
+    ],
 )
-def test_given_an_electric_cause_then_just_its_actuators_are_named(plate: str, kind: int) -> None:
-    case = plates.electric(plate, chance(kind), kind, green(plate))
-    found = verified(plate, case, chance())
-    assert certain(found) == {(case.code, case.actuators)}
-    if case.code in ("level", "delay"):
-        assert found.symptoms[0].value == pytest.approx(case.value, abs=0.5 if case.code == "level" else 0.05)
+def test_given_an_electric_cause_then_just_its_actuators_are_named(
+    plate: str, code: str, actuators: tuple[int, ...], value: float
+) -> None:
+    values = green(plate).copy()
+    if code == "swapped":
+        values[:, list(actuators)] = values[:, list(actuators[::-1])]
+    else:
+        factor = {"polarity": -1.0, "silent": 0.0, "level": 10 ** (value / 20), "delay": 1.0}[code]
+        values = driven(values, actuators or tuple(range(ACTUATORS)), factor, value if code == "delay" else 0.0)
+    found = verified(plate, Case(values), chance())
+    assert certain(found) == {(code, actuators)}
+    if code in ("level", "delay"):
+        assert found.symptoms[0].value == pytest.approx(value, abs=0.5 if code == "level" else 0.05)
     assert not found.passed
     assert all(0.95 <= symptom.explained <= 1.0 for symptom in found.symptoms)
 
 
-@pytest.mark.parametrize(("plate", "kind"), [("disk", 0), later("mirrors", 1), ("gel", 3)])
-def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size(plate: str, kind: int) -> None:
-    matrix, offset_mm = plates.affine(plate, chance(kind), kind)
+TURN = np.radians(4.34)
+
+
+@pytest.mark.parametrize(
+    ("plate", "matrix", "offset_mm"),
+    [
+        ("disk", np.eye(2), (-3.09, -3.09)),
+        later("mirrors", np.array([[np.cos(TURN), -np.sin(TURN)], [np.sin(TURN), np.cos(TURN)]]), (0.0, 0.0)),
+        ("gel", np.diag([1.18, 1.0]), (0.0, 0.0)),
+    ],
+    ids=["shift", "rotation", "scale of x"],
+)
+def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size(
+    plate: str, matrix: np.ndarray, offset_mm: tuple[float, float]
+) -> None:
     moved = green(plate, Medium(), plates.places_mm(plate) @ matrix.T + offset_mm)
     (symptom,) = verified(plate, Case(moved), chance()).symptoms
     assert (symptom.code, symptom.certain) == ("mirror", True)

@@ -165,7 +165,7 @@ def test_answers_without_a_maximum_likelihood_have_finite_estimates(right):
         assert (low or 0.0) <= (math.inf if high is None else high)
 
 
-def truth_held(slope, lapse, levels, trials, people=20):
+def truth_held(slope, lapse, levels, trials, people):
     """How many of some simulated participants have the true slope in its interval, and in how many it is unresolved."""
     rng = np.random.default_rng(3)
     x = np.linspace(-1.0, 0.0, levels)
@@ -181,13 +181,20 @@ def truth_held(slope, lapse, levels, trials, people=20):
 
 
 @pytest.mark.parametrize(
-    ("slope", "lapse", "levels", "trials"),
-    [(60, 0, 8, 40), (9, 0.1, 8, 40), pytest.param(9, 0, 5, 6, marks=pytest.mark.nightly)],
+    ("slope", "lapse", "levels", "trials", "people"),
+    [
+        (60, 0, 8, 40, 6),
+        pytest.param(60, 0, 8, 40, 20, marks=pytest.mark.nightly),
+        pytest.param(9, 0.1, 8, 40, 20, marks=pytest.mark.nightly),
+        pytest.param(9, 0, 5, 6, 20, marks=pytest.mark.nightly),
+    ],
 )
-def test_given_steep_slopes_few_trials_or_many_lapses_then_intervals_hold_the_slope(slope, lapse, levels, trials):
-    held, unresolved = truth_held(slope, lapse, levels, trials)
-    assert held >= binom.ppf(1e-3, 20, 0.95)
-    assert (unresolved > 15) == (slope > 40 or trials < 10)
+def test_given_steep_slopes_few_trials_or_many_lapses_then_intervals_hold_the_slope(
+    slope, lapse, levels, trials, people
+):
+    held, unresolved = truth_held(slope, lapse, levels, trials, people)
+    assert held >= binom.ppf(1e-3, people, 0.95)
+    assert (unresolved > 0.75 * people) == (slope > 40 or trials < 10)
 
 
 def test_given_one_level_then_no_function_is_fitted():
