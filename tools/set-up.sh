@@ -55,7 +55,8 @@ import wavefocus, numpy, scipy.fft, h5py, pydantic, rich, matplotlib, jinja2, so
 install() {
     say "installing wavefocus${extra:+ with what \"$extra\" needs} into .venv (needs the network; about a minute)"
     rm -f "$stamp"
-    .venv/bin/python -m pip install --quiet --constraint constraints.txt --editable "$target" || {
+    # Python compiles the modules that are used when they are first imported: pip would compile all of them, 20 seconds.
+    .venv/bin/python -m pip install --quiet --no-compile --constraint constraints.txt --editable "$target" || {
         say "pip could not install; its reason stands above. Try again, or start afresh with: make clean"
         exit 1
     }
