@@ -7,12 +7,12 @@ import importlib.util
 import array_api_strict
 import numpy as np
 import pytest
-import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.plate_banks import noise_bank
 from tests.unit.test_drive import MOVING, REPEATING, STANDING
+from tests.unit.test_field import convolved, make_drive
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.device import Device, cuda_device, host_device
 from wavefocus.rendering.drive.rendering import render_with_report
@@ -72,24 +72,6 @@ def test_given_a_gpu_then_it_gives_the_drives_of_the_cpu() -> None:
     assert np.abs(there - here).max() <= 1e-12 * np.abs(here).max()
 
 
-def drive_of(drive_v: np.ndarray) -> Drive:
-    none = np.zeros(0, np.int64)
-    return Drive(drive_v, 2000.0, 0.0, "sampled", 1.0, 0.0, none, none, none)
-
-
-def direct(bank: GreenArray, drive: Drive, positions: list[int]) -> np.ndarray:
-    rows = [bank.values[position].astype(np.float64) for position in positions]
-    return np.array(
-        [
-            sum(
-                scipy.signal.convolve(one, volts, method="direct")
-                for one, volts in zip(row, drive.drive_v, strict=True)
-            )
-            for row in rows
-        ]
-    )
-
-
 def field_of(bank: GreenArray, drive: Drive, positions: list[int], device: Device) -> np.ndarray:
     prediction = Prediction(drive, bank, positions, dtype=np.float64, device=device)
     return np.concatenate([responses for _, responses in prediction.rows()])
@@ -100,9 +82,9 @@ def test_given_any_bank_and_drive_then_the_standard_alone_gives_the_field(
     taps: int, samples: int, actuators: int, decade: int, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
-    bank = GreenArray(random.standard_normal((3, actuators, taps)) * 10.0**decade, np.zeros((3, 2)), 2000.0)
-    drive = drive_of(random.standard_normal((actuators, samples)))
-    expected = direct(bank, drive, [2, 0])
+    bank = GreenArray(random.standard_normal((3, actuators, taps)) * 10.0**decade, np.zeros((3, 2)), 1000.0)
+    drive = make_drive(random.standard_normal((actuators, samples)))
+    expected = convolved(bank, drive, [2, 0])
     scale = np.abs(bank.values).sum() * np.abs(drive.drive_v).max()
     for device in (STRICT, host_device()):
         found = field_of(bank, drive, [2, 0], device)
@@ -114,8 +96,8 @@ def test_given_any_bank_and_drive_then_the_standard_alone_gives_the_field(
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
 def test_given_a_gpu_then_it_gives_the_field_of_the_cpu() -> None:
     random = np.random.default_rng(2)
-    bank = GreenArray(random.standard_normal((40, 20, 2000)).astype(np.float32), np.zeros((40, 2)), 2000.0)
-    drive = drive_of(random.standard_normal((20, 9000)))
+    bank = GreenArray(random.standard_normal((40, 20, 2000)).astype(np.float32), np.zeros((40, 2)), 1000.0)
+    drive = make_drive(random.standard_normal((20, 9000)))
     rows = list(range(40))
     here, there = field_of(bank, drive, rows, host_device()), field_of(bank, drive, rows, cuda_device())
     assert np.abs(there - here).max() <= 1e-12 * np.abs(here).max()

@@ -249,8 +249,7 @@ def test_given_rows_of_zeros_or_nan_then_they_are_no_part_of_the_surface():
     assert course_of(lives[0]).at_mm[-1][0] == pytest.approx(-2.0, abs=0.07)
 
 
-@pytest.mark.parametrize("frame_rate_hz", [48_000.0, 44_100.0, 2500.0, 1600.0])
-@pytest.mark.parametrize("independent", [False, True])
+@pytest.mark.parametrize(("frame_rate_hz", "independent"), [(48_000.0, False), (44_100.0, True), (1600.0, False)])
 def test_interface_rate_then_drives_are_those_of_banks_rate_between_its_samples(frame_rate_hz, independent):
     bank, drives = plate_bank(), []
     for rate_hz in (bank.sample_rate_hz, frame_rate_hz):

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.unit.plate_banks import noise_bank
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.rendering.scene.model import load_scene
@@ -17,23 +17,22 @@ from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 40, 5
-GRID_MM = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
-BANK = GreenArray(np.random.default_rng(0).standard_normal((len(GRID_MM), 3, TAPS)), GRID_MM, RATE_HZ)
+BANK = noise_bank(TAPS, status=None)
 SINGLE = 2e-6
 """Rounding of single precision."""
 HELD = Regularisation(saturation=0.8)
 
 
-def engine_of(interpolation: str = "nearest") -> LiveEngine:
+def engine_of() -> LiveEngine:
     return LiveEngine(
-        BANK, block_samples=BLOCK, look_ahead_samples=100, regularisation=HELD, interpolation=interpolation,
+        BANK, block_samples=BLOCK, look_ahead_samples=100, regularisation=HELD, interpolation="nearest",
         signal=Noise((50.0, 400.0), 0.1, 1), record=True,
     )  # fmt: skip
 
 
-def recording_into(folder: Path, interpolation: str = "nearest") -> SessionRecording:
+def recording_into(folder: Path) -> SessionRecording:
     return SessionRecording(
-        folder, rate_hz=RATE_HZ, regularisation=HELD, interpolation=interpolation, about="session\nof a test"
+        folder, rate_hz=RATE_HZ, regularisation=HELD, interpolation="nearest", about="session\nof a test"
     )
 
 

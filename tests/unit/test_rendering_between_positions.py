@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import re
 
 import numpy as np
 import pytest
@@ -62,16 +61,6 @@ def test_kernel_interpolation_renders_to_the_true_plate_s_drive(source, method):
     assert not report.warnings
 
 
-@pytest.mark.parametrize("kind", ["nearest", "bilinear"])
-def test_the_other_kinds_are_as_wrong_as_the_report_says(kind):
-    error, report = error_of(MOVING, kind, "exact")
-    found = report.interpolation_errors
-    assert found.kind == kind
-    assert found.found_by == "left-out positions"
-    assert found.overall == pytest.approx(error, rel=0.6)
-    assert any(f"interpolation {kind!r} between the grid positions is wrong by about" in t for t in report.warnings)
-
-
 def test_a_long_path_with_close_points_is_interpolated_between_nodes():
     """More path points than nodes: the two methods meet."""
     fine = Source(MOVING.path, SIGNAL, 0.0, 180.0, 0.05)
@@ -96,9 +85,7 @@ def test_foci_and_regularisation_name_measured_rows():
     assert max(report.rows) < bank().positions
 
 
-def test_a_large_error_is_warned_of_with_frequency_and_error():
-    _, report = render_with_report(Scene("s", (MOVING,), PLAIN, Output(interpolation="bilinear")), bank())
-    assert re.search(r"'bilinear' .* wrong by about \d+ % at \d+ Hz", " ".join(report.warnings))
+def test_an_error_of_waves_that_are_long_is_not_warned_of():
     low = Source(MOVING.path, Sine(62.5, 0.4), 0.0, 180.0, 3.0)
     _, report = render_with_report(Scene("s", (low,), PLAIN, Output(interpolation="bilinear")), bank())
     assert "wrong by" not in " ".join(report.warnings)

@@ -90,7 +90,7 @@ def test_given_a_good_scan_then_the_report_passes_and_holds_all_its_pictures(goo
     assert len(pictures) == html.count("<img ") == 9
     for picture, width in zip(pictures, re.findall(r'<img [^>]*width="(\d+)"', html), strict=True):
         assert picture.width == 2 * int(width)
-        assert len(picture.convert("RGB").getcolors(1 << 24)) > 3
+        assert np.count_nonzero(picture.convert("L").histogram()) > 3
     assert good_report.stat().st_size < 3_000_000
     drawn = ("path", "snapshots", "waveforms", "positions", "snr", "error", "gain", "drive", "waves")
     assert {path.stem for path in good_report.parent.glob("*.png")} == set(drawn)

@@ -39,9 +39,8 @@ def rendered(source, measured, **options):
 @pytest.mark.parametrize("kind", ["nearest", "bilinear"])
 def test_rows_10_to_12_path_off_grid_is_warned_about_with_error_per_frequency(kind):
     _, report = rendered(OFF_GRID, bank(), interpolation=kind)
-    warnings = [text for text in report.warnings if "between the grid positions is wrong by about" in text]
-    assert len(warnings) == 1
-    assert "Hz" in warnings[0]
+    said = rf"{kind!r} between the grid positions is wrong by about \d+ % at \d+ Hz"
+    assert len([text for text in report.warnings if re.search(said, text)]) == 1
     errors = report.interpolation_errors
     # The truth: nearest 42 % at 250 Hz and 67 % at 450 Hz (notes/rendering.md).
     from wavefocus.rendering.greens.interpolation.base import interpolation_method
@@ -61,12 +60,6 @@ def test_rows_10_to_12_a_grid_above_a_quarter_wavelength_is_a_warning_with_error
     assert any("wrong by about" in text and "a finer grid" in text for text in report.warnings)
     fine, coarse = rendered(OFF_GRID, bank())[1], report
     assert coarse.interpolation_errors.overall > 1.2 * fine.interpolation_errors.overall
-
-
-@pytest.mark.parametrize("kind", ["nearest", "bilinear"])
-def test_rows_10_to_12_a_large_error_is_warned_of_naming_frequency_and_error(kind):
-    _, report = rendered(OFF_GRID, bank(), interpolation=kind)
-    assert re.search(rf"{kind!r} .* wrong by about \d+ % at \d+ Hz", " ".join(report.warnings))
 
 
 def test_rows_10_to_12_of_the_kernel_renders_without_a_word():

@@ -8,6 +8,7 @@ import pytest
 
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel, RecordRequest
+from wavefocus.mocks.virtual.laboratory import PatchBay
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
@@ -214,3 +215,23 @@ def test_clock_that_is_walls_then_piece_that_comes_too_late_finds_player_dry() -
         player.add_piece(np.zeros((1, 480)))
     player.begin_pieces([0], 48_000.0, 0.01)
     assert player.add_piece(np.zeros((1, 960))) == 0.0
+
+
+@pytest.mark.parametrize("word", ["", "output", "output 21", "output -1", "loopback", "output 3 "])
+def test_given_a_word_that_is_no_cable_then_it_is_refused_and_nothing_changes(word):
+    bay = PatchBay(range(20), 20)
+    bay.connect("sum")
+    with pytest.raises(ValueError, match="allowed: vibrometer, sum, both, or output K"):
+        bay.connect(word)
+    assert bay.word == "sum"
+
+
+@pytest.mark.parametrize(
+    ("word", "played", "times"), [("output 3", (3,), 1), ("output 3", (4,), 0), ("sum", (3, 4), 2), ("both", (3,), 1)]
+)
+def test_given_a_cable_then_the_response_is_the_voltage_of_what_is_plugged_in(word, played, times):
+    rig = VirtualRig(QUIET)
+    rig.patch_bay.connect(word)
+    reference_v, response_v = record(rig, LOW, channels=played, range_v=(10.0, 10.0)).volts.astype(np.float64)
+    assert np.abs(reference_v).max() > 0.9
+    assert np.abs(response_v - times * reference_v).max() < (1 + times) * 10 / 32768
