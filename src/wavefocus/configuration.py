@@ -96,7 +96,8 @@ def configuration_of(
 
 def _with_check_count(run: RunConfig) -> RunConfig:
     """The run with the number of check positions stated: 24 where the lattice is coarser than half a wavelength."""
-    half_wavelength_mm = 0.5e3 * GEL_SPEED_M_S / run.sweep.stop_hz
+    # Waves of a gel plate as in the paper: group velocity about 4.8 m/s.
+    half_wavelength_mm = 0.5e3 * 4.8 / run.sweep.stop_hz
     if run.grid.check_positions is not None or run.grid.spacing_mm <= half_wavelength_mm:
         return run
     return run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": DEFAULT_CHECKS})})
@@ -122,8 +123,6 @@ def check_rows(configuration: Configuration) -> NDArray[np.int64]:
     return np.array(rows, dtype=np.int64)
 
 
-GEL_SPEED_M_S = 4.8
-"""Waves of a gel plate as in the paper: group velocity about 4.8 m/s."""
 DEFAULT_CHECKS = 24
 
 

@@ -11,8 +11,6 @@ from wavefocus.benchmarks.harness import Entry, Findings, cell, heading
 from wavefocus.rendering.report.canvas import COLOURS
 from wavefocus.storage.output_files import replacement
 
-FEWEST = 3
-"""Points that a diagram needs."""
 COSTS = {"hours": "hours of measuring", "wall_s": "run time in s"}
 """What an error is drawn over: the first of these figures that all points of the work have."""
 MARKERS = "osd^vPX*<>"
@@ -33,7 +31,8 @@ def draw_diagrams(findings: Findings, out: Path, name: str) -> dict[str, str]:
     for work, found in groupby(findings.points, lambda point: point.work):
         points = [one for one in found if one.error]
         cost = next((cost for cost in COSTS if all(one.row.get(cost) for one in points)), None)
-        if len(points) >= FEWEST and cost is not None:
+        # A diagram needs three points.
+        if len(points) >= 3 and cost is not None:
             slug = re.sub(r"[^a-z0-9]+", "-", work.lower()).strip("-")[:40].rstrip("-")
             drawn[work] = f"{name}-{slug}.png"
             _draw(out / drawn[work], work, points, cost)

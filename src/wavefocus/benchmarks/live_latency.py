@@ -45,8 +45,6 @@ from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.bank.reading import Bank, open_bank
 
 DURATION_S, QUICK_S = 600.0, 3.0
-SETTLED = 0.1
-"""Memory is compared from this share of the duration on."""
 MARK_GROWTH_MB, MARK_DEGRADED = 10.0, 0.01
 """Memory, and the share of the time in which sources may be left out."""
 POSITIONS_HZ = 100.0
@@ -229,7 +227,8 @@ class _LatencySession:
 
     def figures(self) -> dict[str, float]:
         """Figures of the session."""
-        settled = self.memory_mb[int(SETTLED * len(self.memory_mb)) :]
+        # Memory is compared from this share of the duration on.
+        settled = self.memory_mb[int(0.1 * len(self.memory_mb)) :]
         latencies = [state["latency_ms"] for state in self.states if state["latency_ms"] is not None]
         found = {
             "latency_p999_ms": float(self.ended["latency_p999_ms"]),

@@ -24,13 +24,12 @@ from wavefocus.storage.bank.reading import open_bank
 Float64Array = NDArray[np.float64]
 
 NIGHT = 1500
-# With the converter's rounding this leaves sequential capture at the -60 dB of the comparison.
-NOISE_V = 1.2e-4
 
 
 def measuring_times(*, quick: bool = False) -> list[Entry]:
     """Error of a campaign against its hours: length and number of sweeps, one after another and all at once."""
-    settings = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
+    # With the converter's rounding this leaves sequential capture at the -60 dB of the comparison.
+    settings = VirtualSettings(dropout_probability=0.0, noise_v=1.2e-4)
     positions = 3 if quick else 12
     sequential = [(s, n) for s in (0.5, 1.0, 2.0) for n in (1, 3)] if not quick else [(0.5, 1), (1.0, 3)]
     schedules: list[tuple[str, dict[str, Any]]] = [

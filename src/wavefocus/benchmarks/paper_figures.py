@@ -40,8 +40,6 @@ BAR_PX = (WIDTH_PX / 2 - 180, 8.0, 360.0, 10.0)
 BLUE, ORANGE = "#0072b2", "#d55e00"  # Okabe & Ito's, for the colour-blind
 AROUND_MS = (-12.0, -6.0, -3.0, 0.0, 3.0, 6.0, 12.0, 24.0)
 FOCUS_MM = (-30.0, 12.0)
-PEAK_V = 0.5
-"""Largest drive of the scanned focus."""
 NEGLIGIBLE = 0.01
 """Crosstalk (energy ratio) that we call negligible; the paper does not say."""
 SPEEDS_CM_S = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 100.0)
@@ -133,7 +131,8 @@ def _figure_3d(paper: Paper) -> Picture:
     bank, surface = paper.bank, paper.surface()
     row = row_at(bank, *FOCUS_MM)
     drive = impulse_drive(bank, row, SATURATION)
-    drive = replace(drive, drive_v=drive.drive_v * (PEAK_V / float(np.abs(drive.drive_v).max())))
+    # Largest drive of the scanned focus.
+    drive = replace(drive, drive_v=drive.drive_v * (0.5 / float(np.abs(drive.drive_v).max())))
     gap_mm = np.hypot(*(bank.position_mm - bank.position_mm[row]).T)
     rows = np.flatnonzero(gap_mm < 24.0).tolist() if paper.quick else list(range(bank.positions))
     found = scan(ScanPlan(tuple(rows)), rig_setup(paper.source.rig), drive, bank)

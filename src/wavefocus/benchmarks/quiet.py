@@ -36,8 +36,6 @@ from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.drive_file import Drive
 
 PLATES = ("soft", "stadium", "thin", "solid")
-AREA_MM = 50.0
-"""Banks keep to a square of so many millimetres each way."""
 NOISE = Noise((50.0, 450.0), 0.5, 1)
 FINGERS = ((1, 12.0), (1, 24.0), (4, 12.0), (4, 24.0), (4, 40.0), (9, 30.0))
 MARKS = {(4, 24.0): 3.0, (1, 12.0): 2.5}
@@ -52,7 +50,8 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     for name in PLATES[:2] if quick else PLATES:
         rig = VirtualRig(RIGS[name])
         position_mm = default_grid(rig)
-        banks[name] = rig, true_bank(rig, position_mm[(np.abs(position_mm) < AREA_MM).all(axis=1)], QUICK_ERROR_DB)
+        # Banks keep to a square of 100 mm.
+        banks[name] = rig, true_bank(rig, position_mm[(np.abs(position_mm) < 50.0).all(axis=1)], QUICK_ERROR_DB)
     points = [one for name, (_, bank) in banks.items() for one in _random_layouts(name, bank, 4 if quick else 10)]
     points += [cross(name, bank) for name, (_, bank) in banks.items()]
     points += [disc(name, bank, places) for name, (_, bank) in banks.items() for places in (CROSS[:1], CROSS)]

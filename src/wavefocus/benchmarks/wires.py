@@ -40,7 +40,6 @@ from wavefocus.mocks.virtual.settings import VirtualSettings
 ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
 SWEEP_V = 1.0
 # 60 dB below the rms of a sweep of 1 V peak.
-REFERENCE_NOISE_V = SWEEP_V / np.sqrt(2) / 1000
 INTERFACE_RATE_HZ = 48_000
 FULL_SCALE_V = 5.0
 PERIOD_FRAMES = 4096
@@ -49,7 +48,10 @@ PERIOD_FRAMES = 4096
 
 def settings() -> VirtualSettings:
     """The plate behind the wires."""
-    return VirtualSettings(actuator_mm=ACTUATOR_MM, reference_noise_v=REFERENCE_NOISE_V, dropout_probability=0.0)
+    # 60 dB below the rms of a sweep of 1 V peak.
+    return VirtualSettings(
+        actuator_mm=ACTUATOR_MM, reference_noise_v=SWEEP_V / np.sqrt(2) / 1000, dropout_probability=0.0
+    )
 
 
 def excitation(sweep_s: float, averages: int) -> PlayedExcitation:

@@ -96,14 +96,11 @@ def resumed_campaign(bank: Path, rig_file: Path | None, *, accept_calibration: b
     return with_one_calibration(changed, bank, rig_file, own_rig, own.plan.sha256, accept=accept_calibration)
 
 
-_EARLIER_CHECKS = (None, 12)
-"""Check positions of banks that earlier versions began where the run states none."""
-
-
 def _with_begun_checks(asked: Configuration, own: Configuration, bank: Path) -> Configuration:
     """The configuration with the bank's check positions, where an earlier version began it with none, or with fewer."""
     checks, begun_with = len(check_rows(asked)), own.run.grid.check_positions
-    if checks != DEFAULT_CHECKS or begun_with not in _EARLIER_CHECKS:
+    # Check positions of banks that earlier versions began where the run states none.
+    if checks != DEFAULT_CHECKS or begun_with not in (None, 12):
         return asked
     own_mm = np.asarray(own.position_mm)
     if not np.array_equal(own_mm[: len(own_mm) - (begun_with or 0)], asked.position_mm[:-checks]):

@@ -28,7 +28,6 @@ from wavefocus.storage.errors import InputError
 
 MAX_MESSAGES = 1000
 """A reader that does not keep up loses messages; the sound does not wait for it."""
-REFUSALS_PER_S = 10
 WRITES_WITHIN_S = 5.0
 MAX_AT_ONCE, FLOOD_PAUSE_S = 16, 0.002
 """Of a flood so many lines are read at once, then none for 2 ms: reading more would slow down computing."""
@@ -108,7 +107,8 @@ class Messages:
             second = int(time.monotonic())
             self._refusals = self._refusals + 1 if second == self._second else 1
             self._second = second
-            if self._refusals > REFUSALS_PER_S:
+            # A pointer that is beyond the surface is refused with each of its moves.
+            if self._refusals > 10:
                 return
         with suppress(queue.Full):
             self._queue.put_nowait(message)

@@ -22,9 +22,6 @@ from wavefocus.storage.output_files import require_outputs, write_whole
 from wavefocus.storage.units import quantity
 
 OUTLINE_POINTS = 400
-FRAME_RATE_HZ = 25.0
-FRAMES_PER_PERIOD = 2.5
-"""Fewer frames in a period of the band's upper end, and the movie strobes."""
 
 
 def movie(
@@ -62,7 +59,7 @@ def movie(
                 from_s=options.from_s,
                 to_s=options.to_s,
                 slow=options.slow,
-                frame_rate_hz=FRAME_RATE_HZ,
+                frame_rate_hz=25.0,
             )
             _warn_of_strobing(plan, view, field)
             with progress("movie", len(plan.sample)) as report:
@@ -103,7 +100,8 @@ def _warn_of_strobing(plan: FramePlan, bank: Bank, field: FieldRowReader) -> Non
     if field.low_pass is not None and field.low_pass.passed_hz < highest_hz:
         highest_hz = field.low_pass.passed_hz
         say(f"{field.path} was predicted at {field.sample_rate_hz:g} Hz: it shows waves up to {highest_hz:g} Hz alone")
-    enough_s = 1.0 / (FRAMES_PER_PERIOD * highest_hz)
+    # Fewer frames in a period of the band's upper end, and the movie strobes.
+    enough_s = 1.0 / (2.5 * highest_hz)
     if highest_hz < inf and plan.step_s > enough_s:
         say(
             f"frames are {plan.step_s * 1e3:.3g} ms apart, too far to see waves of {highest_hz:g} Hz travel:"

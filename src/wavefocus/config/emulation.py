@@ -119,13 +119,10 @@ class Emulation(PlateKeys):
         return self
 
 
-WEAK_STRENGTH = 10 ** (-12 / 20)
-"""What is left of an actuator that is weak: a quarter."""
-
-
 def strength(emulation: Emulation, actuators: int) -> tuple[float, ...] | None:
     """Factor on each actuator's strength, as `VirtualSettings` wants it; None where all are sound."""
     factors = dict.fromkeys(emulation.dead_actuators, 0.0)
-    factors |= dict.fromkeys(emulation.weak_actuators, WEAK_STRENGTH)
+    # A weak actuator is 12 dB down, at a quarter of its strength.
+    factors |= dict.fromkeys(emulation.weak_actuators, 10 ** (-12 / 20))
     factors |= dict.fromkeys(emulation.reversed_actuators, -1.0)
     return tuple(factors.get(actuator, 1.0) for actuator in range(actuators)) if factors else None

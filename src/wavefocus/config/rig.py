@@ -250,11 +250,6 @@ class Actuators(Table):
     )
 
 
-_MAX_SAFE_V = 1.0
-# An output that puts out four times what the rig believes is still within the limit.
-_SAFE_SHARE = 0.25
-
-
 class RigConfig(Table):
     """A validated rig file; with no argument, the built-in virtual rig."""
 
@@ -283,7 +278,8 @@ class RigConfig(Table):
         """A peak in V well below the limits of volts and of rms, and below the ends of the recorder's ranges."""
         recorder = self.recorder
         half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
-        return min(_MAX_SAFE_V, _SAFE_SHARE * self.player.largest_sine_v, half_range_v)
+        # An output that puts out four times what the rig believes is still within the limit.
+        return min(1.0, 0.25 * self.player.largest_sine_v, half_range_v)
 
     @property
     def is_virtual(self) -> bool:

@@ -77,8 +77,6 @@ class Marker:
     stranger: Callable[[str], str | None]
 
 
-# A call ends within eight times the line's longest wait for an answer; a longer one hangs in the port's driver.
-HUNG_ANSWERS = 10
 # Closing a port is a matter of milliseconds, unless its driver hangs.
 CLOSING_S = 1.0
 # Pause after a command whose answer is not waited for, as public drivers make it (0.2 s, lab-built ones for MTI).
@@ -327,7 +325,8 @@ class Dialogue:
     @contextmanager
     def _turn(self, doing: str) -> Iterator[None]:
         """Wait until no other thread asks, and no longer than a call can take. Raises InstrumentLostError."""
-        if not self._lock.acquire(timeout=HUNG_ANSWERS * self._line.settings.answer_s):
+        # A call ends within eight times the line's longest wait for an answer; a longer one hangs in the port's driver.
+        if not self._lock.acquire(timeout=10 * self._line.settings.answer_s):
             cause = "an earlier call hangs in the driver of its port"
             remedy = "connect it again; if it stays, unplug the port and plug it in again"
             raise self._lost(doing, cause, remedy)

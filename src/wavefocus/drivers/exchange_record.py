@@ -18,7 +18,6 @@ import numpy as np
 
 FORMAT = "wavefocus-exchanges"
 FORMAT_VERSION = 1
-MAX_TEXT = 2000
 Role = TypeVar("Role")
 
 
@@ -106,4 +105,4 @@ def _noted(call: Callable[..., Any], role: str, name: str) -> Callable[..., Any]
 def _shown(value: object) -> str:
     """A value as text; long arrays and texts are cut."""
     with np.printoptions(threshold=8, edgeitems=3):
-        return repr(value)[:MAX_TEXT]
+        return repr(value)[:2000]

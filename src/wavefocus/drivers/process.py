@@ -37,8 +37,6 @@ OPENING_S = 20.0
 CLOSING_S = 6.0
 """Longer than the process allows itself."""
 
-SIGN_S = 1.0
-"""How often a process gets a sign of life from its parent."""
 
 SILENT_S = 5.0
 """A parent that gives no sign of life for so long is stopped; a busy one is late by a second."""
@@ -284,7 +282,8 @@ class DriverProcess:
                 pipe.close()
 
     def _give_signs(self) -> None:
-        while not self._ending.wait(SIGN_S) and not self._gone:
+        # A sign of life to the process each second.
+        while not self._ending.wait(1.0) and not self._gone:
             with suppress(OSError, ValueError):
                 self._pipe.send(Alive())
 

@@ -27,9 +27,6 @@ Answer = TypeVar("Answer")
 Device = TypeVar("Device", bound=Instrument)
 _Calls = SimpleQueue[tuple[Future[Any], Callable[[], object]] | None]
 
-# No lock is woken by a signal on Windows; this often Python gets to look for one there.
-SLICE_S = 0.25
-
 
 class HungError(Exception):
     """A call did not return in its time and was given up."""
@@ -137,7 +134,8 @@ def _over(call: Future[Any], limit_s: float) -> bool:
         if left_s <= 0:
             return False
         with suppress(TimeoutError):
-            call.exception(min(left_s, SLICE_S))
+            # No lock is woken by a signal on Windows; four times a second Python looks for one there.
+            call.exception(min(left_s, 0.25))
     return True
 
 

@@ -30,7 +30,6 @@ from wavefocus.storage.units import PLAYED_UNITS
 AHEAD_MS = 40.0
 """What waits to be played at first where nothing is asked for; an interface with long periods gets more, see `adapts`
 of the session."""
-WARM_BLOCKS = 3
 TOO_COARSE = (
     "the bank's positions are too far apart for interpolation {!r}: between them the drives are wrong; use 'waves' or"
     " 'auto' in the scene's [output]"
@@ -130,7 +129,7 @@ def open_session(
 def _warm_up(engine: LiveEngine, limiter: LiveLimiter, bank: Bank) -> None:
     """Compute some blocks: what is loaded and planned when it is first used does not delay those of the session."""
     at_mm = bank.position_mm[int(np.flatnonzero(usable(bank))[0])].tolist()
-    for block in range(WARM_BLOCKS):
+    for block in range(3):
         engine.move(f"warm {block % 2}", (at_mm[0], at_mm[1]))
         limiter.limit(engine.next_block())
     engine.state()

@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 
 BUNDLE = b"#bundle\0"
-BUNDLE_HEAD = 16  # its name, and a time tag that is not waited for
 MAX_MESSAGES = 2000
 """Most messages of one datagram: the shortest position takes 40 bytes, a datagram at most 65,507."""
 NUMBERS = {"i": ">i", "h": ">q", "f": ">f", "d": ">d"}
@@ -36,7 +35,8 @@ def split(datagram: bytes) -> list[bytes]:
             if len(messages) > MAX_MESSAGES:
                 raise OscError(f"more than {MAX_MESSAGES} messages in one datagram")
             continue
-        at, elements = BUNDLE_HEAD, []
+        # Behind the bundle's name, and a time tag that is not waited for.
+        at, elements = 16, []
         while at != len(part):
             size = struct.unpack_from(">i", part, at)[0] if at + 4 <= len(part) else -1
             if size <= 0 or size % 4 or at + 4 + size > len(part):

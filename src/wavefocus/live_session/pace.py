@@ -6,16 +6,9 @@ import math
 from collections import deque
 from typing import Literal
 
-PACED = 0.95
-"""Blocks begin so many block times apart: an interface asks for a period at a time, and several blocks computed in a
-burst would leave positions waiting for the next one."""
 BUSY = 0.8
 """Share of a block's time above which computing it counts as too slow."""
-SHORT_SHARE = 0.75
-"""With less of it left to be played, a block that was computed beforehand is played before orders are taken."""
 LOOKED_AT = 10
-LEFT_SHARE = 0.4
-"""With less of it left to be played, computing has fallen behind."""
 CALM_S, MAX_CALM_S = 2.0, 16.0
 RELAPSE_S = 10.0
 Change = Literal["slower", "faster"]
@@ -54,7 +47,9 @@ class Pace:
         # Without room the player took it only when there was some.
         full = waiting_s + self._block_s >= self._ahead_s
         earliest_s = now_s if full else now_s - self._ahead_s
-        self._begin_s = max(self._begin_s + PACED * self._block_s, earliest_s)
+        # Blocks begin so many block times apart: an interface asks for a period at a time, and several blocks computed
+        # in a burst would leave positions waiting for the next one.
+        self._begin_s = max(self._begin_s + 0.95 * self._block_s, earliest_s)
         return self._begin_s
 
     def add(self, computed_s: float, waiting_s: float, sources: int) -> Change | None:
@@ -64,8 +59,10 @@ class Pace:
         """
         self._latest.append(computed_s)
         self._since_faster_s += self._block_s
-        self.short = waiting_s < SHORT_SHARE * self._ahead_s
-        low = waiting_s < LEFT_SHARE * self._ahead_s
+        # With less of it left to be played, a block that was computed beforehand is played before orders are taken.
+        self.short = waiting_s < 0.75 * self._ahead_s
+        # With less of it left to be played, computing has fallen behind.
+        low = waiting_s < 0.4 * self._ahead_s
         self._filled |= not low
         if self._slow and low:
             self._calm_s = 0.0

@@ -7,8 +7,6 @@ import sys
 import threading
 from contextlib import suppress
 
-REALTIME = 1
-"""The lowest of the real-time priorities: audio servers stay above."""
 _HIGH_PRIORITY_CLASS = 0x80
 
 
@@ -24,7 +22,8 @@ def raise_priority(*others: threading.Thread) -> None:
     if sys.platform == "linux":
         for thread in (threading.current_thread(), *others):
             with suppress(OSError):
-                os.sched_setscheduler(thread.native_id or 0, os.SCHED_RR, os.sched_param(REALTIME))
+                # The lowest of the real-time priorities: audio servers stay above.
+                os.sched_setscheduler(thread.native_id or 0, os.SCHED_RR, os.sched_param(1))
     elif sys.platform == "win32":
         import ctypes
 

@@ -32,13 +32,8 @@ from wavefocus.storage.errors import InputError
 
 Publish = Callable[[Message], object]
 
-STATES_EVERY_S = 0.2
 NOTICES_EVERY_S = 2.0
 MAX_AHEAD_S = 1.0
-ENDING_S = 5.0
-"""Beyond what waits to be played and the interface's latency, the last sound has left after so long."""
-SWITCH_S = 0.0005
-"""Python lets another thread run after so long, in place of 5 ms: reading orders must not hold up a block."""
 
 
 class LiveSession:
@@ -221,7 +216,8 @@ class LiveSession:
         change = self._pace.add(computed_s, waiting_s, self._sounding_sources)
         if change:
             self._limit_sources(change)
-        if figures.blocks >= STATES_EVERY_S / self._block_s:
+        # Five times a second.
+        if figures.blocks >= 0.2 / self._block_s:
             self._report(self.engine.state())
 
     def _limit_sources(self, change: Change) -> None:
@@ -310,7 +306,8 @@ class LiveSession:
                 self._player.add_piece(frames)
                 self._frames += frames.shape[1]
             self._player.end_pieces()
-            self._player.wait(self._ahead_s + self._player.latency_s + ENDING_S)
+            # Beyond what waits to be played and the interface's latency, the last sound has left after so long.
+            self._player.wait(self._ahead_s + self._player.latency_s + 5.0)
         except TransientInstrumentError:  # the last of a fade is lost
             self._figures.underruns += 1
 
@@ -339,7 +336,8 @@ def _undisturbed() -> Iterator[None]:
     interval_s = sys.getswitchinterval()
     gc.collect()
     gc.freeze()
-    sys.setswitchinterval(SWITCH_S)
+    # Python lets another thread run after so long, in place of 5 ms: reading orders must not hold up a block.
+    sys.setswitchinterval(0.0005)
     try:
         yield
     finally:

@@ -21,11 +21,6 @@ from numpy.typing import NDArray
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.errors import InputError
 
-TRANSFORM = 8.0
-"""Units of roundoff per factor 2 of the transform length."""
-TRANSFORMS = 3.0
-"""Transforms whose errors count: of a row, of a window, and back."""
-OTHER_TERMS = 20.0
 UNDERFLOW = 2.0**-100
 """Bounds what products in single precision lose below their smallest normal number, per unit of rows and windows."""
 
@@ -65,7 +60,8 @@ class Band:
 
     def rounding_units(self, terms: float) -> float:
         """Bound on rounding relative to c, for sums of so many terms."""
-        units = TRANSFORMS * TRANSFORM * math.log2(max(self.fft_samples, 2)) + terms + OTHER_TERMS
+        # Three transforms (of a row, of a window, and back), 8 units of roundoff per factor 2 of their length.
+        units = 3.0 * 8.0 * math.log2(max(self.fft_samples, 2)) + terms + 20.0
         return units * (2.0**-24 if self.single else 2.0**-53)
 
     def rounding_error(self, coherent: float, terms: float) -> float:

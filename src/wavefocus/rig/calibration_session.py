@@ -125,10 +125,6 @@ def listening(rig: RigConfig, request: CalibrationOptions) -> tuple[float, NDArr
     return distance_mm, places
 
 
-# Latencies that scatter by more are reported: one record gives them a thousand times better.
-_MAX_SPREAD_S = 1e-6
-
-
 class CalibrationSession:
     """Carries out a calibration: `measured` are the parts measured, `problems` what is not good enough and what to do.
 
@@ -234,7 +230,8 @@ class CalibrationSession:
         if given_up:
             self.problems.append(f"outputs: {_listed(given_up)} no signal: check the cables, then --only outputs")
         for one in found:
-            if one.spread_s > _MAX_SPREAD_S:
+            # Latencies that scatter by more are reported: one record gives them a thousand times better.
+            if one.spread_s > 1e-6:
                 self.problems.append(
                     f"outputs: the latency of output {one.channel} scatters by {1e6 * one.spread_s:.1f} us: check "
                     "the interface's clock and its buffer"

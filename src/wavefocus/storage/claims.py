@@ -15,10 +15,6 @@ from wavefocus.storage.ledger import owner
 from wavefocus.storage.sidecar_files import create
 from wavefocus.storage.text_file import permission_words
 
-_LOOKS_EVERY_S = 0.05
-# Whoever asks for the holder has the lock for microseconds.
-_WAIT_S = 0.2
-
 
 @contextmanager
 def claimed(name: str) -> Iterator[None]:
@@ -37,7 +33,8 @@ def claimed(name: str) -> Iterator[None]:
     except PermissionError:
         raise InputError(f"{name}: its lock {path} may not be opened{permission_words(path)}") from None
     with lock as file:
-        given_up_s = time.monotonic() + _WAIT_S
+        # Whoever asks for the holder has the lock for microseconds.
+        given_up_s = time.monotonic() + 0.2
         while not file.try_lock():
             if time.monotonic() >= given_up_s:
                 holder = _claim_holder(name) or owner.Owner("this computer", 0)
@@ -45,7 +42,7 @@ def claimed(name: str) -> Iterator[None]:
                     f"{name} is held by process {holder.pid or 'unknown'} on {holder.host}; wait until it has finished "
                     "or stop it, then try again"
                 )
-            time.sleep(_LOOKS_EVERY_S)
+            time.sleep(0.05)
         owner.write_owner(path)
         try:
             yield

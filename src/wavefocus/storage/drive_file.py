@@ -34,7 +34,6 @@ Int64Array = NDArray[np.int64]
 FORMAT = "wavefocus-drive"
 _FOCUS_AXES = ("x_mm", "y_mm")
 _NUMBERS = ("sample_rate_hz", "start_s", "scale", "omitted_bound")
-_PIECE_BYTES = 2**24
 LONG_NAMES = {
     "drive": "voltage at each actuator",
     "actuator": "index of the actuator",
@@ -220,7 +219,7 @@ class DriveWriter:
 
 def _pieces(volts: h5py.Dataset) -> Iterator[slice]:
     """Samples that take little memory together."""
-    step = max(1, _PIECE_BYTES // (8 * volts.shape[0]))
+    step = max(1, 2**24 // (8 * volts.shape[0]))
     return (slice(first, first + step) for first in range(0, volts.shape[1], step))
 
 

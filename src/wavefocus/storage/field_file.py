@@ -37,7 +37,6 @@ LONG_NAMES = {
     "position_index": "row of the bank",
     "time_s": "scene time",
 }
-AT_ONCE_BYTES = 32 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +273,7 @@ class FieldRowReader(Closing):
         hold.
         """
         digest = hdf5_digest.RunningDigest(self._field.dtype)
-        at_once = max(1, AT_ONCE_BYTES // (8 * self.samples))
+        at_once = max(1, (32 << 20) // (8 * self.samples))
         for first in range(0, len(self.position_index), at_once):
             words = f"{self.path}: /field from row {first}"
             values = hdf5_reading.read_part(self._field, slice(first, first + at_once), words)

@@ -19,10 +19,7 @@ from wavefocus.storage.text_file import permission_words, require_regular
 
 _MAX_METADATA_BYTES = 64 << 20
 _MIN_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
-# A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
-_HOLLOW = 100
 # What filters may add to a chunk that does not get smaller.
-_FILTER_BYTES = 4096
 _MAX_VARIABLE = "WAVEFOCUS_MOST_GIB"
 # What rounding may put between two ways of counting samples.
 _ROUNDING_SAMPLES = 1e-2
@@ -144,7 +141,8 @@ def plain_dataset(
     if stated.is_scaled or any(comparison in ("==", "~") for comparison, _, _ in stated.absent):
         raise InputError(f"{path}: {name} has a scale_factor, add_offset or _FillValue; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
-    if declared > most_bytes() and declared > _HOLLOW * held:
+    # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
+    if declared > most_bytes() and declared > 100 * held:
         raise _too_large(dataset, f"{name} of shape {dataset.shape} declares", declared, f" and holds {_size(held)}")
     if dataset.chunks is not None and (chunk := _bytes_of(dataset, dataset.chunks)) > most_bytes():
         raise _too_large(dataset, f"{name} has chunks of {dataset.chunks}, each", chunk)
@@ -157,7 +155,8 @@ def _require_true_chunks(dataset: h5py.Dataset) -> None:
     """Refuse compressed chunks that are larger than what they unfold to: they unfold to more than they declare."""
     declared = _bytes_of(dataset, dataset.chunks)
     largest = max((size for _, size in _stored_pieces(dataset)), default=0)
-    if largest > declared + declared // 100 + _FILTER_BYTES:
+    # What filters may add to a chunk that does not get smaller.
+    if largest > declared + declared // 100 + 4096:
         raise InputError(
             f"{path_of(dataset)}: {dataset.name} has a compressed chunk of {_size(largest)} where {_size(declared)} are"
             " declared; it is not read"

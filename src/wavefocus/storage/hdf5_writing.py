@@ -21,7 +21,6 @@ from wavefocus.storage.durable import PAGE, PositionedFile
 
 METADATA_BLOCK = 1 << 20
 """In files that are laid out once all metadata sits in blocks of this size, away from pages that are written later."""
-_METADATA_BYTES = 1 << 16
 _NETCDF_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
 
 
@@ -39,7 +38,7 @@ def created(path: Path, data_bytes: int = 0, *, laid_out_once: bool = False) -> 
     path.touch(exist_ok=False)
     with durable.open_file(path, write=True) as disk:
         if not laid_out_once:
-            disk.reserve(data_bytes + _METADATA_BYTES)
+            disk.reserve(data_bytes + (1 << 16))
         target = _Target(disk)
         try:
             with h5py.File(_new_file(target, laid_out_once=laid_out_once)) as file:

@@ -24,8 +24,6 @@ from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.verify.scan_signals import marker_v
 
-MARKER_S = 0.1
-"""Long enough for a fit to a few microseconds, short beside any stimulus."""
 MAX_VOID = 3
 """Presentations of one trial that may fail passingly before the session ends."""
 MASKING_HZ = (50.0, 8000.0)
@@ -120,7 +118,8 @@ class RigPresenter:
     ) -> None:
         self._setup, self._sound_of, self._rate_hz, self._pause_s = setup, sound_of, rate_hz, pause_s
         self._masking = masking
-        self._marker_v = marker_v(setup, round(MARKER_S * rate_hz), rate_hz)
+        # Long enough for a fit to a few microseconds, short beside any stimulus.
+        self._marker_v = marker_v(setup, round(0.1 * rate_hz), rate_hz)
         self._clock_fit = ClockFitter(self._marker_v)
         self._latency_s = _latency_s(setup)
         self._note: Callable[[str], object] = lambda sentence: None

@@ -50,15 +50,14 @@ REFERENCE_C = 21.0
 """Temperature at which plates are as their keys say."""
 
 
-ROOM_S = 1.0
-"""Room after the taps, so that the slow diffusion of far pairs does not wrap."""
 MAX_RINGING_S = 20.0
 """What rings longer wraps: such a plate needs taps that hold its whole response."""
 
 
 def impulse_length(taps: int, sample_rate_hz: float, ringing_s: float = 0.0) -> int:
     """Samples of a transform in which impulse responses do not wrap."""
-    room_s = max(ROOM_S, min(ringing_s, MAX_RINGING_S))
+    # Room after the taps, so that the slow diffusion of far pairs does not wrap.
+    room_s = max(1.0, min(ringing_s, MAX_RINGING_S))
     return int(scipy.fft.next_fast_len(taps + round(room_s * sample_rate_hz), real=True))
 
 

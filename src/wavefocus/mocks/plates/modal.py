@@ -21,8 +21,6 @@ POSITIONS_AT_ONCE = 64
 OVERSAMPLING = 4.0
 SIDE_TAPS = 6
 KAISER_BETA = 14.0
-# Tails below this share are of no account in single precision.
-TAIL_SHARE = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +135,8 @@ def _spread(
     Modes that die away have transforms as smooth as their impulse responses are short. Those are moved to the middle of
     the interval of time in which a transform of so many bins would repeat them.
     """
-    lasts_s = -np.log(TAIL_SHARE) / smoothness.decay_per_s
+    # Tails below this share are of no account in single precision.
+    lasts_s = -np.log(1e-7) / smoothness.decay_per_s
     every = int(1.0 / (OVERSAMPLING * lasts_s * step_hz))
     dense = ceil(smoothness.from_hz / step_hz) + SIDE_TAPS * every
     if every < 2 or dense + 2 * every >= bins:

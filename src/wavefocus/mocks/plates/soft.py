@@ -21,8 +21,6 @@ from wavefocus.mocks.plates import (
 )
 from wavefocus.mocks.plates.infinite import InfinitePlate
 
-REFERENCE_HZ = 250.0
-
 
 @dataclass(frozen=True, slots=True)
 class DampedWave:
@@ -118,7 +116,7 @@ class SpringpotWave:
     def modulus(self, frequency_hz: Float64Array) -> Complex128Array:
         """Complex modulus over its magnitude at 250 Hz."""
         turn = np.exp(0.5j * np.pi * self.exponent)
-        return np.asarray((frequency_hz / REFERENCE_HZ) ** self.exponent * turn)
+        return np.asarray((frequency_hz / 250.0) ** self.exponent * turn)
 
     def wavenumber(self, frequency_hz: ArrayLike, /) -> Complex128Array:
         """Complex wavenumber in rad/m, Im k <= 0, at frequencies >= 0."""

@@ -48,13 +48,8 @@ HIGHEST_HZ = 500.0
 """Upper end of the band in which the plate is accurate to 1 %; above, it is a causal plate with fewer modes."""
 RECIPE = 2
 """Raised when the same plate is computed in another way, so that no older file is used."""
-ELEMENTS_PER_WAVELENGTH = 1.9
 SOLVED_STEP_HZ = 26.0
 """Distance of the frequencies that are solved for; they go on to a quarter beyond the band."""
-MIN_NORM = 1e-10
-"""Directions of the projected space below this share of the strongest are dropped."""
-SMOOTH_FROM = 1.5
-"""Frequency in units of the slowest decay."""
 
 
 @PLATES.register
@@ -109,7 +104,8 @@ class StadiumPlate(ModalPlate):
     def smoothness(self) -> Smoothness:
         # Below, overdamped modes creep; from above, their poles are as far off as the frequency.
         decay_per_s = self._wave.damping_per_s / 2
-        return Smoothness(SMOOTH_FROM * decay_per_s / (2 * np.pi), decay_per_s)
+        # Frequency in units of the slowest decay.
+        return Smoothness(1.5 * decay_per_s / (2 * np.pi), decay_per_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,8 +294,8 @@ class Elements:
 
 
 def spacing_mm(wave: DampedWave, highest_hz: float) -> float:
-    """Length of elements for waves up to a frequency."""
-    return 2e3 * np.pi / abs(complex(wave.wavenumber(highest_hz)).real) / ELEMENTS_PER_WAVELENGTH
+    """Length of elements for waves up to a frequency: 1.9 of them to a wavelength."""
+    return 2e3 * np.pi / abs(complex(wave.wavenumber(highest_hz)).real) / 1.9
 
 
 def _ritz_modes(
@@ -321,7 +317,8 @@ def _ritz_modes(
     space = np.concatenate([found.real, found.imag], axis=1)
     space /= np.sqrt(np.einsum("ij,ij->j", space, elements.mass @ space))
     norm, turn = eigh(space.T @ (elements.mass @ space))
-    kept = norm > MIN_NORM * norm[-1]
+    # Directions of the projected space below this share of the strongest are dropped.
+    kept = norm > 1e-10 * norm[-1]
     space = space @ (turn[:, kept] / np.sqrt(norm[kept]))
     stiffness, turn = eigh(space.T @ (elements.stiffness @ space))
     shapes = space @ turn

@@ -26,7 +26,6 @@ from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.synthesis import Spot, Synthesis
 
-HUM_HZ = 50.0
 DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
 
 
@@ -230,7 +229,7 @@ def _spoilt(response_v: Float32Array, fault: RigFault, rate_hz: float) -> Float3
     if fault.kind == "lost_sample":
         middle = response_v.size // 2
         return np.concatenate([response_v[:middle], response_v[middle + 1 :], response_v[-1:]])
-    hum = np.sin(2 * np.pi * HUM_HZ / rate_hz * np.arange(response_v.size))
+    hum = np.sin(2 * np.pi * 50.0 / rate_hz * np.arange(response_v.size))
     return np.asarray(response_v + level * np.sqrt(2) * float(response_v.std()) * hum, dtype=np.float32)
 
 

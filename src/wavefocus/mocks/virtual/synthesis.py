@@ -23,15 +23,9 @@ from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal, delay_factor
 
-AMPLIFIER_CORNER_HZ = 20.0  # the paper, section IV.A: amplified voltage signals from 20 Hz
 # Butterworth of two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest
 # frequencies.
-AMPLIFIER_DAMPING = np.sqrt(2)
 COIL_OHM = 14.0  # the paper, section IV.A
-COIL_H = 5e-3  # the paper, section IV.A
-# The decoder's low-pass. With coil and magnet it leaves -85 dB at 5 kHz, so that 10 kHz is free of
-# aliasing and the FIR of pre-ringing; a Bessel filter, for it does not ring itself.
-VIBROMETER_CORNER_HZ = 1200.0
 # Poles of the Bessel filter of order 4 with -3 dB at 1 rad/s, each with its conjugate (`scipy.signal.bessel` with
 # norm="mag", whose import would cost every command half a second).
 VIBROMETER_POLES = (-0.995208764350272 + 1.257105739454664j, -1.3700678305514422 + 0.41024971749375155j)
@@ -43,10 +37,16 @@ def chain_response(frequency_hz: Float64Array) -> Complex128Array:
     frequency_hz, float64 array: Frequencies in Hz, >= 0.
     """
     frequency = np.asarray(frequency_hz, dtype=np.float64)
-    slow = 1j * frequency / AMPLIFIER_CORNER_HZ
-    amplifier = slow**2 / (slow**2 + AMPLIFIER_DAMPING * slow + 1)
-    coil = COIL_OHM / (COIL_OHM + 2j * np.pi * frequency * COIL_H)
-    fast = 1j * frequency / VIBROMETER_CORNER_HZ
+    # The paper, section IV.A: amplified voltage signals from 20 Hz.
+    slow = 1j * frequency / 20.0
+    # Butterworth of two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest
+    # frequencies.
+    amplifier = slow**2 / (slow**2 + np.sqrt(2) * slow + 1)
+    # The paper, section IV.A: a coil of 5 mH.
+    coil = COIL_OHM / (COIL_OHM + 2j * np.pi * frequency * 5e-3)
+    # The decoder's low-pass. With coil and magnet it leaves -85 dB at 5 kHz, so that 10 kHz is free of aliasing and the
+    # FIR of pre-ringing; a Bessel filter, for it does not ring itself.
+    fast = 1j * frequency / 1200.0
     response = np.asarray(amplifier * coil, dtype=np.complex128)
     for pole in VIBROMETER_POLES:
         response *= abs(pole) ** 2 / ((fast - pole) * (fast - pole.conjugate()))

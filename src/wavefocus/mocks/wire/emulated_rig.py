@@ -27,9 +27,6 @@ from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.mocks.wire.vibrometer import vibrometer_device
 
-# Silence on all channels that parts one sound from the next; sweeps of one record become one sound each, which the
-# store of signals then recognises.
-PARTING_S = 0.01
 # What a converter cannot put out is silence: -160 dB of full scale.
 SILENCE = 1e-8
 
@@ -137,7 +134,9 @@ class WireBench:
         sounding = np.flatnonzero((np.abs(frames) > SILENCE).any(axis=0))
         if not sounding.size:
             return []
-        breaks = np.flatnonzero(np.diff(sounding) > PARTING_S * rate_hz)
+        # Silence on all channels that parts one sound from the next; sweeps of one record become one sound each, which
+        # the store of signals then recognises.
+        breaks = np.flatnonzero(np.diff(sounding) > 0.01 * rate_hz)
         firsts = sounding[np.concatenate([[0], breaks + 1])]
         lasts = sounding[np.concatenate([breaks, [-1]])]
         return [
@@ -163,8 +162,6 @@ class WireBench:
 
 
 SOCKET = "socket://"
-# What a velocity decoder of the emulated controller makes the response late by, where the rig does not say it.
-DECODER_LATENCY_S = 8.16e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +213,9 @@ class EmulatedRig(ExitStack):
         super().__init__()
         states_delay = wiring.vibrometer_port is not None and wiring.vibrometer_driver == "polytec-ofv5000"
         if states_delay and not settings.vibrometer_latency_s:
-            settings = replace(settings, vibrometer_latency_s=DECODER_LATENCY_S)
+            # What a velocity decoder of the emulated controller makes the response late by, where the rig does not say
+            # it.
+            settings = replace(settings, vibrometer_latency_s=8.16e-6)
         try:
             self._start(settings, wiring, faults)
         except BaseException:

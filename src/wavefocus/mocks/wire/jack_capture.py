@@ -36,14 +36,9 @@ NANOSECONDS = 1_000_000_000
 
 SLOWEST = 2e-5
 """How much slower than the monotonic clock the server's may run, so that the recording keeps up with it."""
-MOVED_NS = 2_000_000
-"""A grid of periods that has moved by less is not noticed."""
 
 LOOKS = 4
 """Callbacks that are all late show that the grid has moved, and not that they were late."""
-
-EARLY_NS = 500_000
-"""A callback this long before its time shows that the first one, which the times are counted from, was late."""
 
 
 class AudioRing:
@@ -130,7 +125,8 @@ class RingWriter:
         sounds = any(channel.any() for channel in block)
         if ring["cycle"] == 0:
             self._grid_ns = now_ns
-        if now_ns < self._grid_ns - EARLY_NS:
+        # A callback this long before its time shows that the first one, which the times are counted from, was late.
+        if now_ns < self._grid_ns - 500_000:
             ring["revision"] += 1
         self._grid_ns = min(self._grid_ns, now_ns)
         self._keep_time(now_ns - self._grid_ns, silent=not sounds)
@@ -149,7 +145,8 @@ class RingWriter:
         enough = len(self._lates_ns) == LOOKS
         moved_ns = late_ns if self._resumed else min(self._lates_ns) * enough
         # When a cycle was late the server's clock stood still, and no sample was lost: made up for in silence.
-        if moved_ns > MOVED_NS and (self._resumed or silent):
+        # A grid of periods that has moved by less is not noticed.
+        if moved_ns > 2_000_000 and (self._resumed or silent):
             gap = moved_ns * self._rate_hz // NANOSECONDS
             ring.silence(ring["written"], gap)
             ring["revision"] += 1
@@ -180,9 +177,6 @@ def make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -
         memory[: HEADER.itemsize] = header.tobytes()
     return AudioRing(descriptor)
 
-
-HELD_NS = 30 * NANOSECONDS
-"""How long one relation of frames and time is held: longer than a record, shorter than two clocks take to part."""
 
 LATE_S = 10.0
 """How late frames may come on a busy machine."""
@@ -222,7 +216,9 @@ class PlayedAudio:
         with self._lock:
             revision = ring["revision"]
             held = self._held
-            if held is None or abs(instant_ns - held[1]) > HELD_NS or held[2] != revision:
+            # How long one relation of frames and time is held: longer than a record, shorter than two clocks take to
+            # part.
+            if held is None or abs(instant_ns - held[1]) > 30 * NANOSECONDS or held[2] != revision:
                 frame, start_ns = self._newest_cycle()
                 self._held = held = (frame, start_ns, revision)
         return held[0] - ring["period_frames"] + (instant_ns - held[1]) * self.rate_hz / NANOSECONDS

@@ -25,10 +25,6 @@ import numpy as np
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.jack_capture import AudioRing, RingWriter
 
-SERVER_BYTES = 45_000_000
-"""A jackd takes 42 MB of /dev/shm, however few ports it has (measured, 1.9.21)."""
-MAX_SERVERS = 7
-"""Of eight that may be registered; a person may run one."""
 PLACE_S = 60.0
 
 
@@ -42,7 +38,9 @@ def server_place() -> Iterator[str]:
     import fcntl
 
     memory = os.statvfs("/dev/shm")
-    places = min(MAX_SERVERS, max(1, memory.f_blocks * memory.f_frsize // SERVER_BYTES))
+    # A jackd takes 42 MB of /dev/shm, however few ports it has (measured, 1.9.21).
+    # Of eight that may be registered; a person may run one.
+    places = min(7, max(1, memory.f_blocks * memory.f_frsize // 45_000_000))
     latest_s = time.monotonic() + PLACE_S
     while True:
         for place in range(places):

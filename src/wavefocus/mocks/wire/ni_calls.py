@@ -24,11 +24,7 @@ BY_CHANNEL = 0  # nidaqmx.constants.FillMode
 COMMIT = 3  # nidaqmx.constants.TaskMode
 MIN_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
 ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
-VOLTAGE = 10322  # nidaqmx.constants.UsageTypeAI
-PRODUCT_CATEGORY = 14646  # nidaqmx.constants.ProductCategory.USBDAQ
-USB_BUS = 12586  # nidaqmx.constants.BusType
 ENUMERATIONS = (0x29A9, 0x2326, 0x1300)  # their values travel under another name
-OPEN_INPUT_V = 1e-4  # noise of an input that nothing drives, volts rms
 
 
 class NiCalls:
@@ -339,7 +335,8 @@ class NiCalls:
                 complete = complete and fault.kind == "short_read"
             elif fault.kind == "missing_reference":
                 analog_v = analog_v.copy()
-                analog_v[0] = OPEN_INPUT_V * self._generator.standard_normal(analog_v.shape[1])
+                # noise of an input that nothing drives, volts rms
+                analog_v[0] = 1e-4 * self._generator.standard_normal(analog_v.shape[1])
             elif fault.kind == "over_range":
                 analog_v = analog_v.copy()
                 largest_v = max(float(np.abs(analog_v[-1]).max()), 1e-9)
@@ -366,8 +363,8 @@ def _device_value(product: Product, name: str, serial_number: int, attribute: in
         0x2322: ", ".join(f"{name}/{line}" for line in product.lines),
         0x2A40: ", ".join(f"/{name}/{terminal}" for terminal in product.triggers),
         0x22CA: False,  # simulated
-        0x29A9: PRODUCT_CATEGORY,
-        0x2326: USB_BUS,
+        0x29A9: 14646,  # nidaqmx.constants.ProductCategory.USBDAQ
+        0x2326: 12586,  # nidaqmx.constants.BusType.USB
         0x2985: True,  # digital trigger supported
         0x2984: False,  # analog trigger supported
         0x298F: product.simultaneous,  # simultaneous sampling supported
@@ -390,7 +387,7 @@ def _channel_value(channel: Channel, device: str, attribute: int) -> Any:
         0x17DE: -converter.range_v,
         0x1930: [converter.offset_v, converter.step_v, 0.0, 0.0],
         0x187F: ANALOG_INPUT,
-        0x0695: VOLTAGE,
+        0x0695: 10322,  # nidaqmx.constants.UsageTypeAI.VOLTAGE
         0x18F5: f"{device}/{channel.input}",
     }
     return _found(values, attribute)

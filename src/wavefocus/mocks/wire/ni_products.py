@@ -15,12 +15,6 @@ import numpy as np
 from wavefocus.drivers.protocols import Float64Array
 
 DIFFERENTIAL, RSE, NRSE = "differential", "rse", "nrse"
-# NI-DAQmx converts as fast as the box can and adds this for settling, where the sample rate leaves room for it;
-# else it spreads the conversions evenly (USB-621x user manual, AI Convert Clock; property AI Convert Rate).
-SETTLING_S = 10e-6
-# Part of the codes that the USB-621x keep outside the range for their calibration (user manual, table 4-1:
-# 320 uV per code at +-10 V).
-SPARE_CODES_621X = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +113,9 @@ class Product:
             return 0.0
         fastest_s = 1 / self.aggregate_hz
         share_s = 1 / (rate_hz * channels)
-        return max(fastest_s, min(fastest_s + SETTLING_S, share_s))
+        # NI-DAQmx converts as fast as the box can and adds this for settling, where the sample rate leaves room for it;
+        # else it spreads the conversions evenly (USB-621x user manual, AI Convert Clock; property AI Convert Rate).
+        return max(fastest_s, min(fastest_s + 10e-6, share_s))
 
 
 def _lines(port: int, count: int) -> tuple[str, ...]:
@@ -128,6 +124,8 @@ def _lines(port: int, count: int) -> tuple[str, ...]:
 
 RANGES_621X_V = (0.2, 1.0, 5.0, 10.0)
 
+# Part of the codes that the USB-621x keep outside the range for their calibration (user manual, table 4-1: 320 uV per
+# code at +-10 V).
 PRODUCTS = {
     product.name: product
     for product in (
@@ -140,7 +138,7 @@ PRODUCTS = {
             aggregate_hz=250e3,
             timebase_hz=20e6,
             triggers=tuple(f"PFI{number}" for number in range(4)),
-            spare_codes=SPARE_CODES_621X,
+            spare_codes=0.05,
             lines=_lines(1, 4),
         ),
         Product(

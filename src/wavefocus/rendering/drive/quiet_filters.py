@@ -35,8 +35,6 @@ multiplier changes in one step, at most."""
 CLOSE_DB = 0.02
 MIN_MULTIPLIER, MAX_MULTIPLIER = 1e-6, 1e6
 """Bounds of a multiplier over the reciprocal of its place's mean power."""
-WORTH = 10**-0.1
-"""Where the energy that is allowed lowers no place by 1 dB, none is spent."""
 FAINT = 1e-9
 """Bins with less of the emitted power than this, relative to the largest, do not count."""
 TINY = 1e-300
@@ -210,7 +208,8 @@ def find_multipliers(
             break
         wanted = wanted / np.clip(excess, 1.0, 10.0)
     bound = uncut.drive + float((relative * unit) @ (uncut.place - level * uncut.focus))
-    if capped and (after.level > WORTH * plain.level).all():
+    # Where the energy that is allowed lowers no place by 1 dB, none is spent.
+    if capped and (after.level > 10**-0.1 * plain.level).all():
         # Plain time reversal, but for what rounding leaves of the smallest multipliers.
         relative = np.full_like(relative, MIN_MULTIPLIER)
         after = energies_of(moments, filters_of(moments, relative * unit))

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 FOCUS_RADIUS_MM = 15.0
 """A focus is searched for within this distance of its path point: about one wavelength at 300 Hz."""
-NEEDED_NEIGHBOURS = 0.9
-"""This part of the bank's positions around a focus must be compared before it is judged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +144,8 @@ def focus_table(
     for index, point in enumerate(intended):
         possible = np.count_nonzero(np.hypot(*(position_mm - point).T) <= FOCUS_RADIUS_MM)
         compared = np.count_nonzero(np.hypot(*(there - point).T) <= FOCUS_RADIUS_MM)
-        if spacing_mm is None or compared < NEEDED_NEIGHBOURS * possible:
+        # This part of the bank's positions around a focus must be compared before it is judged.
+        if spacing_mm is None or compared < 0.9 * possible:
             continue
         for kind, field in enumerate((predicted[index], scanned[index])):
             if (focus := metrics.focus_spot(there, field, point, FOCUS_RADIUS_MM, spacing_mm)) is not None:

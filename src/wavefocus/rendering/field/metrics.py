@@ -20,8 +20,6 @@ Place = tuple[float, float] | Float64Array
 
 # Cells per grid spacing on which a focal spot is drawn: area to about 1 % at 8 mm width on 4 mm.
 CELLS_PER_SPACING = 8
-# Neighbours of a peak below this part of it belong to its skirt and not to its lobe.
-LOBE_LEAST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +112,8 @@ def focus_peak(position_mm: Float64Array, field: RealArray, near_mm: Place, radi
         spacing = float(others.min())
         near = distance <= 1.5 * spacing
         relative = field.astype(np.float64) / value
-        lobe = near & (relative > LOBE_LEAST)
+        # Neighbours of a peak below this part of it belong to its skirt and not to its lobe.
+        lobe = near & (relative > 0.05)
         vertex = _quadratic_vertex(offset[lobe] / spacing, np.log(relative[lobe]))
         if vertex is None:
             vertex = _quadratic_vertex(offset[near] / spacing, relative[near])

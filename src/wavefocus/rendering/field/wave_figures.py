@@ -77,7 +77,6 @@ IMPULSE_BAND_HZ = (50.0, 450.0)
 """The paper's band of impulses."""
 SPAN_MM = (20.0, 100.0)
 MIN_PAIRS = 20
-MIN_CORRELATION = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +98,7 @@ class ImpulseTravel:
     @property
     def is_sure(self) -> bool:
         """Arrivals follow distances well enough for a velocity; in a room they do not."""
-        return self.correlation >= MIN_CORRELATION and 3.0 * self.velocity_error_m_s <= self.group_velocity_m_s
+        return self.correlation >= 0.7 and 3.0 * self.velocity_error_m_s <= self.group_velocity_m_s
 
 
 def impulse_travel(

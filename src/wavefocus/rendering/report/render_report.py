@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from wavefocus.rendering.drive.quiet_scene import QuietFigures
 
 ROWS = 6
-LOUD_DB = -40.0
-"""Level of the last tenth from which it is said: 1 % of the response, the error of a sound bank's rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +47,8 @@ class ResponseTail:
     @property
     def warning(self) -> str | None:
         """One sentence where the end is loud."""
-        if self.last_tenth_db <= LOUD_DB:
+        # Level of the last tenth from which it is said: 1 % of the response, the error of a sound bank's rows.
+        if self.last_tenth_db <= -40.0:
             return None
         return (
             f"the last tenth of the Green's functions holds {self.last_tenth_db:.0f} dB of their energy (position"

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 # Smaller deviations get no remark.
-NOTED_LEVEL_DB = 0.2
-NOTED_DELAY_SAMPLES = 0.1
-NOTED_GAIN = 0.01
 NOISE_SHARE = 0.7
 """Share of the error above which noise is named as its cause: half of the error's square."""
 
@@ -70,6 +67,7 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
     gain = float(np.nanmedian(gains)) if np.isfinite(gains).any() else 1.0
     artefact_db = median_or_none(verification.focus.scanned_artefact_db)
     excluded = Counter(reason for _, reason in fields.excluded).most_common()
+    # Smaller deviations get no remark.
     found: list[tuple[bool, str]] = [
         (
             "normalised error" in failed and from_noise,
@@ -77,13 +75,13 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
             " or put retro-reflective tape on the surface; the bank itself may be sound.",
         ),
         (
-            not verification.symptoms and abs(fields.level_db) > NOTED_LEVEL_DB,
+            not verification.symptoms and abs(fields.level_db) > 0.2,
             f"The scan is {number(abs(fields.level_db), 'dB')} {'louder' if fields.level_db > 0 else 'quieter'} than"
             " predicted. Check that amplifier volume and vibrometer sensitivity are those of the campaign in which the"
             " bank was measured.",
         ),
         (
-            not verification.symptoms and abs(fields.delay_samples) > NOTED_DELAY_SAMPLES,
+            not verification.symptoms and abs(fields.delay_samples) > 0.1,
             f"The scan comes {number(delay_us, chr(0xB5) + 's')} {'later' if fields.delay_samples > 0 else 'earlier'}"
             " than predicted. Check inter_channel_delay_s in the rig file and that the recorder's rate is that of the"
             " bank.",
@@ -108,7 +106,7 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
             f" focal spot lies wholly within them; scan every position within {FOCUS_RADIUS_MM:g} mm of the path.",
         ),
         (
-            abs(gain - 1.0) > NOTED_GAIN,
+            abs(gain - 1.0) > 0.01,
             f"The loopback carried {number(gain)} times the requested voltage. Calibrate the player's full-scale"
             " voltage (full_scale_v) or reference_gain in the rig file.",
         ),

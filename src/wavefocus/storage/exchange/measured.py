@@ -24,7 +24,6 @@ Float64Array = NDArray[np.float64]
 SPARE_BYTES = 64 << 20
 UNFOLDS = 100
 """A file may declare so many times its size, and `SPARE_BYTES` more, before it counts as hollow."""
-BLOCK_BYTES = 16 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +114,7 @@ def stated_unit(unit: str, drive: str, path: Path) -> str:
 
 def blocks(values: Any, row_bytes: int, chunk_rows: int = 1) -> Iterator[NDArray[Any]]:
     """Rows of an array or dataset, read many at once, one after the other."""
-    at_once = max(1, chunk_rows, BLOCK_BYTES // max(row_bytes, 1))
+    at_once = max(1, chunk_rows, (16 << 20) // max(row_bytes, 1))
     for first in range(0, len(values), at_once):
         yield from np.ascontiguousarray(values[first : first + at_once])
 

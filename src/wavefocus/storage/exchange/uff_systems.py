@@ -14,8 +14,6 @@ from wavefocus.storage.exchange.measured import Float64Array
 CARTESIAN, CYLINDRICAL, SPHERICAL = 0, 1, 2
 _GLOBAL = (0, 1)
 """Numbers of the file's own system; 1 only where no set defines it."""
-_ALIGNED = 1e-3
-"""Largest sine of the angle between a direction and an axis of the file that still counts as none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +118,7 @@ def _frame(record: SystemRecord, path: Path) -> tuple[Float64Array, Float64Array
 def aligned(vector: Float64Array) -> int | None:
     """The axis of the file that a unit vector points along, -3 to 3 without 0; None where it points elsewhere."""
     axis = int(np.argmax(np.abs(vector)))
-    if np.abs(np.delete(vector, axis)).max() > _ALIGNED:
+    # Largest sine of the angle between a direction and an axis of the file that still counts as none.
+    if np.abs(np.delete(vector, axis)).max() > 1e-3:
         return None
     return (axis + 1) * (1 if vector[axis] > 0 else -1)

@@ -22,8 +22,6 @@ from wavefocus.trials.analysis.shares import RIGHT, Share
 
 MAX_UNFIT = 20
 """Rows that are left out and named one by one."""
-MIN_ANSWERS = 3
-"""With two answers, hits and false alarms are the whole confusion matrix."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +179,8 @@ def _sensitivity(analysis: Analysis) -> Iterator[Section]:
 
 
 def _confusion(analysis: Analysis) -> Iterator[Section]:
-    if len(analysis.answers) < MIN_ANSWERS or not analysis.confusions:
+    # With two answers, hits and false alarms are the whole confusion matrix.
+    if len(analysis.answers) < 3 or not analysis.confusions:
         return
     tables = []
     for matrix in analysis.confusions:

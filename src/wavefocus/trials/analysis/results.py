@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 FORMAT = "wavefocus-trials-analysis"
-MIN_LEVELS = 5
-"""Levels above 0 from which a factor gets a psychometric function where the design is not adaptive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +130,8 @@ def psychometric_of(
 def _factor(answers: DataFrame) -> str | None:
     """The factor of constant stimuli."""
     for factor in ("amplitude", "speed_mm_s"):
-        if answers[factor][answers[factor] > 0.0].nunique() >= MIN_LEVELS:
+        # Levels above 0 from which a factor gets a psychometric function where the design is not adaptive.
+        if answers[factor][answers[factor] > 0.0].nunique() >= 5:
             return factor
     return None
 

@@ -17,11 +17,6 @@ FADE_S = 0.002
 SLOWEST = 5e-4
 """How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
 
-MEASURED_S = 5.0
-"""Time after which the rate of the callbacks is known to a part in a thousand or so."""
-
-STANDSTILL_S = 0.05
-"""Beyond what is buffered, a callback that comes so late has left the outputs without sound."""
 
 PERIODS_AFTER = 2
 """Periods after the last sample before a play has ended well: an underflow is flagged a period late."""
@@ -130,7 +125,8 @@ class Playback:
     def measured_rate_hz(self) -> float:
         """Frames per second that the interface asks for, by the computer's clock; NaN while that is not known yet."""
         seconds = self._called_s - self._first_s
-        return self._before / seconds if seconds >= MEASURED_S else float("nan")
+        # After 5 s the rate of the callbacks is known to a part in a thousand or so.
+        return self._before / seconds if seconds >= 5.0 else float("nan")
 
     def start(self, play: StreamPlay) -> None:
         """Let a play begin with the next period."""
@@ -184,7 +180,8 @@ class Playback:
         notice = "the host flagged an underflow" if flagged else missing
         # Not every host flags underflows; a long one shows in the time that went by.
         buffered_s = (self._latency_frames + 2 * self._host_frames) / self._rate_hz
-        if late_s > buffered_s + STANDSTILL_S and not notice:
+        # Beyond what is buffered, a callback that comes so late has left the outputs without sound.
+        if late_s > buffered_s + 0.05 and not notice:
             notice = f"the stream fell {1e3 * late_s:.0f} ms behind"
         if notice or fade:
             _fade(out, round(FADE_S * self._rate_hz))

@@ -354,13 +354,10 @@ class _Stream:
                 play.taken_frames = frames
 
 
-OTHER_RATE = 0.01
-"""Callbacks that differ by this share from the rate that was asked for are those of another rate."""
-
-
 def _measured(asked_hz: int, measured_hz: float) -> str:
     """The rate at which the interface asks for samples, where it is another one."""
-    if math.isnan(measured_hz) or abs(measured_hz / asked_hz - 1) < OTHER_RATE:
+    # Callbacks that differ by this share from the rate that was asked for are those of another rate.
+    if math.isnan(measured_hz) or abs(measured_hz / asked_hz - 1) < 0.01:
         return ""
     return f" (it asks for {measured_hz:.0f} a second: set its own panel and player.interface_rate_hz to one rate)"
 

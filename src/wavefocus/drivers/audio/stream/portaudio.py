@@ -111,9 +111,6 @@ SILENT_LIMIT_S = 0.5
 SILENT_LIMIT_PERIODS = 5
 """A callback that is overdue by the larger of these is not coming: the driver is frozen."""
 
-MAX_LATENCY_S = 5.0
-"""More is no latency: PortAudio reports 89,478 s (2**32 - 1 frames) for a JACK client that has not set its own."""
-
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
@@ -205,7 +202,8 @@ class WatchedStream:
             **settings, blocksize=block_frames, latency="high", dither_off=True, callback=self._callback
         )
         told_s = float(self._stream.latency)
-        self.latency_s = told_s if 0 <= told_s <= MAX_LATENCY_S else 0.0
+        # More than 5 s is no latency: PortAudio reports 2**32 - 1 frames for a JACK client that has not set its own.
+        self.latency_s = told_s if 0 <= told_s <= 5.0 else 0.0
         self.playback = Playback(self.rate_hz, self.latency_s)
         self._stream.start()
 

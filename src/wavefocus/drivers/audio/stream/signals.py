@@ -17,15 +17,9 @@ from wavefocus.drivers.protocols import Float32Array, Float64Array
 HALF_STEP = 2.0**-25
 """Half a step of a 24-bit converter, as a part of full scale: less than that at either end is silence."""
 
-RIPPLE = 1e-4
-"""So much beyond full scale is the low-pass's own ripple, and cut off: -80 dB."""
 
 FADED = 0.01
 """A signal that begins or ends above this part of its peak has no fade there."""
-
-
-KEPT_FRAMES = 64_000_000
-"""Converted signals that are kept, 256 MB of them."""
 
 
 class BeyondFullScaleError(Exception):
@@ -101,7 +95,8 @@ class PlayFrames:
                 ) from None
         self._converted.move_to_end(key)
         made = self._converted[key]
-        while len(self._converted) > 1 and sum(part.size for part, _ in self._converted.values()) > KEPT_FRAMES:
+        # At most 256 MB of converted signals are kept.
+        while len(self._converted) > 1 and sum(part.size for part, _ in self._converted.values()) > 64_000_000:
             self._converted.popitem(last=False)
         return made
 
@@ -117,7 +112,8 @@ def converted_frames(parts: Float64Array, ratio: Fraction) -> tuple[Float32Array
     frames, lead = converted(parts, ratio), lead_samples(ratio)
     beyond = np.abs(frames) > 1
     if beyond.any():
-        beyond &= np.abs(frames) > 1 + RIPPLE
+        # Up to -80 dB beyond full scale is the low-pass's own ripple, and cut off.
+        beyond &= np.abs(frames) > 1 + 1e-4
         audible = FADED * float(np.abs(parts).max())
         if abs(parts[0]) > audible:
             beyond[: 2 * lead] = False

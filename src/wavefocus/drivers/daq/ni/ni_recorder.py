@@ -26,7 +26,6 @@ ANSWER_S = 5.0
 
 # One period of the mains at 50 Hz; every box has a range of 10 V.
 INPUT_TIMING = TaskTiming(5000.0, 100, (10.0, 10.0))
-READ_INPUT_S = 2.0
 
 
 class NiRecorder(Recorder):
@@ -180,7 +179,8 @@ class NiRecorder(Recorder):
 
     def _record_once(self, names: tuple[str, str], timing: TaskTiming, doing: str) -> NDArray[np.float64]:
         """One record of other inputs, by a task of its own."""
-        limit_s = timing.samples / timing.rate_hz + READ_INPUT_S
+        # The record, and 2 s for the driver to begin and end it.
+        limit_s = timing.samples / timing.rate_hz + 2.0
         with self._lock:
             session = self._connected(doing)
             if self._under_way is not None:

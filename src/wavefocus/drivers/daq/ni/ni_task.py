@@ -15,11 +15,6 @@ from wavefocus.drivers.daq.ni.ni_session import TERMINALS, NiSession
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import RecordRequest
 
-# Calibrated steps differ from the nominal by up to 5 % (USB-621x user manual, table 4-1); far more is not a step.
-STEP_TOLERANCE = 0.15
-# The codes' ends lie so near the range's ends, or their coefficients mean something else.
-END_TOLERANCE = 0.2
-
 
 @dataclass(frozen=True, slots=True)
 class _CountScale:
@@ -65,22 +60,20 @@ def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None)
     # Codes of fewer bits may sit at the upper end of a wider word.
     shift = max(0, round(math.log2(nominal_v / coefficients[1])))
     step_v = coefficients[1] * 2**shift
-    if abs(step_v / nominal_v - 1) > STEP_TOLERANCE:
+    # Calibrated steps differ from the nominal by up to 5 % (USB-621x user manual, table 4-1); far more is not a step.
+    if abs(step_v / nominal_v - 1) > 0.15:
         return _CountScale(nominal_v, -codes, codes - 1)
     ends = [np.polynomial.polynomial.polyval(code * 2**shift, coefficients) for code in (-codes, codes - 1)]
     inside = math.floor(range_v / step_v + 1e-6)
     lowest, highest = -inside, inside
-    if all(abs(abs(end) / range_v - 1) < END_TOLERANCE for end in ends):
+    # The codes' ends lie so near the range's ends, or their coefficients mean something else.
+    if all(abs(abs(end) / range_v - 1) < 0.2 for end in ends):
         lowest, highest = max(lowest, round(ends[0] / step_v)), min(highest, round(ends[1] / step_v))
     return _CountScale(step_v, lowest, highest)
 
 
-# The estimator finds clock ratios within 500 ppm; what the device's own divider takes of that is refused beforehand.
-RATE_TOLERANCE = 2e-4
 # NI-DAQmx refuses a finite task of one sample.
 MIN_SAMPLES = 2
-# A finished record is in the computer's memory: reading it needs no time, but some drivers take 0 for "do not wait".
-READ_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +146,9 @@ class RecordTask:
         volts = np.zeros((2, self._acquired))
         reader = AnalogMultiChannelReader(self._task.in_stream)
         reader.verify_array_shape = False  # it would ask the device for the number of channels each time
-        count = reader.read_many_sample(volts, self._acquired, READ_S)
+        # A finished record is in the computer's memory: reading it needs no time, but some drivers take 0 for "do not
+        # wait".
+        count = reader.read_many_sample(volts, self._acquired, 2.0)
         return volts[:, : self.timing.samples], min(count, self.timing.samples)
 
     def stop(self) -> None:
@@ -173,7 +168,9 @@ class RecordTask:
     def _check(self, channels: list[Any], operation: str) -> None:
         """Refuse what the driver would quietly change: it takes the next rate and the next larger range."""
         rate_hz, instrument = self._task.timing.samp_clk_rate, self._session.instrument
-        if abs(rate_hz / self.timing.rate_hz - 1) > RATE_TOLERANCE:
+        # The estimator finds clock ratios within 500 ppm; what the device's own divider takes of that is refused
+        # beforehand.
+        if abs(rate_hz / self.timing.rate_hz - 1) > 2e-4:
             cause = f"it has no sample rate of {self.timing.rate_hz:g} Hz"
             remedy = f"choose the nearest one that it has, {rate_hz:.10g} Hz"
             raise InstrumentError(instrument, operation, cause, remedy)

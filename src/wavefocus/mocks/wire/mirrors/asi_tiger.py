@@ -38,11 +38,7 @@ ASI_AXIS = re.compile(r"([A-Z])(?:=(\S+))?")
 # "MicroMirror Drive Card User Guide": largest angle of its mirror in x and in y.
 MEMS_DEGREES = 4.6
 STAGE_AXES = ("X", "Y")
-STAGE_UNITS_PER_MM = 10_000.0
-STAGE_LIMIT_MM = 50.0
 STAGE_CARD = "1"
-# Rounding of UM and SL to the digits of an answer.
-ROUNDING_DEGREES = 1e-3
 # Bits of VB X.
 CR_ONLY, PRINT_TARGET = 8, 16
 COMM_ADDRESS, BUILD_NAME = "0", "TIGER_COMM"
@@ -245,9 +241,9 @@ class AsiTigerDevice(MirrorDevice):
                     return ":N-2\r\n"
                 values[axis] = str(self._modes[axis])
             elif verb == "UM":
-                values[axis] = f"{STAGE_UNITS_PER_MM if stage else self._units_per_degree:.3f}"
+                values[axis] = f"{10_000.0 if stage else self._units_per_degree:.3f}"
             else:
-                end = STAGE_LIMIT_MM if stage else self._limit_degrees
+                end = 50.0 if stage else self._limit_degrees
                 values[axis] = f"{end if verb == 'SU' else -end:.3f}"
         return self._listed(values, ":A {named}")
 
@@ -284,7 +280,8 @@ class AsiTigerDevice(MirrorDevice):
             targets.append(f"{units:.1f}")
             if axis in STAGE_AXES:
                 stage[axis] = units
-            elif abs(units) > (self._limit_degrees + ROUNDING_DEGREES) * self._units_per_degree:
+            # Rounding of UM and SL to the digits of an answer.
+            elif abs(units) > (self._limit_degrees + 1e-3) * self._units_per_degree:
                 return ":N-4\r\n"
             else:
                 target[self._axes.index(axis)] = units / self._units_per_mrad

@@ -20,8 +20,6 @@ from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.reader import DamagedError
 
-WORTH_SAYING = 0.05
-"""Error from which a render says something."""
 MAX_POINTS = 128
 SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
 BANDS = 6
@@ -151,7 +149,8 @@ def _remarks(errors: InterpolationErrors, kind: Interpolation) -> list[str]:
         else "measure a finer grid, or lower the band"
     )
     said = [*kind.remarks]
-    if error > WORTH_SAYING:
+    # A render states an error from 5 % on.
+    if error > 0.05:
         said.append(
             f"interpolation {errors.kind!r} between the grid positions is wrong by about {_percent(error)} at"
             f" {frequency_hz:.3g} Hz (median along the paths); {remedy}"
