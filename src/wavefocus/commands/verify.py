@@ -151,9 +151,10 @@ def verify(
         say(line)
     say(f"report: {out / REPORT_NAME}")
     if as_json:
-        found = {key: record[key] for key in ("symptoms", "actuators", "drift", "correction")}
+        keys = ("passed", "summary", "figures", "excluded", "symptoms", "actuators", "drift", "correction")
         files = {"report": str(out / REPORT_NAME), "record": str(out / RECORD_NAME)}
-        print(json.dumps({**files, **verification.numbers(), **found, "sources": record["source_figures"]}))
+        found = {key: record[key] for key in keys}
+        print(json.dumps({**files, **found, "sources": record["source_figures"]}))
     return code
 
 
@@ -302,6 +303,8 @@ class _Work:
         """Correct the drive by scans of the control places, and keep the best; not where the mirror is off."""
         bank = self.bank
         shift_mm = None if sentinel is None else sentinel_shift_mm(sentinel, bank)
+        if sentinel is None:
+            say("warning: no sentinel position was measured, so that a mirror that is off would not show here")
         if shift_mm is not None:
             say("warning: the sentinel position shows the field ({:+.2g}, {:+.2g}) mm further".format(*shift_mm))
             write_drive(self.out / CORRECTED_NAME, drive)

@@ -32,8 +32,3 @@ def percent(value: float | None) -> str:
     if not (value > 0.0 and math.isfinite(value)):
         return number(100.0 * value, "%")
     return f"{number(100.0 * value, '%')} ({number(20.0 * math.log10(value), 'dB')})"
-
-
-def finite(value: float | None) -> float | None:
-    """None in place of NaN and infinity, which JSON lacks."""
-    return value if value is not None and math.isfinite(value) else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -250,7 +250,9 @@ def sentinel_shift_mm(sentinel: Sentinel, bank: GreenSource) -> Float64Array | N
 
     steps = surface.spacing_mm * np.array([0.0, *START_STEPS])
     start = min((np.array([x, y]) for x in steps for y in steps), key=left)
-    found = minimize(left, start, method="Nelder-Mead", options={"xatol": 0.01, "fatol": 1e-3 * excess})
+    simplex = start + 0.25 * surface.spacing_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options: Any = {"xatol": 0.01, "fatol": 1e-3 * excess, "initial_simplex": simplex}
+    found = minimize(left, start, method="Nelder-Mead", options=options)
     explains = found.fun - block.noise <= (1.0 - CERTAIN_SHARE) * excess
     far = float(np.hypot(*found.x)) >= MIN_SPACINGS * surface.spacing_mm
     return np.asarray(found.x) if explains and far else None

@@ -25,7 +25,6 @@ from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field.prediction import field_unit, predict
 from wavefocus.rendering.greens.source import usable
 from wavefocus.rendering.verify.scan_signals import Aligned, Alignment, quiet_above_hz, scan_signals
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import Status
 from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
@@ -81,7 +80,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class ScanPlan:
-    """Bank rows that a scan visits, in this order, none twice, and records at each before it is given up, >= 1.
+    """Bank rows that a scan visits in this order, none twice, and records at each before it is given up, >= 1.
 
     A record that reached the end of the input range is repeated once: more of the same drive would clip again. A record
     in which the vibrometer lost the signal is repeated, and the last one kept as poor. The instruments' logs name the
@@ -125,8 +124,8 @@ def scan(
     publish: Receives the events of faults and of waiting for a lost instrument.
     journal: Keeps each position once it has a record, whatever happens then; those that it holds are not scanned again.
 
-    Raises InputError: a position that the bank does not have, a drive that the rig cannot play. InstrumentError,
-    ReferenceMissingError: an instrument failed, or was gone, for good, or five positions in a row had to be given up.
+    Raises InputError: a drive that the rig cannot play. InstrumentError, ReferenceMissingError: an instrument failed,
+    or was gone, for good, or five positions in a row had to be given up.
 
     Returns the field on the samples of ``predict(drive, bank)``.
     """
@@ -151,7 +150,7 @@ class _ScanRun:
         self._journal = journal
         self._plan, self._setup, self._bank, self._on_progress = plan, setup, bank, on_progress
         self._recovery = recovery
-        rows = _planned_rows(plan, len(bank.position_mm))
+        rows = np.unique(np.asarray(plan.position, np.int64))
         samples = drive.drive_v.shape[1] + bank.taps - 1
         self._signals_v = scan_signals(setup, drive, samples)
         quiet_hz = _quiet_above_hz(drive, bank, rows[usable(bank)[rows]])
@@ -265,17 +264,3 @@ def _quiet_above_hz(drive: Drive, bank: GreenSource, rows: Int64Array) -> float:
     some = rows[evenly_spread(rows.size, 16)]
     expected = predict(drive, bank, some.tolist(), dtype=np.float32).field
     return quiet_above_hz(expected, drive.sample_rate_hz, bank.band_hz)
-
-
-def _planned_rows(plan: ScanPlan, positions: int) -> Int64Array:
-    if not plan.position:
-        raise InputError("the scan has no position; at least one is needed")
-    rows = np.unique(np.asarray(plan.position, np.int64))
-    if rows[0] < 0 or rows[-1] >= positions:
-        wrong = rows[0] if rows[0] < 0 else rows[-1]
-        raise InputError(f"scan position {wrong} is not in the bank; rows 0 to {positions - 1} are")
-    if rows.size != len(plan.position):
-        raise InputError("a scan position is named twice; each may be named once")
-    if plan.attempts < 1:
-        raise InputError(f"scan attempts is {plan.attempts}; it must be at least 1")
-    return rows

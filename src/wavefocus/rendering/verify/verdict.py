@@ -20,7 +20,7 @@ from wavefocus.rendering.field.focus_figures import (
     median_or_none,
 )
 from wavefocus.rendering.field.quiet_levels import field_levels
-from wavefocus.rendering.number_text import finite, number, precise
+from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
 from wavefocus.rendering.verify.field_pair import BandLimit
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
@@ -130,35 +130,6 @@ class Verification:
             noise = number(100.0 * self.noise_error, "%")
             text += f" The vibrometer's noise alone makes a difference of {noise}."
         return text
-
-    def numbers(self) -> dict[str, object]:
-        """The verdict and its figures, for JSON; None where there is none."""
-        fields, focus = self.fields, self.focus
-        figures: dict[str, float | None] = {
-            "error": fields.error,
-            "noise_error": self.noise_error,
-            "misfit": self.misfit,
-            "error_all_frequencies": fields.error_all_frequencies,
-            "correlation": fields.correlation,
-            "correlation_median": fields.correlation_median,
-            "level_db": fields.level_db,
-            "delay_samples": fields.delay_samples,
-            "focus_from_intended_mm": median_or_none(focus.from_intended_mm),
-            "focus_from_prediction_mm": median_or_none(focus.from_prediction_mm),
-            "focal_width_mm": median_or_none(focus.scanned_width_mm),
-            "focal_width_predicted_mm": median_or_none(focus.predicted_width_mm),
-            "artefact_level_db": median_or_none(focus.scanned_artefact_db),
-        }
-        keys = ("name", "value", "limit", "relation", "unit", "passed")
-        return {
-            "passed": self.passed,
-            "positions_compared": len(fields.position_index),
-            "positions_excluded": len(fields.excluded),
-            **{name: finite(value) for name, value in figures.items()},
-            "checks": [
-                {name: getattr(check, name) for name in keys} | {"value": finite(check.value)} for check in self.checks
-            ],
-        }
 
     def _source(self, of_source: BoolArray) -> SourceFigures:
         near = np.zeros(len(self.fields.position_index), bool)
