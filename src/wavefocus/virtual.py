@@ -180,8 +180,10 @@ class VirtualBench:
     def record(self, position: int) -> Recorded:
         """Point the laser at a position and record it.
 
-        ``recordings`` of the result has a record per actuator, in staggered capture per group of them; its ``volts``
-        are float32 (2, samples), reference and response. Raises InputError: there is no such position.
+        ``recordings`` of the result has a record per actuator, in staggered capture per group of them, and at check
+        positions four times as many; its ``volts`` are float32 (2, samples), reference and response.
+
+        Raises InputError: there is no such position.
         """
         attempt = Attempt(bank_row(position, len(self.position_mm)), 1, 1)
         return Recorded(attempt, self._station.take(attempt, "capture"), "")

@@ -10,6 +10,7 @@ import numpy as np
 
 from wavefocus.acquisition.attempt import record_play
 from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
+from wavefocus.acquisition.leak import BAND_HZ, SWEEP_S
 from wavefocus.acquisition.plays import Play, channels_of
 from wavefocus.acquisition.setup import Setup, point_at
 from wavefocus.calibration import Float64Array
@@ -31,7 +32,6 @@ from wavefocus.drivers.protocols import Recording, RecordLabel
 # Above what coupling capacitors turn, and below what converters begin to fold back.
 LOWEST_HZ = 200.0
 HIGHEST_SHARE = 0.4
-DURATION_S = 0.5
 SILENCE_S = 0.05
 RECORDS = 3
 TRIES = 3
@@ -64,7 +64,7 @@ class Probe:
         self._setup = setup
         self._rate_hz = sample_rate_hz
         band_hz = LOWEST_HZ, HIGHEST_SHARE * sample_rate_hz
-        excitation = PlayedExcitation(sample_rate_hz, *band_hz, DURATION_S, SILENCE_S, amplitude_v, averages=1)
+        excitation = PlayedExcitation(sample_rate_hz, *band_hz, SWEEP_S, SILENCE_S, amplitude_v, averages=1)
         self.amplitude_v = amplitude_v
         self._signal_v: Float64Array = excitation.signal_v()
         self._comparer = ChannelComparer(self._signal_v, sample_rate_hz)
@@ -289,8 +289,6 @@ REMEDIES: dict[Verdict, str] = {
     "reversed": "swap the two wires of its coil, or leave it: a bank measured with it is right all the same",
     "unlike": "check the mirror map, its place in the rig file, its glue, and what touches the surface near it",
 }
-# Enough for sign and level, in the middle of the campaign's band.
-BAND_HZ = (40.0, 400.0)
 DECAY_S = 0.2
 RESPONSE_S = 0.08  # the first waves; what comes back from the edge differs from place to place
 # A record that fits worse was spoilt on the way, by speckle for instance.
@@ -327,7 +325,7 @@ def measure_actuators(
     Raises NotMeasuredError: no signal from the loopback, or a response is too loud for its input. InstrumentError: of
     the instrument that failed for good.
     """
-    excitation = PlayedExcitation(sample_rate_hz, *BAND_HZ, DURATION_S, DECAY_S, amplitude_v, averages=1)
+    excitation = PlayedExcitation(sample_rate_hz, *BAND_HZ, SWEEP_S, DECAY_S, amplitude_v, averages=1)
     estimator = SequentialEstimator(excitation, round(RESPONSE_S * sample_rate_hz), channels_of(setup))
     estimates: list[Estimate] = []
     for actuator, (x_mm, y_mm) in enumerate(place_mm):

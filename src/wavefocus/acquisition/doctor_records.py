@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from wavefocus.acquisition.judgement import CALIBRATION_SPARE
-from wavefocus.acquisition.leak import leak_of
+from wavefocus.acquisition.leak import BAND_HZ, SWEEP_S, leak_of
 from wavefocus.acquisition.setup import Setup, naming_role, point_at, record_silence, take_record
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import fit_clock
@@ -18,9 +18,7 @@ from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.drivers.protocols import Recorder, Recording, RecordLabel
 
 PARKED_S = 0.1  # longest time that a mirror of any driver takes to its parking direction
-SILENCE_S = 0.5
-SWEEP_S, DECAY_S = 0.5, 0.2
-BAND_HZ = (40.0, 400.0)
+DECAY_S = 0.2
 # Quiet enough: a campaign's records want 40 dB and more between signal and silence.
 GOOD_SNR_DB, MIN_SNR_DB = 40.0, 20.0
 # From this deviation of the loopback's level on, a campaign with default limits finds every position poor.
@@ -35,7 +33,7 @@ ACTUATORS_HEARD = 3
 
 def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[float, float]) -> list[Finding]:
     """Record while nothing plays: whether a record comes, and what it holds; raises InstrumentError of the recorder."""
-    recording = record_silence(recorder, SILENCE_S, sample_rate_hz, range_v, RecordLabel(0, 1, 0, "doctor"))
+    recording = record_silence(recorder, SWEEP_S, sample_rate_hz, range_v, RecordLabel(0, 1, 0, "doctor"))
     count = f"{recording.volts.shape[1]} samples of 2 channels"
     findings: list[Finding] = [Finding("recorder", "record", "ok", count)]
     for channel, name in enumerate(("reference", "response")):

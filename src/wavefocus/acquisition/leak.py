@@ -34,9 +34,8 @@ from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status, usable
 from wavefocus.storage.raw.writer import RawWriter
 
-SWEEP_S = 0.5
-BAND_HZ = (40.0, 400.0)
-"""Band of the sweep where no campaign says another."""
+SWEEP_S, BAND_HZ = 0.5, (40.0, 400.0)
+"""Length of the sweep, and its band where no campaign says another; as of doctor, calibrate and sweeps by hand."""
 DEFECT = "crosstalk"
 TRIES = 3
 """Records in which the vibrometer loses the surface for a moment are taken again so often in all."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
+from wavefocus.acquisition.leak import BAND_HZ
 from wavefocus.acquisition.plays import channels_of
 from wavefocus.acquisition.setup import Setup, record_samples, record_silence, take_record
 from wavefocus.calibration import Float32Array, Float64Array
@@ -22,7 +23,6 @@ from wavefocus.storage.errors import InputError
 
 LISTENS_S = 0.1
 _FADE_S = 0.005
-_BAND_HZ = (40.0, 400.0)
 DECAY_S, TAPS_S = 0.2, 0.1
 # Beyond the sweep's band the harmonics are shown, up to so many times its end.
 SHOWN = 3.5
@@ -52,7 +52,7 @@ class ManualMeasurements:
         """Choose what plays while levels are measured: an actuator at a peak of so many volts, or nothing."""
         self._sound = None
         if actuator is not None:
-            sweep = PlayedExcitation(self._rate_hz, *_BAND_HZ, LISTENS_S, 0.0, amplitude_v, averages=1, fade_s=_FADE_S)
+            sweep = PlayedExcitation(self._rate_hz, *BAND_HZ, LISTENS_S, 0.0, amplitude_v, averages=1, fade_s=_FADE_S)
             self._sound = actuator, sweep.signal_v()
 
     def level(self) -> InputLevels:

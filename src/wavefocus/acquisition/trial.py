@@ -48,7 +48,8 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
     response_s, period_s = (samples / sweep.sample_rate_hz for samples in (plan.taps, sweep.period_samples))
     noise_db = noise_error_db(plain.snr_db, band_hz=sweep.band_hz, response_s=response_s, period_s=period_s)
     error_db = 20 * math.log10(max(float(np.median(apart)), 1e-15)), float(np.median(noise_db))
-    names, seconds = zip(*((schedule_name(one), plan.positions * one.position_s(setup)) for one in plans), strict=True)
+    looks = plan.looks(*range(plan.positions))
+    names, seconds = zip(*((schedule_name(one), looks * one.position_s(setup)) for one in plans), strict=True)
     sentence = (
         f"{names[0]} differs from {names[1]} by {error_db[0]:.1f} dB at position {position}, where noise explains "
         f"{error_db[1]:.1f} dB; the campaign takes {hours(seconds[0])} instead of {hours(seconds[1])}"

@@ -17,6 +17,8 @@ from wavefocus.calibration.numerics import fourier_sum
 Operator = Callable[[Float64Array], Float64Array]
 Real = TypeVar("Real", Float32Array, Float64Array)
 
+RIDGE = 1e-6
+"""Penalty on a response's energy relative to the excitation's median power in band."""
 # Clock ratios at which the solution is exact; between them a polynomial, good to -110 dB for 0.2 s of 500 Hz.
 NODES = 5
 # Directions weaker than this share of the ridge would be damped to 1 % of themselves: left out.

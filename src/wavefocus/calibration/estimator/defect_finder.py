@@ -9,7 +9,14 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
-from wavefocus.calibration.estimator.clipping import AROUND_SAMPLES, MIN_STEPS, Levels, ThirdHarmonic, converter_steps
+from wavefocus.calibration.estimator.clipping import (
+    AROUND_SAMPLES,
+    FLOOR,
+    MIN_STEPS,
+    Levels,
+    ThirdHarmonic,
+    converter_steps,
+)
 from wavefocus.calibration.evidence import CLEAR_DB, MOST, SIGMAS
 
 _FIGURES = "burst_db burst_s line_db line_hz tail_db misfit_db unsteady_db harmonic_db slip_db dead"
@@ -41,7 +48,6 @@ EDGE_SHARE = 0.1
 """A tone beyond the band leaks into the nearest part of it."""
 DEAD_SHARE = 1e-6
 """A constant channel has so little of its largest sample's energy in band: the rounding of 10 bits."""
-FLOOR = 1e-30
 
 
 def not_looked_at(records: int) -> NDArray[np.void]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from wavefocus.calibration import Float32Array
 from wavefocus.calibration.clock.repeats import SweepCutter
-from wavefocus.calibration.estimator.causal_fit import CausalFit, ToeplitzFit
+from wavefocus.calibration.estimator.causal_fit import RIDGE, CausalFit, ToeplitzFit
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy
 from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
@@ -16,8 +16,6 @@ from wavefocus.calibration.excitation import Excitation
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Schedule
 
-# Penalty on the FIR's energy relative to the sweep's median power in band.
-RIDGE = 1e-6
 # Bounds memory to about 20 MB however many records are given, and to a tenth of a GB however long they are.
 BATCH_RECORDS = 32
 BATCH_VALUES = 1 << 19

@@ -12,14 +12,13 @@ from wavefocus.calibration.clock.known_signal import filled_bins, require_found
 from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock, KnownSignalFit
 from wavefocus.calibration.clock.period_spectrum import period_spectrum, periodic_signal, require_coverage
 from wavefocus.calibration.clock.resampling import Decimated, decimate
+from wavefocus.calibration.estimator.causal_fit import RIDGE
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.defect_finder import energy, find_moment, find_tone, not_looked_at
 from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
 from wavefocus.calibration.estimator.multichannel_fir_fit import JointFit
 from wavefocus.storage.errors import InputError
 
-RIDGE = 1e-6
-"""Penalty on the FIRs' energy relative to the base signal's median power in band."""
 # Bins whose nominal energy is below this share of the median in band carry noise only.
 MIN_POWER = 1e-4
 # The way from player to reference input rings for less than the inverse of this, so its factor is smooth.

@@ -11,13 +11,13 @@ import scipy.fft
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.resampling import resampled
-from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, circulant_inverse, conjugate_gradients
+from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, RIDGE, circulant_inverse, conjugate_gradients
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
 from wavefocus.storage.errors import InputError
 
-# Penalty relative to the excitation's median power in band; outside of the band it is a little more.
-RIDGE, OUTSIDE_RIDGE = 1e-6, 1e-5
+# Penalty outside of the band, as `RIDGE`.
+OUTSIDE_RIDGE = 1e-5
 # What was already sounding when a record starts leaves so much more, per sample, in its first taps than later.
 RUNNING = 2.0
 # A hit or a sweep within those first samples, many times as loud as what follows, is kept.

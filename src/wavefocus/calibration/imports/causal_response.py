@@ -11,15 +11,13 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
-from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, ToeplitzFit
+from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, RIDGE, ToeplitzFit
 from wavefocus.storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
-RIDGE = 1e-6
-"""Penalty on a tap's energy relative to that of a bin, as in the estimators."""
 MAX_DENSE_TAPS = 4096
 """FIRs up to this length are solved for with a matrix, of 128 MiB."""
 EARLY, LATE = 1e-2, 10**-2.5
