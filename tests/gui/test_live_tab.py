@@ -162,7 +162,7 @@ def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(
     wait(qtbot, lambda: tab.live_run.state == IDLE)
     tab.modes[LIVE_PAGE].click()
     started(qtbot, tab)
-    surface, pid = tab.live_surface, tab.live_run.pid
+    surface, pid = tab.live_surface, tab.live_run.own.pid
     mouse(surface, QEvent.Type.MouseButtonPress, pixel(surface, 1.5, 1.5), NO_KEY, held=True)
     wait(qtbot, lambda: sounds(tab, MOUSE))
     window.close_at_once()

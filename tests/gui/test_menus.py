@@ -134,19 +134,6 @@ def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(
     assert window._pages.currentWidget() is tab_of(window, CampaignTab)  # that of the last one
 
 
-def test_a_click_on_open_in_the_scene_tab_then_the_scene_that_is_chosen_is_shown(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path
-) -> None:
-    scene = write_scene(tmp_path)
-    window = open_window()
-    tab = tab_of(window, SceneTab)
-    window._pages.setCurrentWidget(tab)
-    tab.actions_by_name["open"].trigger()
-    (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
-    dialog.fileSelected.emit(str(scene))
-    assert (tab.document.path, len(tab.document.draft.source)) == (scene, 1)
-
-
 @pytest.mark.timeout(500)
 def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(
     qtbot: QtBot, open_window: Opens, finished: Path

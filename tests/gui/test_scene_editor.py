@@ -357,7 +357,7 @@ def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happe
     tab.document.replace(point + line)
     wait(qtbot, lambda: "at most 1000000 are allowed" in tab.surface.problem)
     tab.document.replace(point)
-    wait(qtbot, lambda: "1 of 1 points (crosses) are over" in tab.surface.problem)
+    wait(qtbot, lambda: "source 0" in tab.results.problem.text() and tab.surface.problem == "")
     (trace,) = tab.live.preview.traces
     tab.document.replace(point + circle)
     wait(qtbot, lambda: "later than numbers reach" in tab.surface.problem)

@@ -21,7 +21,7 @@ from wavefocus.config.scene import Output, QuietTable, SceneConfig
 from wavefocus.gui.process import WAVEFOCUS
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
-from wavefocus.gui.scene.exports import DRIVE, IDLE, OPENING, PLAYING, RENDERING, WAV
+from wavefocus.gui.scene.exports import IDLE, OPENING, PLAYING, RENDERING
 from wavefocus.gui.scene.figures_view import GOOD, HELD, MISSED, figures_of
 from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel
 from wavefocus.gui.window import Window
@@ -78,7 +78,7 @@ def bench(qtbot: QtBot, open_window: Opens, finished: Path) -> Generator[Bench]:
 def test_drives_field_and_figures_follow_edits_and_nothing_older_is_shown(qtbot: QtBot, bench: Bench) -> None:
     panel = bench.panel
     bench.says(EMPTY)
-    assert not panel.bar.saves[DRIVE].isEnabled()
+    assert not panel.bar.save.isEnabled()
     for amplitude in (1.0, 5.0, 2.0):
         bench.edit(line_scene(amplitude=amplitude), complete=False)
     wait(qtbot, lambda: panel.complete)
@@ -174,19 +174,19 @@ def test_no_bank_path_off_grid_or_bank_that_goes_and_comes_then_sentence_says_so
 def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_path: Path) -> None:
     bench.edit(line_scene(limit_v=2.0))
     panel, drawn = bench.panel, bench.panel.results.drive
-    panel.save(DRIVE, tmp_path / "out.h5")
+    panel.save(tmp_path / "out.h5")
     assert panel.saving.busy
-    assert not panel.bar.saves[WAV].isEnabled()
+    assert not panel.bar.save.isEnabled()
     bench.told("out.h5 is saved")
     drive = read_drive(tmp_path / "out.h5")
     assert drive.omitted_bound == 0.0
     assert np.linalg.norm(drawn.drive_v - drive.drive_v) < 1.1e-3 * np.linalg.norm(drive.drive_v)
-    panel.save(WAV, tmp_path / "out.wav")
+    panel.save(tmp_path / "out.wav")
     bench.told("out.wav is saved")
     sound, rate_hz = soundfile.read(tmp_path / "out.wav")
     assert sound.shape[1] == 3
     assert len(sound) == pytest.approx(drawn.drive_v.shape[1] * rate_hz / drawn.sample_rate_hz, abs=2)
-    panel.save(DRIVE, tmp_path / "never.h5")
+    panel.save(tmp_path / "never.h5")
     panel.saving.cancel()
     bench.told("never.h5 is not saved: cancelled")
     assert not (tmp_path / "never.h5").exists()
@@ -202,7 +202,7 @@ def test_unsaved_text_with_relative_name_then_file_beside_scene_is_meant(
     bench.document.replace(FINGER_SCENE.replace("0.01", "0.02"))
     assert not bench.document.saved
     wait(bench.qtbot, lambda: bench.panel.complete)
-    bench.panel.save(DRIVE, tmp_path / "out.h5")
+    bench.panel.save(tmp_path / "out.h5")
     bench.told("out.h5 is saved")
     assert scene.read_text(encoding="utf-8") == FINGER_SCENE
 
@@ -240,7 +240,7 @@ def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench: Bench,
     bar.gain.setValue(-3.0)
     bench.qtbot.mouseClick(bar.buttons["play"], LEFT)
     wait(bench.qtbot, lambda: panel.playing.state == OPENING)
-    process = panel.playing.pid
+    process = panel.playing.own.pid
     panel.shut_down()
     _, status = os.waitpid(process, 0)  # the window does not wait for it; it ends by itself, muted
     assert os.waitstatus_to_exitcode(status) != 0

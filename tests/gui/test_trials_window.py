@@ -195,9 +195,9 @@ def test_trials_file_then_window_shows_what_is_left_and_starts_participants_wind
     dialog.participant.setText("P01")
     qtbot.waitUntil(dialog.start.isEnabled, timeout=SOON_MS)
     dialog.start.click()
-    assert dialog.process is not None
-    os.kill(dialog.process.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
-    qtbot.waitUntil(lambda: dialog.process is None, timeout=SOON_MS)
+    assert dialog.command.own is not None
+    os.kill(dialog.command.own.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
+    qtbot.waitUntil(lambda: dialog.command.own is None, timeout=SOON_MS)
     assert "the trials: process ended unexpectedly" in main.messages.sentence
 
 

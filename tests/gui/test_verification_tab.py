@@ -21,7 +21,7 @@ from tests.lab_files import with_check_rows
 from wavefocus.__main__ import run
 from wavefocus.gui.files import FileKind, kind_of
 from wavefocus.gui.time_slider import TimeSlider
-from wavefocus.gui.verification.tab import VerificationTab
+from wavefocus.gui.verification.tab import VerificationTab, unused_folder
 from wavefocus.gui.window import Window
 
 SCENE = """
@@ -197,7 +197,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
     steps = set()
 
     def seen() -> bool:
-        steps.add(tab.run.progress.step)
+        steps.add(tab.run.step.step)
         return tab.results is not None
 
     tab.row.start.trigger()
@@ -230,7 +230,7 @@ def test_long_scan_then_closing_asks_cancel_parks_and_killed_process_is_sentence
     assert "muted and the mirror is parked" in window.messages.sentence
     assert not (lab / "new" / "verify.json").exists()
     tab.row.start.trigger()
-    wait(qtbot, lambda: tab.run.progress.step == "scan" and tab.run.progress.done > 0)
+    wait(qtbot, lambda: tab.run.step.step == "scan" and tab.run.step.done > 0)
     window.refresh()
     assert "left" in tab.row.figures.text()
     window.close()
@@ -305,14 +305,14 @@ def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(o
     form = tab.form
 
     def options() -> list[str]:
-        arguments = list(form.request().arguments)
+        arguments = form.arguments(Path("out"))
         return arguments[arguments.index("--json") + 1 :]
 
     assert options() == []
     form.positions.setText(" 0-3,7 ")
     assert options() == ["--positions", "0-3,7"]
     form.rig.line.setText("virtual")
-    arguments = form.request().arguments
+    arguments = form.arguments(Path("out"))
     assert arguments[arguments.index("--rig") + 1] == "virtual"
     form.take_bank(lab / "plate.h5")
     assert form.rig.line.text() == "virtual"  # what was typed stays
@@ -320,13 +320,10 @@ def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(o
     (lab / "render").mkdir()
     (lab / "render" / "drive.h5").write_bytes(b"precious")
     for used, free in (("render", "render-2"), ("verify", "verify-2")):
-        form.out.show_path(lab / used)
-        assert form.request().out == lab / free
-        assert options() == ["--positions", "0-3,7"]
+        assert unused_folder(lab / used) == lab / free
     (lab / "verify-2").mkdir()
     (lab / "verify-2" / "report.html").write_text("earlier", encoding="utf-8")
-    form.out.show_path(lab / "verify-2")
-    assert form.request().out == lab / "verify-3"
+    assert unused_folder(lab / "verify-2") == lab / "verify-3"
     assert (lab / "render" / "drive.h5").read_bytes() == b"precious"
     form.scene.line.clear()
     assert form.missing() == "choose a scene file"

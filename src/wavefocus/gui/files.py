@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 
@@ -104,34 +104,29 @@ class Settings:
                 widget.setText(self.text(key))
 
 
-Chosen = Callable[[Path], None]
-
-
 def make_dialog(owner: QWidget, title: str, folder: Path, kind: str, endings: Sequence[str]) -> QFileDialog:
-    """Make a dialog for files with some endings, called `kind`; the caller sets its mode and shows it."""
+    """Make a dialog for files with some endings, called `kind`, which does not block; the caller shows it."""
     dialog = QFileDialog(owner, title, str(folder), f"{kind} ({' '.join(f'*{ending}' for ending in endings)})")
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.setModal(False)
     return dialog
 
 
-def choose_file(owner: QWidget, title: str, folder: Path, kind: str, endings: Sequence[str], chosen: Chosen) -> None:
-    """Call `chosen` with an existing file that the user picks."""
-    dialog = make_dialog(owner, title, folder, kind, endings)
-    dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-    _show(dialog, chosen)
-
-
-def choose_place(owner: QWidget, title: str, suggested: Path, kind: str, ending: str, chosen: Chosen) -> None:
-    """Call `chosen` with a file to save to."""
-    dialog = make_dialog(owner, title, suggested.parent, kind, [ending])
+def choose_place(
+    owner: QWidget, title: str, suggested: Path, kinds: Mapping[str, str], chosen: Callable[[Path], None]
+) -> None:
+    """Call `chosen` with a file to save to; `kinds` has the kind of file of each ending, the usual one first."""
+    endings = {f"{kind} (*{ending})": ending for ending, kind in kinds.items()}
+    dialog = make_dialog(owner, title, suggested.parent, "", [])
     dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-    dialog.setDefaultSuffix(ending.lstrip("."))
-    dialog.selectFile(suggested.name)
-    _show(dialog, chosen)
+    dialog.setNameFilters(list(endings))
 
+    def name(kind: str) -> None:
+        dialog.setDefaultSuffix(endings[kind])
+        dialog.selectFile(suggested.with_suffix(endings[kind]).name)
 
-def _show(dialog: QFileDialog, chosen: Chosen) -> None:
+    name(next(iter(endings)))
+    dialog.filterSelected.connect(name)
     dialog.fileSelected.connect(lambda name: chosen(Path(name)))
     dialog.show()
 
@@ -140,7 +135,8 @@ class PathField(QWidget):
     """A line for a path, with a button that opens a dialog.
 
     word: Label, with an ampersand before its key; empty for none.
-    ending, kind: Ending of the files, ``".h5"``, and their name; an empty ending for folders.
+    ending, kind: Ending of the files, ``".h5"``, and their name; an empty ending for folders. Where the name is one
+        of `FileKind`, a file of another kind is refused.
     settings: Has the folder of the last choice.
     saves: Whether the file may not exist yet.
     words: Words allowed in place of a path.
@@ -163,7 +159,7 @@ class PathField(QWidget):
         words: Collection[str] = (),
     ) -> None:
         super().__init__()
-        self._wanted = _WANTED.get(kind)
+        self._wanted = next((one for one in FileKind if one == kind), None)
         self._words = words
         self._ending, self._kind, self._settings, self._saves = ending, kind, settings, saves
         self._last: Path | None = None
@@ -262,7 +258,7 @@ class FileKind(StrEnum):
 
     RUN = "run file"
     RIG = "rig file"
-    BANK = "bank"
+    BANK = "bank file"
     SCENE = "scene file"
     TRIALS = "file of perception trials"
     CALIBRATION = "calibration file"
@@ -307,13 +303,6 @@ def record_of(path: Path) -> Path | None:
         return path
     sidecar = path.with_name(RECORD_NAME)
     return sidecar if path.name in (*FIELD_NAMES, REPORT_NAME) and sidecar.is_file() else None
-
-
-# Kinds of path fields for which a file of another kind is refused at once.
-_WANTED = {
-    "bank file": FileKind.BANK, "bank to verify": FileKind.BANK, "run file": FileKind.RUN, "rig file": FileKind.RIG,
-    "scene file": FileKind.SCENE,
-}  # fmt: skip
 
 
 def misplaced(path: Path, wanted: FileKind) -> str:

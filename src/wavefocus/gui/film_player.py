@@ -33,6 +33,7 @@ class Film:
     marks, int64 (foci,): Samples of the focus instants.
     response: Returns a title and the responses (samples,) of a position, by its place on the surface.
     unit: Of the responses.
+    scales: Title of the colours of each map, and the value at their ends.
     """
 
     surface: PlotSurface
@@ -44,6 +45,7 @@ class Film:
     marks: NDArray[np.int64]
     response: Callable[[int], tuple[str, Sequence[Real]]]
     unit: str
+    scales: Sequence[tuple[str, float]]
 
 
 class ResponsePlot(Plot):
@@ -100,7 +102,7 @@ class ResponsePlot(Plot):
 
 
 class FilmPlayer(Themed, QWidget):
-    """Shows a film; the owner lays out `maps`, `time` and `response`, and sets the scales of the maps in `rescale`.
+    """Shows a film; the owner lays out `maps`, `time` and `response`.
 
     names: Of the maps.
     looks: Of the lines of a position, as of `ResponsePlot`.
@@ -131,24 +133,14 @@ class FilmPlayer(Themed, QWidget):
                 one.show_sources(NOWHERE_MM)
             self.response.clear_response()
             return
-        for one in self.maps:
+        for one, (title, end) in zip(self.maps, film.scales, strict=True):
             one.show_surface(film.surface)
+            one.show_scale(title, end, film.unit)
         same = former is not None and former.bank == film.surface.bank
         if zoomed and same:
             self.maps[0].keep_view(view)
-        self.rescale()
         self.time.show_samples(film.start_s, film.sample_rate_hz, film.samples, film.marks)
         self.show_position(marked if same and former is not None and former.positions == film.surface.positions else -1)
-
-    def rescale(self) -> None:
-        """Set the scales of the maps."""
-        raise NotImplementedError
-
-    def show_again(self) -> None:
-        """Show the same instant with other scales."""
-        if self.film is not None:
-            self.rescale()
-            self.show_instant()
 
     @property
     def marked(self) -> int:
@@ -168,19 +160,14 @@ class FilmPlayer(Themed, QWidget):
         self.response.show_response(title, film.unit, time_s, lines)
         self.response.show_time(self.time.time_s)
 
-    def show_instant(self) -> None:
-        """Show the sample that the slider is at."""
+    def _moved(self, sample: int) -> None:
         if self.film is None:
             return
         sources_mm = self.film.sources_mm(self.time.time_s)
-        for one, values in zip(self.maps, self.film.frames(self.time.sample), strict=True):
+        for one, values in zip(self.maps, self.film.frames(sample), strict=True):
             one.show_values(values)
             one.show_sources(sources_mm)
-
-    def _moved(self, _sample: int) -> None:
-        if self.film is not None:
-            self.show_instant()
-            self.response.show_time(self.time.time_s)
+        self.response.show_time(self.time.time_s)
 
     def _go_to(self, time_s: float) -> None:
         if self.film is not None:

@@ -10,10 +10,11 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
@@ -24,7 +25,6 @@ from wavefocus.storage.sidecar_files import create
 Message = dict[str, object]
 
 WAVEFOCUS = (sys.executable, "-m", "wavefocus")
-NOT_GOOD_ENOUGH = 1
 STOPPED_BY_USER = 130
 _INTERRUPT = signal.SIGTERM if os.name == "posix" else signal.Signals(getattr(signal, "CTRL_BREAK_EVENT", 15))
 _WINDOWS_FLAGS = 0x00000200 | 0x08000000  # CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
@@ -41,9 +41,10 @@ class CommandProcess(QObject):
     log_file: Receives standard error, so that the process can outlive the window; without it, both outputs are read
         here.
     name, advice: Subject of sentences about the process; what to do when it ended unexpectedly.
+    shown_as: Texts in its lines, as names of temporary files, and what is shown in their place.
 
     exit_code: None while the process runs; negative when a signal ended it.
-    cancelled: Whether it was asked to stop, or killed, from here.
+    cancelled: Whether `kill` was called; only on processes that hold no instruments.
     last_message: Last JSON object that it wrote.
     """
 
@@ -61,11 +62,12 @@ class CommandProcess(QObject):
         log_file: Path | None = None,
         name: str = "",
         advice: str = "",
+        shown_as: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         super().__init__(parent)
         self.exit_code: int | None = None
         self.cancelled = False
-        self._name, self._advice = name or f"wavefocus {arguments[0]}", advice
+        self._name, self._advice, self._shown_as = name or f"wavefocus {arguments[0]}", advice, shown_as
         self._log_file = log_file
         self.last_message: Message = {}
         self._last_line = ""
@@ -102,7 +104,12 @@ class CommandProcess(QObject):
                 lines = file.read().decode("utf-8", "replace").splitlines()
         except OSError:
             return ""
-        return next((_plain(line) for line in reversed(lines) if line.strip()), "")
+        return next((self._plain(line) for line in reversed(lines) if line.strip()), "")
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the user ended it."""
+        return self.exit_code == STOPPED_BY_USER or (self.cancelled and self.exit_code is not None)
 
     @property
     def failure(self) -> str:
@@ -134,13 +141,15 @@ class CommandProcess(QObject):
         self._signal(_INTERRUPT)
 
     def kill(self) -> None:
-        self._signal(getattr(signal, "SIGKILL", signal.SIGTERM))
+        """End it at once."""
+        self.cancelled |= self.running
+        self._kill()
 
     def stop(self, grace_ms: int, kill_after_ms: int) -> None:
         """Close its input, interrupt it after `grace_ms`, and kill it after another `kill_after_ms`."""
         self.close_input()
         QTimer.singleShot(grace_ms, self.interrupt)
-        QTimer.singleShot(grace_ms + kill_after_ms, self.kill)
+        QTimer.singleShot(grace_ms + kill_after_ms, self._kill)
 
     def detach(self) -> None:
         """Close its input and leave it running; no signal is emitted any more."""
@@ -175,9 +184,11 @@ class CommandProcess(QObject):
             self._log_file = Path(name)
             return io.FileIO(number, "w")
 
+    def _kill(self) -> None:
+        self._signal(getattr(signal, "SIGKILL", signal.SIGTERM))
+
     def _signal(self, number: int) -> None:
         if self._process is not None and self.running:
-            self.cancelled = True
             with suppress(OSError):
                 self._process.send_signal(number)
 
@@ -200,17 +211,19 @@ class CommandProcess(QObject):
     def _read_errors(self, stream: IO[bytes]) -> None:
         with stream:
             for line in stream:
-                self._last_line = _plain(line.decode("utf-8", "replace")) or self._last_line
+                self._last_line = self._plain(line.decode("utf-8", "replace")) or self._last_line
+
+    def _plain(self, line: str) -> str:
+        line = line.strip().removeprefix("wavefocus: ")
+        for text, shown in self._shown_as.items():
+            line = line.replace(text, shown)
+        return line
 
     def _finish(self, code: int) -> None:
         self.exit_code = code
         self.close_input()
         self.finished.emit()
         self.deleteLater()
-
-
-def _plain(line: str) -> str:
-    return line.strip().removeprefix("wavefocus: ")
 
 
 class Background(QObject):

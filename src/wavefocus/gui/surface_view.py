@@ -92,6 +92,12 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         item.setZValue(depth)
         self.box.addItem(item, ignoreBounds=not bounds)
 
+    def add_spots(self, depth: float, symbol: str, size: int, pen: object = None, brush: str | None = None) -> Spots:
+        """Add spots of a size in pixels; `pen` as of `pyqtgraph.mkPen`, None for no rim or no filling."""
+        spots = Spots(symbol=symbol, size=size, pxMode=True, pen=pen, brush=brush)
+        self.add_item(spots, depth)
+        return spots
+
     def link(self, other: SurfaceView) -> None:
         """Show the same part of the surface as another map."""
         self.box.setXLink(other.box)
@@ -226,12 +232,13 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
             self.picked.emit(position)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        """Show the tooltip of the position below the mouse."""
+        """Show the tooltip of the position below the mouse, or the place of the mouse."""
         super().mouseMoveEvent(event)
-        if event is not None and self.surface is not None:
+        if event is not None:
             point = self.box.mapSceneToView(self.mapToScene(event.pos()))
             position = self.position_at((point.x(), point.y()))
-            self.setToolTip(self.position_text(position) if position >= 0 else "")
+            place = f"({point.x():.1f}, {point.y():.1f}) mm"
+            self.setToolTip(self.position_text(position) if position >= 0 else place)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802
         """Use the room, unless the view was panned or zoomed by hand."""

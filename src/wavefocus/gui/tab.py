@@ -13,8 +13,8 @@ from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QWidget
 
 from wavefocus.gui.files import FileKind, Settings
-from wavefocus.gui.message_bar import MessageBar, error_text
-from wavefocus.gui.process import STOPPED_BY_USER, Background, CommandProcess, Message
+from wavefocus.gui.message_bar import Answer, MessageBar, error_text
+from wavefocus.gui.process import Background, CommandProcess, Message
 from wavefocus.storage.errors import WavefocusError
 
 # Module and class of each tab, from left to right.
@@ -58,27 +58,37 @@ class TabContext:
         arguments: Sequence[str],
         done: Callable[[CommandProcess], Any],
         received: Callable[[Message], None] | None = None,
-        *,
-        log_file: Path | None = None,
-        name: str = "",
-        advice: str = "",
+        **options: Any,
     ) -> CommandProcess:
-        """Start a command; `received` is called with each JSON line, `done` with the process when it has ended."""
-        process = CommandProcess(arguments, self.owner, log_file=log_file, name=name, advice=advice)
+        """Start a command; `received` is called with each JSON line, `done` with the process when it has ended.
+
+        options: As of `CommandProcess`.
+        """
+        process = CommandProcess(arguments, self.owner, **options)
         if received is not None:
             process.received.connect(received)
 
         process.finished.connect(lambda: done(process))
         return process
 
-    def report_end(self, process: CommandProcess, done: str = "", stopped: str = "") -> None:
-        """Say how a command ended: `done` (empty for nothing), `stopped` by the user, or why it failed."""
-        if process.exit_code == STOPPED_BY_USER or (process.cancelled and process.failure and stopped):
+    def report_end(
+        self, process: CommandProcess, done: str = "", stopped: str = "", why: str = "", *answers: Answer
+    ) -> str:
+        """Say how a command ended, and return that sentence.
+
+        done: Said after success; empty for nothing.
+        stopped: Said where the user ended it.
+        why, answers: Said where it failed, by default its last line; buttons of that message.
+        """
+        if process.stopped and stopped:
             self.messages.note(stopped)
-        elif process.failure:
-            self.messages.fault(process.failure)
-        elif done:
+            return stopped
+        if process.failure:
+            self.messages.fault(why or process.failure, *answers)
+            return why or process.failure
+        if done:
             self.messages.note(done)
+        return done
 
     def share(self, opened_in: QWidget, kind: FileKind, path: Path) -> None:
         """Show a run file, rig file or bank that was opened in one tab in all others that are not busy with another."""
@@ -130,6 +140,45 @@ class TabContext:
         """Open a file or a folder with the desktop's program for it."""
         if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
             self.messages.warn(f"the desktop has no program for {path}; open it by hand")
+
+
+class OwnCommand(QObject):
+    """At most one command of a part of the window; `own` is None while there is none."""
+
+    def __init__(self, context: TabContext) -> None:
+        super().__init__()
+        self._context = context
+        self.own: CommandProcess | None = None
+
+    @property
+    def running(self) -> bool:
+        return self.own is not None
+
+    def run(
+        self,
+        arguments: Sequence[str],
+        ended: Callable[[CommandProcess], Any],
+        received: Callable[[Message], None] | None = None,
+        **options: Any,
+    ) -> None:
+        """Start it, as `TabContext.run`."""
+
+        def over(process: CommandProcess) -> None:
+            self.own = None
+            ended(process)
+
+        self.own = self._context.run(arguments, over, received, **options)
+
+    def interrupt(self) -> None:
+        """Ask it to stop, as Ctrl-C does."""
+        if self.own is not None:
+            self.own.interrupt()
+
+    def detach(self) -> None:
+        """Leave it: the window closes. What holds instruments mutes, parks and ends by itself."""
+        if self.own is not None:
+            self.own.detach()
+            self.own = None
 
 
 class Tab(QWidget):

@@ -213,7 +213,7 @@ class Window(QMainWindow):
 
         def written(process: CommandProcess) -> None:
             if process.exit_code != 0:
-                self.messages.fault(process.failure)
+                self.context.report_end(process)
                 return
             self.settings.keep(f"folder/{_LAB}", str(folder.parent))
             names = ("scene.toml", "rig.toml", "run.toml") if rig == VIRTUAL else ("scene.toml", "run.toml", "rig.toml")
@@ -224,7 +224,7 @@ class Window(QMainWindow):
                 if rig == VIRTUAL
                 else "fill in rig.toml, save it, then Examine asks each instrument"
             )
-            self.messages.note(f"the lab is in {folder}; {nexts}")
+            self.context.report_end(process, f"the lab is in {folder}; {nexts}")
 
         self.context.run(["init", str(folder), "--rig", rig], written)
 

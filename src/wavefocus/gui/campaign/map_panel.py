@@ -38,23 +38,18 @@ class SurfaceMap(SurfaceView):
         """Values at the ends of the colour bar; None while the status is shown."""
         self.beyond = False, False
         self.colour_map = pyqtgraph.colormap.get("viridis")
-        self._marks = Spots(pxMode=True)
-        self._selection = Spots(symbol="s", size=11, pxMode=True)
-        self._current_rim = Spots(symbol="o", size=17, pxMode=True)
-        self._current = Spots(symbol="o", size=17, pxMode=True)
-        self._selecting = QGraphicsRectItem()
         super().__init__("Map of the surface")
         self.setAccessibleDescription("Arrow keys go from position to position, Space selects")
-        for depth, item in enumerate((self._marks, self._selection, self._current_rim, self._current)):
-            self.add_item(item, 30 + depth)
+        self._marks = self.add_spots(30, "o", 7, self.theme.text, self.theme.base)
+        self._selection = self.add_spots(31, "s", 11, pyqtgraph.mkPen(MARK, width=2.0))
+        self._current = [
+            self.add_spots(32, "o", 17, pyqtgraph.mkPen("#000000", width=4.5)),
+            self.add_spots(33, "o", 17, pyqtgraph.mkPen("#ffffff", width=2.0)),
+        ]
+        self._selecting = QGraphicsRectItem()
         self.add_item(self._selecting, 100)
         self._selecting.hide()
         self._selecting.setPen(pyqtgraph.mkPen(self.theme.text, width=0, style=Qt.PenStyle.DashLine))
-        for item, colour, width in (
-            (self._selection, MARK, 2.0), (self._current_rim, "#000000", 4.5), (self._current, "#ffffff", 2.0),
-        ):  # fmt: skip
-            item.setPen(pyqtgraph.mkPen(colour, width=width))
-            item.setBrush(None)
         self.picked.connect(self.show_position)
 
     @property
@@ -67,7 +62,7 @@ class SurfaceMap(SurfaceView):
         self._status = np.zeros(0 if surface is None else surface.positions, np.uint8)
         self._marked_status = b""
         if surface is None:
-            for item in (self._marks, self._current_rim, self._current):
+            for item in (self._marks, *self._current):
                 item.clear()
         self.show_position(-1)
         self.select([])
@@ -97,7 +92,7 @@ class SurfaceMap(SurfaceView):
 
     def show_current(self, position: int | None) -> None:
         """Ring the position that is being measured."""
-        for ring in (self._current_rim, self._current):
+        for ring in self._current:
             self._put(ring, [] if position is None else [position])
 
     def show_position(self, position: int) -> None:

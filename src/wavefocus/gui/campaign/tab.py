@@ -25,20 +25,18 @@ from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, file_state, rig_of_run, runs_on_virtual_rig
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import PlotSurface, plan_surface
-from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
+from wavefocus.gui.tab import ClosingQuestion, OwnCommand, Tab, TabContext
 from wavefocus.storage.errors import InputError
 
 
-class CampaignRun:
+class CampaignRun(OwnCommand):
     """At most one capture of this window, and one order at a time.
 
-    own: The window's capture.
     bank: Bank of that capture.
     """
 
     def __init__(self, context: TabContext, owner: QWidget) -> None:
-        self._context, self._owner = context, owner
-        self.own: CommandProcess | None = None
+        super().__init__(context)
         self.bank = Path()
         self._arguments: Sequence[str] = ()
         self._virtual = False
@@ -56,7 +54,7 @@ class CampaignRun:
         self.accept_calibration.setChecked(False)
         self._arguments, self._virtual, self.bank = tuple(arguments), virtual, bank
         self._started_at = datetime.now().astimezone()
-        self.own = self._context.run(
+        self.run(
             [*arguments, *accepted],
             self._ended,
             log_file=said_path(bank),
@@ -99,22 +97,16 @@ class CampaignRun:
             ),
         )
 
-    def detach(self) -> None:
-        if self.own is not None:
-            self.own.detach()
-
     def _ended(self, process: CommandProcess) -> None:
-        self.own = None
-        failure, reason = session_failure(self.bank, self._started_at) if process.failure else ("", "")
-        fault = self._context.messages.fault
+        failure, why = session_failure(self.bank, self._started_at) if process.failure else ("", "")
+        answers = []
         if failure == "drift":
-            again = [*self._arguments, "--accept-drift"]
-            fault(reason, ("Continue anyway", lambda: self.start(again, self.bank, virtual=self._virtual)))
+            again = partial(self.start, [*self._arguments, "--accept-drift"], self.bank, virtual=self._virtual)
+            answers = [("Continue anyway", again)]
         elif failure == "instrument":
-            fault(f"{reason}; nothing measured is lost: put it right, then press Resume")
-        else:
-            stopped = "stopped; nothing measured is lost, Resume continues"
-            self._context.report_end(process, process.last_line or "the capture is done", stopped)
+            why = f"{why}; nothing measured is lost: put it right, then press Resume"
+        stopped = "stopped; nothing measured is lost, Resume continues"
+        self._context.report_end(process, process.last_line or "the capture is done", stopped, why, *answers)
 
 
 # Findings per tick; the rest of a long log follows with the next ticks, so that the window stays responsive.

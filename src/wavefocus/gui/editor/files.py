@@ -13,7 +13,7 @@ from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui.editor.document import TextDocument
-from wavefocus.gui.files import choose_file, choose_place
+from wavefocus.gui.files import choose_place
 from wavefocus.gui.tab import Act, ClosingQuestion, TabContext
 from wavefocus.storage.errors import WavefocusError
 
@@ -65,11 +65,6 @@ class TextFiles(QObject):
     def new(self) -> None:
         self._unless_unsaved(f"starting a new {self._document.kind}", self._document.clear)
 
-    def choose(self) -> None:
-        """Choose a file to open, in a dialog that does not block."""
-        kind, folder = self._document.kind, self._context.settings.folder(".toml")
-        choose_file(self._owner, f"Open a {kind} file", folder, f"{kind} file", [".toml"], self.open)
-
     def open(self, path: Path) -> None:
         """Open a file, and remember it as one of the last."""
 
@@ -98,9 +93,8 @@ class TextFiles(QObject):
         """Ask for a file and save to it."""
         kind = self._document.kind
         file = self._document.path or self._context.settings.folder(".toml") / f"{kind}.toml"
-        choose_place(
-            self._owner, f"Save the {kind} file", file, f"{kind} file", ".toml", lambda chosen: self._save(chosen, then)
-        )
+        kinds = {".toml": f"{kind} file"}
+        choose_place(self._owner, f"Save the {kind} file", file, kinds, lambda chosen: self._save(chosen, then))
 
     def save_settings(self) -> None:
         """Keep unsaved changes in the settings, for the next window."""

@@ -42,7 +42,7 @@ class FilePage(Themed, QWidget):
         self.table.hide()
         self.name = ui.label("File", any_width=True)
         self.actions_by_name = file_actions(self, self.document, self.files)
-        names = ("new", "open", "save", "save as", "undo", "redo")
+        names = ("new", "save", "save as", "undo", "redo")
         buttons = [ui.button(self.actions_by_name[name]) for name in names]
         right = QWidget()
         ui.column((self.surface, 2), self.lines, (self.table, 1), owner=right, spacing=4)
@@ -141,7 +141,6 @@ def file_actions(owner: QWidget, document: TextDocument, files: TextFiles) -> di
     text, kind = document.text, document.kind
     made = {
         "new": ui.action(owner, "&New", files.new, "Ctrl+N", tip=f"Begin a new {kind} file"),
-        "open": ui.action(owner, "&Open…", files.choose, tip=f"Open a {kind} file (Ctrl+O opens any file)"),
         "save": ui.action(owner, "&Save", files.save, "Ctrl+S", tip=f"Save the {kind} to its file"),
         "save as": ui.action(owner, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
         "undo": ui.action(owner, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),

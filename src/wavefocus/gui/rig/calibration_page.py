@@ -166,7 +166,6 @@ class CalibrationPage(Themed, QWidget):
     def _ask_jog(self, question: AskJog) -> None:
         number, place_mm, at_mrad = question.number, question.place_mm, question.at_mrad
         self._marks_mm = self._calibration.marks_mm
-        self.picture.show_residuals([], [])
         self.picture.show_marks(self._marks_mm, number - 1, number - 1)
         self.picture.show_spot(question.at_mm)
         self.picture.setFocus(Qt.FocusReason.OtherFocusReason)
@@ -181,13 +180,11 @@ class CalibrationPage(Themed, QWidget):
         self._marks_mm = list(question.place_mm)
         self.picture.show_spot(None)
         self.picture.show_marks(self._marks_mm, question.suspect - 1 if problem else -1, len(self._marks_mm))
-        times = self.picture.show_residuals(self._marks_mm, question.off_mm)
         self._list_residuals(question)
-        scale = f"Residuals are drawn {times:g} times larger." if question.off_mm else ""
         self._set_texts(
             f"Residual of the map: {question.rms_mm:.2f} mm rms, {question.worst_mm:.2f} mm at most"
             if math.isfinite(question.rms_mm) else "These marks determine no map",
-            f"▲ {problem}\n{scale}" if problem else scale,
+            f"▲ {problem}" if problem else "",
         )  # fmt: skip
         self._set_button(self.yes, "&Accept and write", "Write the map into a dated calibration file")
         self.yes.setEnabled(not problem)

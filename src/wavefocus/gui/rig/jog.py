@@ -17,10 +17,8 @@ from wavefocus.config.outline import Outline
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.rig.session import ManualSession
 from wavefocus.gui.surface import surface_from
-from wavefocus.gui.surface_view import STEPS, Keys, PointMm, Spots, SurfaceView
+from wavefocus.gui.surface_view import STEPS, Keys, PointMm, SurfaceView
 
-# Residuals are enlarged until the longest has about this share of the surface's length.
-_ARROW_SHARE = 0.12
 _FARTHEST_MM = 10_000.0
 _ARROWS = (
     ("up", Qt.ArrowType.UpArrow, 0, 1, 0, 1),
@@ -37,32 +35,17 @@ class SurfacePicture(SurfaceView):
     stepped = pyqtSignal(int, int)
 
     def __init__(self, name: str) -> None:
-        self._length_mm = 0.0
         self._labels: list[pyqtgraph.TextItem] = []
-        self._chosen = Spots(symbol="o", size=15, pxMode=True)
-        self._marks = Spots(pxMode=True)
-        self._residuals = pyqtgraph.PlotCurveItem(antialias=True, connect="pairs")
-        self._tips = Spots(symbol="o", size=6, pxMode=True)
-        self._spot = Spots(symbol="o", size=12, pxMode=True)
         super().__init__(name)
         self.setAccessibleDescription("A click sends the beam there; arrow keys move it by a step")
-        for depth, item in enumerate((self._chosen, self._marks, self._residuals, self._tips, self._spot), start=30):
-            self.add_item(item, depth)
-        fault = pyqtgraph.mkBrush(self.theme.fault)
-        for item, brush, pen in (
-            (self._chosen, None, pyqtgraph.mkPen(self.theme.accent, width=3)),
-            (self._tips, fault, None),
-            (self._spot, fault, pyqtgraph.mkPen(self.theme.base, width=1.5)),
-        ):
-            item.setBrush(brush)
-            item.setPen(pen)
-        self._residuals.setPen(pyqtgraph.mkPen(self.theme.fault, width=2.5))
+        theme = self.theme
+        self._chosen = self.add_spots(30, "o", 15, pyqtgraph.mkPen(theme.accent, width=3))
+        self._marks = self.add_spots(31, "s", 11)
+        self._spot = self.add_spots(34, "o", 12, pyqtgraph.mkPen(theme.base, width=1.5), theme.fault)
 
     def show_rig(self, outline: Outline, actuator_mm: Sequence[Numbers]) -> None:
         self.show_outline(outline.line(180))
         self.show_actuators(_points(actuator_mm))
-        left, _, right, _ = outline.box_mm
-        self._length_mm = right - left
         self.fit()
 
     def show_spot(self, place_mm: Numbers | None) -> None:
@@ -81,7 +64,6 @@ class SurfacePicture(SurfaceView):
         theme, places = self.theme, range(len(place_mm))
         self._marks.setData(
             pos=_points(place_mm),
-            symbol="s",
             size=[17 if number == current else 11 for number in places],
             brush=[pyqtgraph.mkBrush(theme.good if number < done else theme.base) for number in places],
             pen=[pyqtgraph.mkPen(theme.fault if number == current else theme.text, width=2) for number in places],
@@ -93,17 +75,6 @@ class SurfacePicture(SurfaceView):
             label.setPos(*place)
             self.add_item(label, 40)
             self._labels.append(label)
-
-    def show_residuals(self, place_mm: Sequence[Numbers], off_mm: Sequence[Numbers]) -> float:
-        """Draw the residuals of a map, enlarged; returns the factor."""
-        place, off = _points(place_mm), _points(off_mm)
-        largest_mm = float(np.hypot(*off.T).max(initial=0.0))
-        times = _rounded_down(_ARROW_SHARE * self._length_mm / largest_mm) if largest_mm > 0 else 1.0
-        tips = place[: len(off)] + times * off
-        lines = np.stack([place[: len(off)], tips], axis=1).reshape(-1, 2)
-        self._residuals.setData(lines[:, 0], lines[:, 1])
-        self._tips.setData(pos=tips)
-        return times
 
     def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
         self.clicked.emit(*at_mm)
@@ -118,12 +89,6 @@ class SurfacePicture(SurfaceView):
 
 def _points(place_mm: Sequence[Numbers]) -> np.ndarray:
     return np.asarray(place_mm, np.float64).reshape(-1, 2)
-
-
-def _rounded_down(times: float) -> float:
-    """Round down to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(times))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= times))
 
 
 class Arrows(QWidget):

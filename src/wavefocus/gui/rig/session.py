@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from PyQt5.QtCore import QObject, pyqtSignal
+from PyQt5.QtCore import pyqtSignal
 
 from wavefocus.config.messages.codec import Refused, message_of
 from wavefocus.config.messages.operate import (
@@ -30,58 +30,24 @@ from wavefocus.config.messages.rig_checks import (
     OperatorQuestion,
     Tell,
 )
-from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
-from wavefocus.gui.tab import TabContext
+from wavefocus.gui.process import CommandProcess, Message
+from wavefocus.gui.tab import OwnCommand, TabContext
 
 _LASER_ADVICE = "the laser may stand where it was: park it, or switch it off"
 
 
-class RigProcess(QObject):
-    """At most one process that holds the instruments; detached, it mutes, parks and exits by itself."""
-
-    level_changed = pyqtSignal()
-
-    def __init__(self, context: TabContext) -> None:
-        super().__init__()
-        self._context = context
-        self._process: CommandProcess | None = None
-        self.levels: LevelMeasured | None = None
-        """Latest levels of the inputs."""
-
-    @property
-    def running(self) -> bool:
-        return self._process is not None
-
-    @property
-    def pid(self) -> int | None:
-        return None if self._process is None else self._process.pid
-
-    def detach(self) -> None:
-        """Leave the process; the window closes."""
-        if self._process is not None:
-            self._process.detach()
-            self._process = None
-
-    def _start(self, *arguments: str) -> None:
-        self._process = self._context.run(arguments, self._ended, self._receive, advice=_LASER_ADVICE)
-
-    def _receive(self, message: Message) -> None:
-        raise NotImplementedError
-
-    def _ended(self, process: CommandProcess) -> None:
-        raise NotImplementedError
-
-
-class ManualSession(RigProcess):
+class ManualSession(OwnCommand):
     """A rig that is operated by hand.
 
     state: ``"released"``, ``"opening"``, ``"ready"`` or ``"ending"``.
     facts: The rig, once it is open.
     beam: Place of the beam.
+    levels: Latest levels of the inputs.
     listening, sweeping: Whether levels arrive; whether a sweep is under way.
     sweep, swept_off: The last one, and why the beam was not on the surface when it was asked for.
     """
 
+    level_changed = pyqtSignal()
     state_changed = pyqtSignal()
     beam_changed = pyqtSignal()
     sweep_changed = pyqtSignal()
@@ -95,7 +61,7 @@ class ManualSession(RigProcess):
         self.state = "released"
         self.facts: Ready | None = None
         self.beam = MirrorMoved()
-        self.levels = None
+        self.levels: LevelMeasured | None = None
         self.listening = self.sweeping = False
         self.sweep: SweepTaken | None = None
         self.swept_off = ""
@@ -119,20 +85,20 @@ class ManualSession(RigProcess):
         return "" if self.place_mm is not None else "the beam is outside the surface"
 
     def take(self, rig: Path) -> None:
-        if self._process is None:
+        if self.own is None:
             self._reset()
-            self._start("operate", str(rig))
+            self.run(["operate", str(rig)], self._ended, self._receive, advice=_LASER_ADVICE)
             self._enter("opening")
 
     def release(self, then: Callable[[], object] | None = None) -> None:
         """Mute, park and close the instruments; `then` is called when they are free."""
-        if self._process is None:
+        if self.own is None:
             if then is not None:
                 then()
             return
         self._then = then
-        self._process.send(order="mute")
-        self._process.close_input()
+        self.own.send(order="mute")
+        self.own.close_input()
         self._enter("ending")
 
     def jog_to(self, x_mm: float, y_mm: float) -> None:
@@ -173,13 +139,13 @@ class ManualSession(RigProcess):
         )
 
     def detach(self) -> None:
-        if self._process is not None:
-            self._process.send(order="mute")
+        if self.own is not None:
+            self.own.send(order="mute")
         super().detach()
 
     def _order(self, **order: object) -> None:
-        if self._process is not None and self.state == "ready":
-            self._process.send(**order)
+        if self.own is not None and self.state == "ready":
+            self.own.send(**order)
 
     def _receive(self, message: Message) -> None:
         match message_of(message, OPERATE_EVENTS):
@@ -229,7 +195,6 @@ class ManualSession(RigProcess):
                 self._context.messages.note("reconnected")
 
     def _ended(self, process: CommandProcess) -> None:
-        self._process = None
         expected, then, self._then = self.state == "ending", self._then, None
         self._reset()
         self._enter("released")
@@ -247,16 +212,18 @@ class ManualSession(RigProcess):
             signal.emit()
 
 
-class Calibration(RigProcess):
+class Calibration(OwnCommand):
     """A calibration.
 
+    levels: Latest levels of the inputs.
     question: What it asks now; None while it measures.
     lines: Its report so far.
     marks_mm: Marks of the mirror map.
     outcome: Its result, at the end.
-    ending: Why it ended without a result; empty while it runs.
+    ending: How it ended without a result; empty while it runs.
     """
 
+    level_changed = pyqtSignal()
     changed = pyqtSignal()
 
     def __init__(self, context: TabContext) -> None:
@@ -272,16 +239,17 @@ class Calibration(RigProcess):
         self.lines: list[str] = []
         self.outcome: CalibrationDone | None = None
         self.ending = ""
-        self.levels = None
+        self.levels: LevelMeasured | None = None
 
     def start(self, rig: Path, options: Sequence[str]) -> None:
-        if self._process is None:
+        if self.own is None:
             self._reset()
-            self._start("calibrate", str(rig), "--operator", "lines", *options)
+            arguments = ["calibrate", str(rig), "--operator", "lines", *options]
+            self.run(arguments, self._ended, self._receive, advice=_LASER_ADVICE)
             self.changed.emit()
 
     def answer(self, word: str, **numbers: float) -> None:
-        if self._process is not None and self.question is not None:
+        if self.own is not None and self.question is not None:
             self._send_steps()
             self.question = None
             self.changed.emit()
@@ -298,8 +266,8 @@ class Calibration(RigProcess):
         """End it: outputs muted, mirror parked, results so far written."""
         if self.question is not None:
             self.answer("cancel")
-        elif self._process is not None:
-            self._process.interrupt()
+        else:
+            self.interrupt()
 
     def _receive(self, message: Message) -> None:
         match message_of(message, CALIBRATE_EVENTS):
@@ -338,16 +306,13 @@ class Calibration(RigProcess):
             self._send("by", x_mrad=round(x_mrad, 6), y_mrad=round(y_mrad, 6))
 
     def _send(self, word: str, **numbers: float) -> None:
-        if self._process is not None:
+        if self.own is not None:
             self._unanswered += 1
-            self._process.send(answer=word, **numbers)
+            self.own.send(answer=word, **numbers)
 
     def _ended(self, process: CommandProcess) -> None:
-        self._process, self.question = None, None
-        cancelled = process.exit_code == STOPPED_BY_USER
-        self.ending = "cancelled; the outputs are muted, the mirror is parked" if cancelled else process.failure
+        self.question = None
+        if self.outcome is None:
+            cancelled = "cancelled; the outputs are muted, the mirror is parked"
+            self.ending = self._context.report_end(process, stopped=cancelled)
         self.changed.emit()
-        if self.outcome is not None and self.outcome.file:
-            self._context.messages.note(f"written: {self.outcome.file}")
-        elif self.ending and not cancelled and self.outcome is None:
-            self._context.messages.fault(self.ending)

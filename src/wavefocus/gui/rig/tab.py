@@ -16,12 +16,12 @@ from wavefocus.config.messages.rig_checks import Finding, FindingMade
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField
-from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
+from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.rig.calibration_page import CalibrationPage
 from wavefocus.gui.rig.manual_page import ManualPage
 from wavefocus.gui.rig.session import Calibration, ManualSession
 from wavefocus.gui.surface import is_virtual, surface_from
-from wavefocus.gui.tab import Tab, TabContext
+from wavefocus.gui.tab import OwnCommand, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import InputError
 
@@ -92,13 +92,13 @@ class ExaminationPage(Themed, QWidget):
     def __init__(self, context: TabContext, act: Callable[[str, str], object]) -> None:
         super().__init__()
         self._context, self._act = context, act
-        self._process: CommandProcess | None = None
+        self.command = OwnCommand(context)
         self.findings: list[Finding] = []
         self.buttons: dict[int, QToolButton] = {}
         tip = "Open, identify and exercise every instrument"
         self.examine = ui.button(ui.action(self, "E&xamine", partial(act, "again", ""), "Ctrl+I", tip=tip))
         tip = "End the examination; instruments are muted and parked first"
-        self.cancel = ui.button(ui.action(self, "&Cancel the examination", self._cancel, tip=tip))
+        self.cancel = ui.button(ui.action(self, "&Cancel the examination", self.command.interrupt, tip=tip))
         tip = "Without sweeps nothing sounds; loopback and response are not checked"
         self.plays = ui.check("&Play sweeps", tip, on=True)
         self.summary = ui.label("Result of the examination")
@@ -109,24 +109,18 @@ class ExaminationPage(Themed, QWidget):
 
     @property
     def running(self) -> bool:
-        return self._process is not None
+        return self.command.running
 
     def start(self, rig: Path) -> None:
         quiet = [] if self.plays.isChecked() else ["--no-play"]
         self.clear()
         self.summary.setText("examining…")
-        self._process = self._context.run(["doctor", str(rig), "--lines", *quiet], self._ended, self._receive)
-
-    def _cancel(self) -> None:
-        if self._process is not None:
-            self._process.interrupt()
+        self.command.run(["doctor", str(rig), "--lines", *quiet], self._ended, self._receive)
 
     def detach(self) -> None:
         """Cancel it and do not wait; the window closes."""
-        if self._process is not None:
-            self._process.interrupt()
-            self._process.detach()
-            self._process = None
+        self.command.interrupt()
+        self.command.detach()
 
     def clear(self) -> None:
         self.findings, self.buttons = [], {}
@@ -164,7 +158,6 @@ class ExaminationPage(Themed, QWidget):
         ui.fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
 
     def _ended(self, process: CommandProcess) -> None:
-        self._process = None
         code, verdicts = process.exit_code, [one.verdict for one in self.findings]
         if code in (0, 1) and verdicts:
             counted = ", ".join(
@@ -172,11 +165,9 @@ class ExaminationPage(Themed, QWidget):
             )
             self.summary.setText(f"✔ all well: {counted}" if code == 0 else counted)
             self.table.scrollToItem(self.table.item(verdicts.index("fail") if "fail" in verdicts else 0, 0))
-        elif code == STOPPED_BY_USER:
-            self.summary.setText("cancelled; the instruments were put to rest")
         else:
             self.summary.setText("the examination was not completed")
-            self._context.report_end(process)
+            self._context.report_end(process, stopped="cancelled; the instruments were put to rest")
 
 
 class RigTab(Tab):

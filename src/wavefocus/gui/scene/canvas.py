@@ -8,14 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtGui import QMouseEvent
 
 from wavefocus.config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, QuietTable
 from wavefocus.gui.scene.document import QUIET, SOURCE, Chosen, SceneDocument
 from wavefocus.gui.scene.draft import DECIMALS, PointMm, handles, with_handle
 from wavefocus.gui.scene.draft import Keys as KeysOfPoint
 from wavefocus.gui.scene.preview import Backdrop, LivePreview, Trace
-from wavefocus.gui.surface_view import MARK, Keys, Spots, SurfaceView, map_colours, rgba
+from wavefocus.gui.surface_view import MARK, Keys, SurfaceView, map_colours, rgba
 from wavefocus.rendering.arrays import Float64Array
 
 # Drawn with a click; all else with a drag.
@@ -40,8 +39,6 @@ class SceneCanvas(SurfaceView):
 
     #: Kind and path of what was drawn.
     drawn = pyqtSignal(str, object)
-    #: Position of the mouse, None off the surface.
-    hovered = pyqtSignal(object)
     #: A source or a quiet place that was clicked.
     chosen = pyqtSignal(object)
     #: A point of the chosen one that was dragged: its keys, and the table with it elsewhere.
@@ -54,25 +51,16 @@ class SceneCanvas(SurfaceView):
         self._outline_mm = np.zeros((0, 2))
         super().__init__("Surface to draw on")
         self.colour_map = pyqtgraph.colormap.get("viridis")
-        self._dots = Spots(symbol="o", size=5)
-        self._off = Spots(symbol="x", size=7)
-        self._starts = Spots(symbol="o", size=11)
-        self._squares = Spots(symbol="s", size=9)
+        theme = self.theme
+        self._dots = self.add_spots(30, "o", 5)
+        self._off = self.add_spots(40, "x", 7, theme.fault, theme.fault)
+        self._starts = self.add_spots(50, "o", 11)
+        self._squares = self.add_spots(70, "s", 9, pyqtgraph.mkPen(MARK, width=2), theme.base)
         self._sketch = pyqtgraph.PlotCurveItem(antialias=True)
         self._quiet = pyqtgraph.PlotCurveItem(antialias=True)
         self._lines: list[pyqtgraph.PlotCurveItem] = []
         self.add_item(self._quiet, 28)
-        for level, item in enumerate((self._dots, self._off, self._starts, self._sketch, self._squares)):
-            self.add_item(item, 30 + 10 * level)
-        theme = self.theme
-        for item, pen, brush in (
-            (self._dots, None, None),
-            (self._off, pyqtgraph.mkPen(theme.fault, width=1), theme.fault),
-            (self._starts, None, None),
-            (self._squares, pyqtgraph.mkPen(MARK, width=2), theme.base),
-        ):
-            item.setPen(pen)
-            item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
+        self.add_item(self._sketch, 60)
         self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
         self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
         document.chosen_changed.connect(self.show_scene)
@@ -88,16 +76,6 @@ class SceneCanvas(SurfaceView):
         self._show_traces(traces, index if kind == SOURCE else -1)
         self._show_quiet(self._document.draft.quiet)
         self._show_handles([at_mm for _, at_mm in self._handles()])
-
-    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        super().mouseMoveEvent(event)
-        if event is not None:
-            point = self.box.mapSceneToView(self.mapToScene(event.pos()))
-            self.hovered.emit((point.x(), point.y()))
-
-    def leaveEvent(self, event: object) -> None:  # noqa: N802
-        super().leaveEvent(event)
-        self.hovered.emit(None)
 
     def claims_drag(self, at_mm: PointMm, _keys: Keys) -> bool:
         near = [(math.dist(point_mm, at_mm), keys) for keys, point_mm in self._handles()]

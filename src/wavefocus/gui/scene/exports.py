@@ -5,27 +5,27 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import QObject, pyqtSignal
+from PyQt5.QtCore import pyqtSignal
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.message_bar import error_text
-from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
+from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import scene_toml, with_absolute_files
-from wavefocus.gui.tab import TabContext
+from wavefocus.gui.tab import OwnCommand, TabContext
 
-DRIVE, WAV = "drive", "WAV"
-ENDINGS = {DRIVE: ".h5", WAV: ".wav"}
+KINDS = {".h5": "drive file", ".wav": "sound file"}
+"""Kinds of files that drives are saved as, by their ending."""
 IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening the rig", "playing", "stopping"
-_CANCELLED = -1
 # Muting takes a moment; a process that has not opened the rig yet ends, silent, when it would open it.
 _MUTES_WITHIN_MS, _OPENS_WITHIN_MS = 4000, 30_000
 
 
-class SceneTask(QObject):
+class SceneTask(OwnCommand):
     """Runs commands about the present scene one after the other, at most one task at a time, in a temporary folder.
 
     A process that sounds mutes the outputs when it is stopped, and when the window is gone.
@@ -37,12 +37,10 @@ class SceneTask(QObject):
     #: Of the sentence that says which rig it holds.
     verb = "plays"
 
-    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
-        super().__init__(parent)
-        self._context, self._document = context, document
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
+        super().__init__(context)
+        self._document = document
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._process: CommandProcess | None = None
-        self._cancelled = False
         self._scene_file = Path()
         self._rig = ""
         self.state = IDLE
@@ -51,11 +49,6 @@ class SceneTask(QObject):
     def busy(self) -> bool:
         return self._folder is not None
 
-    @property
-    def pid(self) -> int | None:
-        """Process id of the running command, None while none runs."""
-        return None if self._process is None else self._process.pid
-
     def instruments_held(self) -> str:
         """Subject and verb of a message about a real rig that sounds; empty for none."""
         silent = self.state == IDLE or not self._rig or names_virtual_rig(self._rig)
@@ -63,17 +56,14 @@ class SceneTask(QObject):
 
     def cancel(self) -> None:
         """End the running command; files stay as they were."""
-        self._cancelled = True
-        if self._process is not None:
-            self._process.kill()
+        if self.own is not None:
+            self.own.kill()
 
     def close(self) -> None:
         """The window closes: what sounds mutes and ends by itself, all else is ended."""
         if self.state == RENDERING:
             self.cancel()
-        if self._process is not None:
-            self._process.detach()
-            self._process = None
+        self.detach()
         self._release()
         self.state = IDLE
 
@@ -95,7 +85,6 @@ class SceneTask(QObject):
             self._context.messages.fault(f"{failing}: {error_text(failure)}")
             self._release()
             return False
-        self._cancelled = False
         return True
 
     def _in_folder(self, name: str) -> str:
@@ -109,47 +98,38 @@ class SceneTask(QObject):
         into = ["--out", out or self._in_folder("drive.h5"), *options, "--force"]
         return ["render", str(self._scene_file), "--bank", str(self._document.bank), *into, *limits]
 
-    def _run(
+    def _run_all(
         self,
         commands: Sequence[tuple[str, Sequence[str]]],
-        done: Callable[[int, str], object],
+        done: Callable[[CommandProcess], object],
         received: Callable[[Message], None] | None = None,
     ) -> None:
         """Run commands as long as they succeed, each with the state that it begins in.
 
-        done: Receives the last exit code, or _CANCELLED, and what that command said.
+        done: Receives the last one.
         received: Receives the commands' JSON lines.
         """
 
-        def finished(process: CommandProcess) -> None:
-            self._process = None
-            if not self.busy:  # the window closes
+        def ended(process: CommandProcess) -> None:
+            if process.exit_code == 0 and not process.cancelled and len(commands) > 1:
+                self._run_all(commands[1:], done, received)
                 return
-            code = _CANCELLED if self._cancelled else process.exit_code or 0
-            if code == 0 and len(commands) > 1:
-                self._run(commands[1:], done, received)
-                return
-            done(code, self._plain(process.failure or process.last_line))
+            done(process)
             self._release()
             self._enter(IDLE)
 
         state, command = commands[0]
         advice = "" if state == RENDERING else "check that the rig is silent"
-        self._process = self._context.run(command, finished, received, advice=advice)
-        self._enter(state)
-
-    def _plain(self, message: str) -> str:
-        """A message without the names of temporary files."""
         name = self._document.path.name if self._document.path else "the scene"
-        for file, words in (("drive.h5", "the scene"), ("scene.toml", name)):
-            message = message.replace(self._in_folder(file), words)
-        return message
+        shown_as = {self._in_folder("drive.h5"): "the scene", self._in_folder("scene.toml"): name}
+        self.run(command, ended, received, advice=advice, shown_as=shown_as)
+        self._enter(state)
 
     def _end_process(self, *, sounds: bool) -> None:
         """Mute and end it; one that is still opening the rig ends, silent, when it has."""
-        if self._process is not None:
+        if self.own is not None:
             self._enter(STOPPING)
-            self._process.stop(_MUTES_WITHIN_MS if sounds else _OPENS_WITHIN_MS, _MUTES_WITHIN_MS)
+            self.own.stop(_MUTES_WITHIN_MS if sounds else _OPENS_WITHIN_MS, _MUTES_WITHIN_MS)
 
     def _release(self) -> None:
         if self._folder is not None:
@@ -166,42 +146,37 @@ class Saving(SceneTask):
 
     text = ""
 
-    def suggested(self, kind: str) -> Path:
+    @property
+    def suggested(self) -> Path:
         """A file name after the scene; drives and banks have the same ending."""
         scene = self._document.path
-        stem = scene.stem if scene is not None else "scene"
-        name = f"{stem}-drive.h5" if kind == DRIVE else f"{stem}{ENDINGS[kind]}"
-        return self._context.settings.folder(f"scene {kind}", scene) / name
+        return self._context.settings.folder("scene drive", scene) / f"{scene.stem if scene else 'scene'}-drive.h5"
 
-    def save(self, kind: str, path: Path, rig: str) -> None:
-        """Save the present scene.
+    def save(self, path: Path, rig: str) -> None:
+        """Save the drives of the present scene.
 
-        kind: `DRIVE` or `WAV`.
-        path: The file; an existing one is replaced.
+        path: The file, a sound file where its name ends with ``.wav``; an existing one is replaced.
         rig: A rig file whose limits count; empty for none.
         """
         if self.busy or not self._prepare(f"{path.name} is not saved"):
             return
-        render = self._render(rig, out=str(path)) if kind == DRIVE else self._render(rig, "--wav", str(path))
+        sound = path.suffix.lower() == ".wav"
+        render = self._render(rig, "--wav", str(path)) if sound else self._render(rig, out=str(path))
         self.text = f"saving {path.name}"
-        self._run([(RENDERING, render)], lambda code, message: self._ended(kind, path, code, message))
+        self._run_all([(RENDERING, render)], partial(self._ended, path))
 
-    def _ended(self, kind: str, path: Path, code: int, message: str) -> None:
-        messages = self._context.messages
-        if code == 0:
-            self._context.settings.keep(f"folder/scene {kind}", str(path.parent))
-            messages.note(f"{path} is saved: {message}" if message else f"{path} is saved")
-        elif code == _CANCELLED:
-            messages.note(f"{path.name} is not saved: cancelled")
-        else:
-            messages.fault(f"{path.name} is not saved: {message}")
+    def _ended(self, path: Path, process: CommandProcess) -> None:
+        if process.exit_code == 0:
+            self._context.settings.keep("folder/scene drive", str(path.parent))
+        done, unsaved = f"{path} is saved: {process.last_line}", f"{path.name} is not saved"
+        self._context.report_end(process, done, f"{unsaved}: cancelled", f"{unsaved}: {process.failure}")
 
 
 class PlayTask(SceneTask):
     """Renders the scene within the rig's limits and plays it."""
 
-    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
-        super().__init__(context, document, parent)
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
+        super().__init__(context, document)
         self._started_s = self._lasts_s = 0.0
 
     @property
@@ -224,7 +199,7 @@ class PlayTask(SceneTask):
         self._rig, self._lasts_s = rig, loops * lasts_s
         options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
         play = ["play", self._in_folder("drive.h5"), *options]
-        self._run([(RENDERING, self._render(rig)), (OPENING, play)], self._ended, self._received)
+        self._run_all([(RENDERING, self._render(rig)), (OPENING, play)], self._ended, self._received)
 
     def stop(self) -> None:
         """Stop and mute."""
@@ -238,11 +213,10 @@ class PlayTask(SceneTask):
             self._started_s = time.monotonic()
             self._enter(PLAYING)
 
-    def _ended(self, code: int, message: str) -> None:
-        messages = self._context.messages
-        if code == _CANCELLED:
-            messages.note("nothing was played: stopped while rendering")
-        elif code in (0, STOPPED_BY_USER):
-            messages.note(message or "played; the outputs are muted")
+    def _ended(self, process: CommandProcess) -> None:
+        done = process.last_line or "played; the outputs are muted"
+        if self.state == RENDERING:
+            stopped, why = "nothing was played: stopped while rendering", f"nothing is played: {process.failure}"
+            self._context.report_end(process, stopped, stopped, why)
         else:
-            messages.fault(f"nothing is played: {message}" if self.state == RENDERING else message)
+            self._context.report_end(process, done, done)

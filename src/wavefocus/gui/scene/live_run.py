@@ -7,7 +7,7 @@ from collections import deque
 from datetime import datetime
 from pathlib import Path
 
-from PyQt5.QtCore import QObject, pyqtSignal
+from PyQt5.QtCore import pyqtSignal
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.codec import Message, Refused, message_of, to_record
@@ -24,7 +24,7 @@ from wavefocus.config.messages.live import (
     SetSignal,
 )
 from wavefocus.config.scene import ImpulseTable
-from wavefocus.gui.process import STOPPED_BY_USER
+from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.process import Message as Record
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import NEW_AMPLITUDE
@@ -51,8 +51,8 @@ class LiveRun(SceneTask):
     #: A `LiveState` has arrived.
     figures_changed = pyqtSignal()
 
-    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
-        super().__init__(context, document, parent)
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
+        super().__init__(context, document)
         self.ready: LiveReady | None = None
         self.states: deque[LiveState] = deque(maxlen=300)
         self.places: dict[str, PointMm] = {}
@@ -76,7 +76,7 @@ class LiveRun(SceneTask):
         arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
         self._rig, self._refusal, self.ready, self._ended = rig, "", None, None
         self.states.clear()
-        self._run([(STARTING, [*arguments, *scene, *kept])], self._summarise, self._receive)
+        self._run_all([(STARTING, [*arguments, *scene, *kept])], self._summarise, self._receive)
 
     def stop(self) -> None:
         """Let the sources fade, mute, and end the session."""
@@ -118,8 +118,8 @@ class LiveRun(SceneTask):
         return MoveSource(name, self.places[name], NEW_AMPLITUDE if source is None else source.amplitude)
 
     def _send(self, order: Message) -> None:
-        if self._process is not None and self.state == LIVE and time.monotonic() - self._heard_s < _STALLED_AFTER_S:
-            self._process.send(**to_record(order))
+        if self.own is not None and self.state == LIVE and time.monotonic() - self._heard_s < _STALLED_AFTER_S:
+            self.own.send(**to_record(order))
 
     def _receive(self, record: Record) -> None:
         self._heard_s = time.monotonic()
@@ -139,11 +139,9 @@ class LiveRun(SceneTask):
             case LiveEnded() as ended:
                 self._ended = ended
 
-    def _summarise(self, code: int, message: str) -> None:
-        if code in (0, STOPPED_BY_USER):
-            self._context.messages.note("muted" if self._ended is None else _summary(self._ended))
-        else:
-            self._context.messages.fault(message)
+    def _summarise(self, process: CommandProcess) -> None:
+        done = "muted" if self._ended is None else _summary(self._ended)
+        self._context.report_end(process, done, done)
         self.places.clear()
 
 

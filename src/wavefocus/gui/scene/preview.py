@@ -56,16 +56,12 @@ class Trace:
     line_mm, float64 (n, 2): Its path, NaN where it jumps from stroke to stroke.
     points_mm, instant_s, arrays (k, 2), (k,): Path points, and when each is a focus; thinned where there are many.
     off, bool (k,): Points further than one grid spacing from every position, or nearest to one without a measurement.
-    far: How many of them are too far from the grid.
-    points: Number M of path points.
     """
 
     line_mm: Float64Array
     points_mm: Float64Array
     instant_s: Float64Array
     off: NDArray[np.bool_]
-    far: int = 0
-    points: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,23 +169,6 @@ class LivePreview(QObject):
         self._ask()
 
 
-def problem_of(preview: Preview) -> str:
-    """Return what is wrong with a scene; empty where nothing is."""
-    if not preview.draft.source or preview.problem:
-        return preview.problem if preview.draft.source else ""
-    backdrop, problems = preview.backdrop, []
-    if backdrop.grid is None:
-        return ""
-    for index, trace in enumerate(preview.traces):
-        off, drawn = int(trace.off.sum()), len(trace.points_mm)
-        if off:
-            share = f"{off} of {drawn}" if drawn == trace.points else f"{off / drawn:.0%} of its"
-            reach = f"over {backdrop.grid.spacing_mm:.3g} mm from every position"
-            where = reach if trace.far else "without a measurement"
-            problems.append(f"source {index}: {share} points (crosses) are {where}: move the path, or measure there")
-    return "; ".join(problems[:2]) + (f"; and {len(problems) - 2} more" if len(problems) > 2 else "")
-
-
 def _bare_backdrop(rig: Path | None = None) -> Backdrop:
     """The outline of a rig file's surface; the default one without a file that can be read."""
     table: object = {}
@@ -242,16 +221,13 @@ def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:
         points_mm = source.path.point_at(number * (source.step_mm if points > 1 else 0.0))
     if not np.isfinite(points_mm).all():
         raise InputError(f"source {index}: a path point is further away than numbers reach")
-    off, far = np.zeros(len(points_mm), np.bool_), 0
+    off = np.zeros(len(points_mm), np.bool_)
     if backdrop.grid is not None and backdrop.usable is not None:
         rows, distance_mm = backdrop.grid.nearest(points_mm)
-        too_far = distance_mm > backdrop.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
-        off, far = too_far | ~backdrop.usable[rows], int(too_far.sum())
+        off = (distance_mm > backdrop.grid.spacing_mm * (1.0 + 1e-9) + 1e-9) | ~backdrop.usable[rows]
     return Trace(
         line_mm=path_line(source.path, int(min(8.0 * source.path.length_mm, 6000)) + 3),
         points_mm=points_mm,
         instant_s=instant_s,
         off=off,
-        far=far,
-        points=points,
     )

@@ -13,7 +13,7 @@ from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Plot, Real, decimating_curve, whole_ticks
-from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer, Frame
+from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer
 from wavefocus.gui.scene.calculation import SceneResults
 from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.rendering.arrays import Float64Array
@@ -76,24 +76,18 @@ class FieldView(FilmPlayer):
     def __init__(self) -> None:
         super().__init__(["response"], [(0, 1.0)])
         self.results: SceneResults | None = None
-        self.field: Field | None = None
         self.file: Path | None = None
-        self._largest = 0.0
         self._seen = False  # whether the instants of a scene's foci have been shown
         self.map, self.slider = self.maps[0], self.time
-        tip = "End of the colour scale, as a part of the largest response (%)"
-        self.span = ui.number_box("End of the colour scale", tip, " %", 0, 1.0, 1000.0, value=100.0, prefix="to ")
         self.name = ui.label("Field file shown", any_width=True)
         self.close_file = ui.tool_button("Close file", "Show the field of the scene again", self._close_file)
         self._file_row = QWidget()
         ui.row((self.name, 1), self.close_file, owner=self._file_row, margins=(4, 2, 4, 0))
         self._file_row.hide()
-        # The slider's own row is as wide as the panel without the speed.
-        choices = ui.row(self.span, self.slider.slower, None, margins=(4, 4, 4, 0))
         upper = QWidget()
-        ui.column(self._file_row, choices, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
+        speed = ui.row(self.slider.slower, None, margins=(4, 4, 4, 0))  # the slider's own row is as wide as the panel
+        ui.column(self._file_row, speed, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
         ui.column(ui.stacked((upper, 420), (self.response, 130), growing=[0]), owner=self)
-        self.span.valueChanged.connect(lambda _value: self.show_again())
 
     def show_results(self, results: SceneResults | None) -> None:
         """Show another field of the scene, at the same instant and position; None shows none."""
@@ -107,17 +101,13 @@ class FieldView(FilmPlayer):
         self.name.setText(f"{path.name}: {len(field.field)} positions, {field.sample_rate_hz:g} Hz")
         self.name.setToolTip(str(path))
         self._file_row.show()
-        self._show_field(field, surface)
-
-    def rescale(self) -> None:
-        if self.field is not None:
-            self.map.show_scale("response", self._largest * self.span.value() / 100.0, self.field.response_unit)
+        self._show_field(field, surface, np.zeros(0), lambda _time_s: NOWHERE_MM)
 
     def _show_scene(self) -> None:
         results = self.results
         if results is None or results.field is None:
             self._seen = False
-            self._show_field(None, None)
+            self.show_film(None)
             return
         foci, surface, index = results.foci, results.surface, results.field.position_index
         marks_s = np.zeros(0) if results.figures is None else results.figures.time_s
@@ -132,37 +122,27 @@ class FieldView(FilmPlayer):
 
     def _show_field(
         self,
-        field: Field | None,
-        surface: PlotSurface | None,
-        marks_s: Float64Array = np.zeros(0),  # noqa: B008
-        sources_mm: Callable[[float], Float64Array] = lambda _time_s: NOWHERE_MM,
+        field: Field,
+        surface: PlotSurface,
+        marks_s: Float64Array,
+        sources_mm: Callable[[float], Float64Array],
     ) -> None:
+        def response(place: int) -> tuple[str, list[Real]]:
+            x_mm, y_mm = surface.position_mm[place]
+            return f"position {field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm", [field.field[place]]
+
         at_s = self.slider.time_s
-        self.field = field
-        if field is None or surface is None:
-            self.show_film(None)
-            return
-        self._largest = float(np.abs(field.field).max())
         marks = np.rint((marks_s - field.start_s) * field.sample_rate_hz).astype(np.int64)
         self.show_film(
             Film(
-                surface, field.start_s, field.sample_rate_hz, field.field.shape[1], self._frames, sources_mm, marks,
-                self._response, field.response_unit,
+                surface, field.start_s, field.sample_rate_hz, field.field.shape[1],
+                lambda sample: [field.field[:, sample]], sources_mm, marks, response, field.response_unit,
+                [("response", float(max(field.field.max(), -field.field.min())))],
             )
         )  # fmt: skip
         if self._seen and at_s >= field.start_s:
             self.slider.go_to(round((at_s - field.start_s) * field.sample_rate_hz))
         self._seen |= len(marks) > 0
-
-    def _frames(self, sample: int) -> list[Frame]:
-        assert self.field is not None
-        return [self.field.field[:, sample]]
-
-    def _response(self, place: int) -> tuple[str, list[Real]]:
-        assert self.field is not None
-        assert self.map.surface is not None
-        x_mm, y_mm = self.map.surface.position_mm[place]
-        return f"position {self.field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm", [self.field.field[place]]
 
 
 def read_field_on(path: Path, bank: Path) -> tuple[Field, PlotSurface]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ from wavefocus.gui.files import PathField, choose_place, file_state, names_virtu
 from wavefocus.gui.scene.calculation import Calculation, SceneResults
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
-from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, PLAYING, STOPPING, WAV, PlayTask, Saving
+from wavefocus.gui.scene.exports import IDLE, KINDS, PLAYING, STOPPING, PlayTask, Saving
 from wavefocus.gui.scene.figures_view import figures_table, fill_figures
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
 from wavefocus.gui.surface import VIRTUAL, PlotSurface
@@ -25,13 +24,6 @@ from wavefocus.gui.theme import Themed
 
 if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
-
-# Button, kind, key, tooltip.
-_SAVES = (
-    ("Save &drive…", DRIVE, "Ctrl+E", "Render the scene exactly and save the drives (V) of all actuators"),
-    ("Save &WAV…", WAV, "Ctrl+Shift+E", "Render the scene exactly and save it as a sound file of the rig's interface"),
-)
-_KINDS = {DRIVE: "drive file", WAV: "sound file"}
 
 
 class ActionsBar(Themed, QWidget):
@@ -44,7 +36,7 @@ class ActionsBar(Themed, QWidget):
         context: TabContext,
         saving: Saving,
         playing: PlayTask,
-        save: Callable[[str, Path], None],
+        save: Callable[[Path], None],
         play: Callable[[], None],
     ) -> None:
         super().__init__()
@@ -63,14 +55,12 @@ class ActionsBar(Themed, QWidget):
         )
         self.state = ui.label(role="faint", any_width=True)
         self.state.setMinimumWidth(60)
-        self.saves: dict[str, QAction] = {
-            kind: ui.action(self, words, partial(self._choose, kind), keys, tip=tip)
-            for words, kind, keys, tip in _SAVES
-        }
+        tip = "Render the scene exactly and save the drives (V), or the sound file of the rig's interface (.wav)"
+        self.save = ui.action(self, "Save &drive…", self._choose, "Ctrl+E", tip=tip)
         self.cancel = ui.action(self, "&Cancel", saving.cancel, tip="Cancel saving")
         self.play = ui.action(self, "&Play", play, "F9", tip="Render within the rig's limits and play")
         self.stop = ui.action(self, "&Stop", playing.stop, "Shift+F9", tip="Stop at once and mute the outputs")
-        actions = {**self.saves, "cancel": self.cancel, "play": self.play, "stop": self.stop}
+        actions = {"drive": self.save, "cancel": self.cancel, "play": self.play, "stop": self.stop}
         self.buttons: dict[str, QToolButton] = {name: ui.button(action) for name, action in actions.items()}
         *saves, plays, stops = self.buttons.values()
         stops.setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
@@ -102,8 +92,7 @@ class ActionsBar(Themed, QWidget):
     def show_state(self) -> None:
         """Show what can be done now, and what is being done."""
         saving, playing = self._saving.busy, self._playing.state
-        for action in self.saves.values():
-            action.setEnabled(self.ready and not saving)
+        self.save.setEnabled(self.ready and not saving)
         self.cancel.setEnabled(saving)
         self.buttons["cancel"].setVisible(saving)
         self.play.setEnabled(self.ready and playing == IDLE and bool(self.rig))
@@ -123,9 +112,8 @@ class ActionsBar(Themed, QWidget):
             self.show_state()
             self.rig_changed.emit()
 
-    def _choose(self, kind: str) -> None:
-        suggested, save = self._saving.suggested(kind), partial(self._save, kind)
-        choose_place(self, f"Save {kind}", suggested, _KINDS[kind], ENDINGS[kind], save)
+    def _choose(self) -> None:
+        choose_place(self, "Save the drives", self._saving.suggested, KINDS, self._save)
 
 
 NO_BANK = "choose a bank: drives and field are computed from its measurements"
@@ -146,7 +134,7 @@ class ResultsPanel(Themed, QWidget):
         self.results: SceneResults | None = None
         self.complete = False
         self.drives, self.field, self.figures = DrivesView(), FieldView(), figures_table()
-        self.saving, self.playing = Saving(context, document, self), PlayTask(context, document, self)
+        self.saving, self.playing = Saving(context, document), PlayTask(context, document)
         self.bar = ActionsBar(context, self.saving, self.playing, self.save, self.play)
         self.stage = ui.label("Stage of the calculation", any_width=True)
         self.problem = ui.label("Problem of the calculation", wraps=True)
@@ -170,7 +158,7 @@ class ResultsPanel(Themed, QWidget):
 
     def menu_actions(self) -> list[QAction | None]:
         """The buttons' actions, for the tab's menu."""
-        return [*self.bar.saves.values(), None, self.bar.play, self.bar.stop]
+        return [self.bar.save, None, self.bar.play, self.bar.stop]
 
     def poll(self) -> None:
         """Calculate the latest scene once it is not edited any more, and again when the bank has changed."""
@@ -205,9 +193,9 @@ class ResultsPanel(Themed, QWidget):
         for task in (self.saving, self.calculation, self.playing):
             task.close()
 
-    def save(self, kind: str, path: Path) -> None:
-        """Save the present scene; see `Saving.save`."""
-        self.saving.save(kind, path, self.bar.rig)
+    def save(self, path: Path) -> None:
+        """Save the drives of the present scene; see `Saving.save`."""
+        self.saving.save(path, self.bar.rig)
 
     def play(self) -> None:
         """Play the present scene on the rig."""

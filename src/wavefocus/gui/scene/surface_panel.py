@@ -10,7 +10,7 @@ from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.scene.canvas import SceneCanvas, span_s
 from wavefocus.gui.scene.document import QUIET, SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
-from wavefocus.gui.scene.preview import LivePreview, problem_of
+from wavefocus.gui.scene.preview import LivePreview
 from wavefocus.gui.theme import Themed
 
 _TOOLS = (
@@ -39,13 +39,8 @@ class SurfacePanel(Themed, QWidget):
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         # A fixed height: the surface must not move below the mouse when a problem appears.
         self.hint.setFixedHeight(3 * self.hint.fontMetrics().lineSpacing() + 2)
-        self.place = ui.label("Position of the mouse")
-        self.place.setParent(self.canvas)
-        self.place.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.place.move(76, 2)
         tools = ui.row(*self.tools.values(), None, spacing=3)
         ui.column(tools, (self.canvas, 1), self.colours, self.hint, owner=self, spacing=4)
-        self.canvas.hovered.connect(self._hover)
         live.updated.connect(self._show_preview)
         document.changed.connect(self._show_preview)
         self.use_tool("")
@@ -60,7 +55,7 @@ class SurfacePanel(Themed, QWidget):
     def _show_preview(self) -> None:
         preview = self._live.preview
         self.colours.show_range("Focus instant", "s", span_s(preview.traces))
-        self.problem = self._document.problem or problem_of(preview)
+        self.problem = self._document.problem or (preview.problem if preview.draft.source else "")
         self._show_hint()
 
     def _show_hint(self) -> None:
@@ -70,7 +65,3 @@ class SurfacePanel(Themed, QWidget):
         self.hint.setText(text if len(text) < _LONGEST else f"{text[:_LONGEST]}…")
         self.hint.setToolTip(text)
         self.hint.setStyleSheet(f"QLabel {{ color: {self.theme.fault if self.problem else self.theme.faint}; }}")
-
-    def _hover(self, at: tuple[float, float] | None) -> None:
-        self.place.setText("" if at is None else f"({at[0]:.1f}, {at[1]:.1f}) mm")
-        self.place.adjustSize()

@@ -18,7 +18,7 @@ from wavefocus.gui.editor.files import TextFiles, closing_question
 from wavefocus.gui.editor.insert import insert_button
 from wavefocus.gui.editor.tab import file_actions
 from wavefocus.gui.editor.text_edit import TextPanel
-from wavefocus.gui.files import FileKind, PathField, kind_of
+from wavefocus.gui.files import FileKind, PathField
 from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, SceneDocument
 from wavefocus.gui.scene.draft import Keys, moved, new_source
 from wavefocus.gui.scene.exports import IDLE
@@ -60,7 +60,7 @@ class SceneTab(Tab):
         self.editor = TextPanel(self.document)
         self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
-        self.live_run = LiveRun(context, self.document, self)
+        self.live_run = LiveRun(context, self.document)
         self.live_surface = LiveSurface(self.live_run, self.live)
         bar, playing = self.results.bar, self.results.playing
         self.live_panel = LivePanel(
@@ -122,15 +122,14 @@ class SceneTab(Tab):
         self.files.save_settings()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
-        """Read the bank again, or use the latest one, and focus the canvas."""
+        """Read the bank again, or use that of last time, and focus the canvas."""
         super().showEvent(event)
-        if self.document.bank is None:
-            bank = self._latest_bank()
-            if bank is not None:
-                self.bank_field.show_path(bank)
-                self.document.use_bank(bank)
-        else:
+        last = self.context.settings.text("scene/bank")
+        if self.document.bank is not None:
             self.live.read_bank()
+        elif last and Path(last).is_file():
+            self.bank_field.show_path(Path(last))
+            self.document.use_bank(Path(last))
         self._focus_surface()
 
     def use_mode(self, mode: str) -> None:
@@ -149,7 +148,7 @@ class SceneTab(Tab):
         surface.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _lay_out(self) -> None:
-        buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "open", "save", "save as", "undo", "redo")]
+        buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "save", "save as", "undo", "redo")]
         surface = QWidget()
         ui.column((self.live_surface, 1), self.live_panel.hint, owner=surface, spacing=4)
         middle, right = self._stacks
@@ -186,7 +185,7 @@ class SceneTab(Tab):
 
     def _open_field(self, path: Path) -> None:
         """Play a field file on the positions of the chosen bank."""
-        bank = self.document.bank or self._latest_bank()
+        bank = self.document.bank
         if bank is None:
             self.context.messages.warn(f"{path.name}: choose the bank that it belongs to, then open it again")
             return
@@ -196,12 +195,6 @@ class SceneTab(Tab):
             self.results.show_field_file(path, *read)
 
         self.context.background.ask("field", partial(read_field_on, path, bank), show, self.context.report_failure)
-
-    def _latest_bank(self) -> Path | None:
-        """The bank of last time, or the one opened last in any tab."""
-        last = self.context.settings.text("scene/bank")
-        found = [*([Path(last)] if last else []), *self.context.settings.recent()]
-        return next((path for path in found if path.is_file() and kind_of(path) is FileKind.BANK), None)
 
     def _drawn(self, kind: str, path: PathTable) -> None:
         if kind == QUIET and isinstance(path, PointTable):

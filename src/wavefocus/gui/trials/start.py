@@ -12,7 +12,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, names_virtual_rig, short_path
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import VIRTUAL
-from wavefocus.gui.tab import TabContext
+from wavefocus.gui.tab import OwnCommand, TabContext
 
 
 class TrialsStart(QDialog):
@@ -25,7 +25,7 @@ class TrialsStart(QDialog):
         super().__init__(owner)
         self.setWindowTitle(f"Trials: {trials.name}")
         self._context, self._trials = context, trials
-        self.process: CommandProcess | None = None
+        self.command = OwnCommand(context)
         settings = context.settings
         self.participant = ui.named(QLineEdit(), "Code of the participant, no name: letters, digits, -", "Participant")
         self.bank = PathField("", ".h5", "bank file", settings)
@@ -64,7 +64,7 @@ class TrialsStart(QDialog):
 
     def instruments_held(self) -> str:
         """Holder of real instruments, as the beginning of a sentence; empty for none."""
-        real = self.process is not None and not names_virtual_rig(self.rig.path or VIRTUAL)
+        real = self.command.running and not names_virtual_rig(self.rig.path or VIRTUAL)
         return f"trials of participant {self.participant.text().strip()} are running" if real else ""
 
     def _changed(self) -> None:
@@ -73,7 +73,7 @@ class TrialsStart(QDialog):
 
     def _read(self) -> None:
         participant, out = self.participant.text().strip(), self.out.path
-        if self.process is not None or out is None:
+        if self.command.running or out is None:
             return
         work = partial(_standing, self._trials, out, participant)
         self._context.background.ask("trials", work, self._show, lambda failure: self._show((str(failure), False)))
@@ -81,7 +81,7 @@ class TrialsStart(QDialog):
     def _show(self, standing: tuple[str, bool]) -> None:
         sentence, can_start = standing
         self.standing.setText(sentence)
-        self.start.setEnabled(can_start and self.process is None)
+        self.start.setEnabled(can_start and not self.command.running)
 
     def _start(self) -> None:
         bank, rig, out = self.bank.path, self.rig.path or VIRTUAL, self.out.path
@@ -94,12 +94,11 @@ class TrialsStart(QDialog):
         self._context.claim_instruments(self, "Start", partial(self._run, arguments), virtual=virtual)
 
     def _run(self, arguments: list[str]) -> None:
-        self.process = self._context.run(arguments, self._ended, name="the trials", advice="Start resumes them")
+        self.command.run(arguments, self._ended, name="the trials", advice="Start resumes them")
         self.start.setEnabled(False)
         self.standing.setText("the participant's window opens when the stimuli are prepared")
 
     def _ended(self, process: CommandProcess) -> None:
-        self.process = None
         self._context.report_end(process, stopped="the trials were ended before; Start resumes them")
         self._read()
 

@@ -132,7 +132,6 @@ class MapsPanel(FilmPlayer):
 
     def __init__(self) -> None:
         super().__init__(("Prediction", "Scan", "Difference"), list(_LINES.values()))
-        self._results: Results | None = None
         columns = []
         for field_map, words in zip(self.maps, ("Prediction", "Scan", "Difference, scan − prediction"), strict=True):
             heading = ui.label(text=words, role="strong", any_width=True)
@@ -146,42 +145,29 @@ class MapsPanel(FilmPlayer):
 
     def show_results(self, results: Results) -> None:
         """Show another verification, at its first focus instant."""
-        self._results = results
-        pair, sources = results.pair, results.record.sources
+        pair, record = results.pair, results.record
 
         def sources_mm(time_s: float) -> Float64Array:
-            places = [source.at_mm(time_s) for source in sources]
+            places = [source.at_mm(time_s) for source in record.sources]
             return np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
 
+        def frames(sample: int) -> list[Frame]:
+            predicted, scanned = pair.at_sample(sample)
+            return [predicted, scanned, np.where(record.compared, scanned - predicted, np.nan)]
+
+        def response(place: int) -> tuple[str, list[Real]]:
+            (x_mm, y_mm), (predicted, scanned) = record.position_mm[place], pair.at_position(place)
+            title = f"position {record.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
+            return f"{title}: {_figures_text(record, place)}", [predicted, scanned, scanned - predicted]
+
+        scales = [
+            ("prediction, both on one scale", results.loudest),
+            ("scan, both on one scale", results.loudest),
+            ("scan − prediction, own scale", results.loudest_difference),
+        ]
         self.show_film(
             Film(
-                results.surface, pair.start_s, pair.sample_rate_hz, pair.samples, self._frames, sources_mm,
-                results.focus_sample, self._response, pair.response_unit,
+                results.surface, pair.start_s, pair.sample_rate_hz, pair.samples, frames, sources_mm,
+                results.focus_sample, response, pair.response_unit, scales,
             )
         )  # fmt: skip
-
-    def rescale(self) -> None:
-        results = self._results
-        if results is None:
-            return
-        unit = results.pair.response_unit
-        for field_map, title, end in zip(
-            self.maps,
-            ("prediction, both on one scale", "scan, both on one scale", "scan − prediction, own scale"),
-            (results.loudest, results.loudest, results.loudest_difference),
-            strict=True,
-        ):
-            field_map.show_scale(title, end, unit)
-
-    def _frames(self, sample: int) -> list[Frame]:
-        assert self._results is not None
-        predicted, scanned = self._results.pair.at_sample(sample)
-        difference = np.where(self._results.record.compared, scanned - predicted, np.nan)
-        return [predicted, scanned, difference]
-
-    def _response(self, place: int) -> tuple[str, list[Real]]:
-        assert self._results is not None
-        record, (predicted, scanned) = self._results.record, self._results.pair.at_position(place)
-        row, at_mm = int(record.position_index[place]), record.position_mm[place]
-        title = f"position {row} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm: {_figures_text(record, place)}"
-        return title, [predicted, scanned, scanned - predicted]

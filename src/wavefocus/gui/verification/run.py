@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,9 +18,9 @@ from wavefocus.config.messages.codec import MessageError, message_of
 from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.gui.campaign.follower import LogTail
 from wavefocus.gui.message_bar import error_text
-from wavefocus.gui.process import NOT_GOOD_ENOUGH, STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
-from wavefocus.gui.tab import ClosingQuestion, TabContext
+from wavefocus.gui.tab import ClosingQuestion, OwnCommand, TabContext
 from wavefocus.rendering.verify.record import (
     LOG_NAME,
     PREDICTION_NAME,
@@ -37,53 +37,33 @@ if TYPE_CHECKING:
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
 
 
-@dataclass(frozen=True, slots=True)
-class VerificationRequest:
-    """The command of a verification, and the folder that it writes."""
-
-    arguments: tuple[str, ...]
-    out: Path
-    is_virtual: bool
+_NO_STEP = VerifyStep(datetime.fromtimestamp(0, UTC), "starting", 0, 0)
 
 
-@dataclass(slots=True)
-class VerificationProgress:
-    """Progress of a verification; `finish_s` is when the step will end, in seconds since 1970, None where unknown."""
-
-    step: str = "starting"
-    done: int = 0
-    total: int = 0
-    finish_s: float | None = None
-    message: str = ""
-
-
-class VerificationRun:
+class VerificationRun(OwnCommand):
     """At most one verification of this window.
 
-    context: Starts commands and shows messages.
     done: Receives the record's path when a verification has one.
+
+    step: The last one that it reported.
+    message: What an instrument said last; empty while all is well.
     """
 
     def __init__(self, context: TabContext, done: Callable[[Path], object]) -> None:
-        self._context, self._done = context, done
-        self.own: CommandProcess | None = None
-        self.out: Path | None = None
-        self.progress = VerificationProgress()
+        super().__init__(context)
+        self._done = done
+        self.out = Path()
+        self.step, self.message = _NO_STEP, ""
         self.stopping = self.is_virtual = False
         self._close: Callable[[], object] | None = None
         self._started = False
-        self._ended: VerifyEnded | None = None
+        self._reason = ""
 
-    @property
-    def running(self) -> bool:
-        return self.own is not None
-
-    def start(self, request: VerificationRequest) -> None:
-        """Start it, unless one is running."""
+    def start(self, arguments: Sequence[str], out: Path, *, virtual: bool) -> None:
+        """Start a command that writes a folder, unless one is running."""
         if self.running:
             self._context.messages.warn("a verification is still running; cancel it first, or wait for its end")
             return
-        out = request.out
         try:
             out.mkdir(parents=True, exist_ok=True)
             for name in (LOG_NAME, STOP_NAME):  # of an earlier one
@@ -91,16 +71,15 @@ class VerificationRun:
         except OSError as failure:
             self._context.messages.fault(f"the verification cannot be started: {error_text(failure)}")
             return
-        self.out, self._log, self.progress = out, LogTail(out / LOG_NAME), VerificationProgress()
-        self._started, self._ended, self.stopping = False, None, False
-        self.own = self._context.run(
-            request.arguments,
-            lambda _process: self.poll(),
+        self.out, self._log, self.step, self.message = out, LogTail(out / LOG_NAME), _NO_STEP, ""
+        self._started, self._reason, self.stopping, self.is_virtual = False, "", False, virtual
+        self.run(
+            arguments,
+            self._report_end,
             log_file=out / "verify.said",
             name="the verification",
             advice="its outputs ended with it, but the mirror stands where it was: run the verification again",
         )
-        self.is_virtual = request.is_virtual
 
     def cancel(self) -> None:
         """Stop it: outputs muted, mirror parked."""
@@ -110,19 +89,13 @@ class VerificationRun:
                 self._request_stop()
 
     def poll(self) -> None:
-        """Read its log, and report its end; called often."""
-        own = self.own
-        if own is None:
-            return
-        over = not own.running  # asked first: the last line may be written meanwhile
-        for record in self._log.read()[0]:
-            self._receive(record)
-        if over:
-            self._report_end(own)
+        """Read its log; called often."""
+        if self.running:
+            self._read()
 
     def closing_question(self) -> ClosingQuestion | None:
         """What to ask before the window closes; None without a verification."""
-        if self.own is None or not self.own.running or self.out is None:
+        if not self.running:
             return None
 
         def stop(close: Callable[[], object]) -> None:
@@ -136,59 +109,48 @@ class VerificationRun:
             (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop)),
         )
 
-    def detach(self) -> None:
-        """Leave this window's verification running; it mutes and parks by itself."""
-        if self.own is not None:
-            self.own.detach()
+    def _read(self) -> bool:
+        """Read what is new in its log, a block of it; returns whether there was anything."""
+        records = self._log.read()[0]
+        for record in records:
+            with suppress(MessageError):  # of another version
+                self._receive(message_of(record, _MESSAGES))
+        return bool(records)
 
-    def _receive(self, record: dict[str, object]) -> None:
-        progress = self.progress
-        try:
-            message = message_of(record, _MESSAGES)
-        except MessageError:  # of another version
-            return
+    def _receive(self, message: object) -> None:
         match message:
             case VerifyStarted():
                 self._started = True
                 if self.stopping:  # cancelled before it could look for the file
                     self._request_stop()
-            case VerifyStep(step=step, done=done, total=total, left_s=left_s):
-                finish_s = None if left_s is None else time.time() + left_s
-                self.progress = VerificationProgress(step, done, total, finish_s, progress.message)
+            case VerifyStep():
+                self.step = message
             case StateChanged(state=state, reason=reason):
-                progress.message = "" if state is State.RUNNING else reason
+                self.message = "" if state is State.RUNNING else reason
             case Fault(instrument=name, cause=what) | ReconnectTried(instrument=name, outcome=what):
-                progress.message = f"{name}: {what}"
-            case VerifyEnded():
-                self._ended = message
+                self.message = f"{name}: {what}"
+            case VerifyEnded(reason=reason):
+                self._reason = reason
 
     def _request_stop(self) -> None:
-        assert self.out is not None
         try:
             (self.out / STOP_NAME).touch()
         except OSError as failure:
             self.stopping = False
             self._context.messages.fault(f"the verification cannot be stopped: {error_text(failure)}")
 
-    def _report_end(self, own: CommandProcess) -> None:
-        out, ended, messages, code = self.out, self._ended, self._context.messages, own.exit_code
-        self.own, self.stopping = None, False
-        assert out is not None
+    def _report_end(self, process: CommandProcess) -> None:
+        while self._read():
+            pass
+        self.stopping = False
         with suppress(OSError):
-            (out / STOP_NAME).unlink(missing_ok=True)
-        reason = own.failure if ended is None else ended.reason
-        if code == 0:
-            messages.note(f"Verified. {reason}")
-        elif code == NOT_GOOD_ENOUGH:
-            messages.fault(f"Not good enough. {reason}")
-        elif code == STOPPED_BY_USER:
-            messages.note(
-                "stopped; the outputs are muted and the mirror is parked; Verify goes on with what was scanned"
-            )
-        else:
-            messages.fault(reason or "the verification ended")
-        if code in (0, NOT_GOOD_ENOUGH):
-            self._done(out / RECORD_NAME)
+            (self.out / STOP_NAME).unlink(missing_ok=True)
+        stopped = "stopped; the outputs are muted and the mirror is parked; Verify goes on with what was scanned"
+        judged = process.exit_code in (0, 1)
+        why = f"Not good enough. {self._reason}" if judged else self._reason
+        self._context.report_end(process, f"Verified. {self._reason}", stopped, why)
+        if judged:
+            self._done(self.out / RECORD_NAME)
         if self._close is not None:
             self._close()
 

@@ -13,7 +13,6 @@ from PyQt5.QtWidgets import QAction, QGridLayout, QLabel, QLineEdit, QStackedWid
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, names_virtual_rig, record_of
-from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import Background
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
@@ -21,13 +20,10 @@ from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, VerdictPanel
 from wavefocus.gui.verification.run import (
     Results,
-    VerificationProgress,
-    VerificationRequest,
     VerificationRun,
     read_results,
 )
 from wavefocus.rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
-from wavefocus.storage.errors import InputError
 
 
 class RequestForm(QWidget):
@@ -38,7 +34,7 @@ class RequestForm(QWidget):
         self._context = context
         settings = context.settings
         self.scene = PathField("&Scene", ".toml", "scene file", settings)
-        self.bank = PathField("&Bank", ".h5", "bank to verify", settings)
+        self.bank = PathField("&Bank", ".h5", "bank file", settings)
         self.rig = PathField("Ri&g", ".toml", "rig file", settings, words=(VIRTUAL,))
         self.rig.line.setToolTip(f"A rig file, or the word {VIRTUAL} for the rig in software")
         self.out = PathField("F&older", "", "folder for the report", settings)
@@ -88,22 +84,11 @@ class RequestForm(QWidget):
         words = [word for field, word in fields if not field.line.text().strip()]
         return "" if not words else f"choose {', and '.join(words)}"
 
-    def request(self) -> VerificationRequest:
-        """The command of the present choices; results in the folder are kept, and a numbered folder is used instead.
-
-        Raises InputError: A choice is missing.
-        """
-        if missing := self.missing():
-            raise InputError(f"{missing} first")
-        out = self.out.path
-        assert out is not None
-        out = unused_folder(out)
-        rig = str(self.rig.path or VIRTUAL)
-        files = ["--bank", str(self.bank.path), "--rig", rig, "--out", str(out), "--json"]
-        arguments = ["verify", str(self.scene.path), *files]
-        if positions := self.positions.text().strip():
-            arguments += ["--positions", positions]
-        return VerificationRequest(tuple(arguments), out, names_virtual_rig(rig))
+    def arguments(self, out: Path) -> list[str]:
+        """The command of the present choices, into a folder."""
+        files = ["--bank", str(self.bank.path), "--rig", str(self.rig.path or VIRTUAL), "--out", str(out), "--json"]
+        positions = self.positions.text().strip()
+        return ["verify", str(self.scene.path), *files, *(["--positions", positions] if positions else [])]
 
 
 def unused_folder(folder: Path) -> Path:
@@ -150,31 +135,26 @@ class RunRow(Themed, QWidget):
         self.figures = ui.label("Remaining time and last message", any_width=True)
         buttons = map(ui.button, (self.start, self.cancel))
         ui.row(choice, 8, *buttons, 8, self.state, (self.bar, 2), (self.figures, 3), owner=self)
-        self.show_progress(None, stopping=False, missing="")
 
-    def show_progress(
-        self, progress: VerificationProgress | None, *, stopping: bool, missing: str, reading: str = ""
-    ) -> None:
-        """Show the progress, or without one what is `missing` for a verification and what is being read."""
-        running = progress is not None
-        self.start.setEnabled(not running and not missing)
+    def show_run(self, run: VerificationRun, missing: str, reading: str) -> None:
+        """Show the progress of a verification; without one, what is `missing` for it, and what is being read."""
+        self.start.setEnabled(not run.running and not missing)
         self.start.setToolTip(f"First {missing}" if missing else self._start_tip)
-        self.cancel.setEnabled(running and not stopping)
-        self.state.setVisible(running)
-        self.bar.setVisible(running)
-        if progress is None:
-            ui.put(self.figures, reading)
-            self.figures.setToolTip("")
-            return
-        word = "stopping" if stopping else _STEPS.get(progress.step, progress.step)
-        self.state.show_word(word, self.theme.warning if stopping else self.theme.good)
-        self.bar.setFormat("%v of %m positions" if progress.step in ("scan", "predict", "linearity") else "")
-        if (self.bar.value(), self.bar.maximum()) != (progress.done, progress.total):
-            self.bar.setMaximum(progress.total)  # 0: a busy indicator
-            self.bar.setValue(progress.done)
-        scanning = progress.step == "scan" and progress.done < progress.total
-        left = ui.finish_text(progress.finish_s) if scanning and progress.finish_s is not None else ""
-        text = "  ·  ".join(part for part in (left, progress.message) if part)
+        self.cancel.setEnabled(run.running and not run.stopping)
+        for part in (self.state, self.bar):
+            part.setVisible(run.running)
+        step, text = run.step, reading
+        if run.running:
+            word = "stopping" if run.stopping else _STEPS.get(step.step, step.step)
+            self.state.show_word(word, self.theme.warning if run.stopping else self.theme.good)
+            self.bar.setFormat("%v of %m positions" if step.step in ("scan", "predict", "linearity") else "")
+            if (self.bar.value(), self.bar.maximum()) != (step.done, step.total):
+                self.bar.setMaximum(step.total)  # 0: a busy indicator
+                self.bar.setValue(step.done)
+            left = ""
+            if step.step == "scan" and step.done < step.total and step.left_s is not None:
+                left = ui.finish_text(step.at.timestamp() + step.left_s)
+            text = "  ·  ".join(filter(None, (left, run.message)))
         ui.put(self.figures, text)
         self.figures.setToolTip(text)
 
@@ -244,12 +224,7 @@ class VerificationTab(Tab):
 
     def draw(self) -> None:
         self.hint.setText(_WAITING if self.run.running else _HINT)
-        self.row.show_progress(
-            self.run.progress if self.run.running else None,
-            stopping=self.run.stopping,
-            missing=self.form.missing(),
-            reading=self._reading_text(),
-        )
+        self.row.show_run(self.run, self.form.missing(), self._reading_text())
 
     def closing_question(self) -> ClosingQuestion | None:
         return self.run.closing_question()
@@ -280,13 +255,13 @@ class VerificationTab(Tab):
         ui.column(self.form, self.row, (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def _start(self) -> None:
-        try:
-            request = self.form.request()
-        except InputError as wrong:
-            self.context.messages.warn(error_text(wrong))
+        """Verify; results in the folder are kept, and a numbered folder is used instead."""
+        if self.form.out.path is None or self.form.missing():  # by a key, before the button is disabled
             return
-        self.form.out.show_path(request.out)
-        self.context.claim_instruments(self, "Verify", lambda: self.run.start(request), virtual=request.is_virtual)
+        out, virtual = unused_folder(self.form.out.path), names_virtual_rig(self.form.rig.path or VIRTUAL)
+        self.form.out.show_path(out)
+        start = partial(self.run.start, self.form.arguments(out), out, virtual=virtual)
+        self.context.claim_instruments(self, "Verify", start, virtual=virtual)
 
     def _folder_chosen(self, folder: Path) -> None:
         """Show an earlier verification of that folder."""
