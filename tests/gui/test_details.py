@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import pyqtgraph
 import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import click, drag, pixel, shown_tab, wait
+from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
+from wavefocus.config.limits import DriftLimits
+from wavefocus.gui.campaign.position_panel import DriftPlot
 from wavefocus.gui.campaign.quality import DAMAGED, LOOKS
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.window import Window
@@ -126,3 +131,28 @@ def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_lis
     shown = [events.lines.index(row, 2).data() for row in range(events.lines.rowCount())]
     assert shown
     assert all("position 3 " in text for text in shown)
+
+
+LIMITS = DriftLimits(warn_level_db=0.4, stop_level_db=2.0, warn_correlation=0.97, stop_correlation=0.8)
+
+
+@pytest.mark.parametrize(
+    ("level_db", "drawn"),
+    [(0.1, [-0.4, 0.0, 0.4]), (1.0, [-2.0, -0.4, 0.0, 0.4, 2.0]), (9.0, [-2.0, -0.4, 0.0, 0.4, 2.0])],
+)
+def test_given_points_then_the_limits_that_matter_are_drawn_and_in_view(
+    qtbot: QtBot, level_db: float, drawn: list[float]
+) -> None:
+    plot = DriftPlot()
+    qtbot.addWidget(plot)
+    at = datetime(2026, 11, 26, 2, tzinfo=UTC)
+    points = [DriftPoint(at + timedelta(hours=n), n * level_db, 0.1 * n, 1.0, "steady") for n in range(2)]
+    plot.show_drift(points, LIMITS)
+    level, _, correlation = plot.plots
+    lines = [item for item in level.getPlotItem().items if isinstance(item, pyqtgraph.InfiniteLine)]
+    assert sorted(float(line.value()) for line in lines) == pytest.approx(drawn)
+    low, high = level.getViewBox().viewRange()[1]
+    assert low < min(drawn)
+    assert high > max(*drawn, level_db)
+    lines = [item for item in correlation.getPlotItem().items if isinstance(item, pyqtgraph.InfiniteLine)]
+    assert sorted(float(line.value()) for line in lines) == pytest.approx([0.0, 0.03])

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 from PyQt5.QtCore import Qt
+from PyQt5.QtTest import QTest
+from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 import wavefocus as wf
@@ -50,6 +52,25 @@ def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot: QtBot,
     qtbot.keyClicks(text, "-1")
     wait(qtbot, lambda: [one.line for one in page.document.mistakes] == [1])
     assert "must be above 0" in page.editor.problem.text()
+
+
+def test_given_ctrl_f_then_the_text_is_searched_and_escape_closes_no_message(
+    qtbot: QtBot, tab: FilesTab
+) -> None:
+    page, messages = tab.pages[FileKind.RUN], tab.context.messages
+    page.document.replace("[grid]\nspacing_mm = 4.0\n")
+    with qtbot.waitActive(tab.window()):
+        tab.window().activateWindow()
+    messages.fault("something is wrong")
+    page.editor.text.setFocus()
+    QTest.keyClick(page.editor.text, Qt.Key.Key_F, Qt.KeyboardModifier.ControlModifier)
+    assert QApplication.focusWidget() is page.editor.search
+    QTest.keyClicks(page.editor.search, "spac")
+    QTest.keyClick(page.editor.search, Qt.Key.Key_Return)
+    assert page.editor.text.textCursor().selectedText() == "spac"
+    QTest.keyClick(page.editor.search, Qt.Key.Key_Escape)
+    assert QApplication.focusWidget() is page.editor.text
+    assert messages.sentence == "something is wrong"
 
 
 def test_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_that_it_names(
@@ -110,13 +131,21 @@ def test_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_next_windo
     assert texts == ["[sweep]\n", '[mirror]\ndriver = "virt\u00a0ual"\n']
 
 
-def test_each_kind_of_path_and_signal_is_inserted_as_a_valid_scene() -> None:
+def test_each_kind_of_path_and_signal_is_inserted_and_written_as_the_same_scene() -> None:
     kinds = [source_on_path(kind) for kind in tables_by_kind(PathTable)]
     for text in kinds + [source_with_signal(kind) for kind in tables_by_kind(SignalTable)]:
         document = SceneDocument()
+        document.begin('[scene]\nname = "abc \\"XYZ\\" \\\\ é☺#{}"\n', None)
         document.append(text)
         assert [one.sentence for one in document.mistakes if '= ""' not in one.sentence] == []
         assert text.count("  # ") > 5
+        named = text.replace('= ""', '= "a folder/file.wav"')
+        document.begin(document.toml().replace(text, named), None)
+        assert document.mistakes == []
+        draft = document.draft
+        document.begin(scene_toml(draft), None)
+        assert document.draft == draft
+        assert draft.scene.name == 'abc "XYZ" \\ é☺#{}'
 
 
 def test_given_the_menu_of_a_rig_then_each_section_is_added_in_a_step_that_is_undone() -> None:

@@ -11,7 +11,7 @@ from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWidget
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, kept_window, shown_tab, tab_of
+from tests.gui.conftest import Opens, kept_window, tab_of
 from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.tab import SceneTab
@@ -99,16 +99,6 @@ def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reporte
     assert (box.value(), values) == (0.25, [])  # used by a key, F5, before it was finished
     QTest.keyClick(box, Qt.Key.Key_Return)
     assert values == [0.25]
-
-
-def test_typed_numbers_when_a_sweep_and_a_jog_are_asked_for_then_those_are_sent(qtbot: QtBot, window: Window) -> None:
-    page = shown_tab(window, RigTab).manual_page
-    sound, jog = page.sound, page.jog
-    for box in (sound.level_v, jog.x_mm):
-        box.setEnabled(True)
-    type_into(sound.level_v, "0,2", Qt.Key.Key_Tab)
-    type_into(jog.x_mm, "1,5", Qt.Key.Key_Tab)
-    assert (sound.level_v.value(), jog.x_mm.value()) == (0.2, 1.5)
 
 
 def test_given_numbers_of_the_last_session_then_the_boxes_show_them(qtbot: QtBot, open_window: Opens) -> None:

@@ -7,8 +7,6 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QTextDocument
 from PyQt5.QtWidgets import QApplication, QFileDialog
@@ -16,31 +14,22 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, Opens, click, drag, edit, pixel, scene_of, shown_tab, wait
 from wavefocus.config.scene import (
-    CircleTable,
-    FileTable,
     LineTable,
     NoiseTable,
-    Output,
     PathTable,
     PointTable,
-    PolylineTable,
-    Regularisation,
     SceneConfig,
     SceneTable,
-    SineTable,
-    SourceTable,
-    SvgTable,
     TextTable,
-    TrajectoryTable,
 )
 from wavefocus.gui.files import Settings, kind_of
 from wavefocus.gui.scene.canvas import SceneCanvas
-from wavefocus.gui.scene.document import NOTHING, SceneDocument
-from wavefocus.gui.scene.draft import NEW_SCENE, changed, new_source, scene_toml
+from wavefocus.gui.scene.document import NOTHING
+from wavefocus.gui.scene.draft import NEW_SCENE, changed, new_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.window import Window
 from wavefocus.rendering.scene import paths
-from wavefocus.rendering.scene.model import build_scene, load_scene
+from wavefocus.rendering.scene.model import load_scene
 from wavefocus.storage.errors import InputError
 
 SCENE = """
@@ -58,10 +47,6 @@ emission = "per_point"
 path = { kind = "point", at_mm = [10, 20] }
 signal = { kind = "sine", frequency_hz = 200, duration_s = 0.1 }
 """
-
-DRAWING = """<svg xmlns="http://www.w3.org/2000/svg"><path id="first" d="M 0 0 L 20 0 L 20 10"/>
-<path id="second" d="M 0 0 L 400 300"/></svg>"""
-FINGER = "time_s,x_mm,y_mm\n0,-10,0\n0.5,10,0\n"
 
 
 @pytest.fixture
@@ -253,22 +238,6 @@ def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_
     assert memory.text("scene/unsaved") == ""
 
 
-def test_given_a_file_that_another_program_changed_then_saving_asks(
-    qtbot: QtBot, tab: SceneTab, tmp_path: Path
-) -> None:
-    file = tmp_path / "two.toml"
-    file.write_text(SCENE, encoding="utf-8")
-    tab.open_file(file)
-    file.write_text(SCENE.replace("80.0", "81.0"), encoding="utf-8")
-    edit(tab.document, changed(tab.document.draft, scene=SceneTable(name="three")))
-    tab.actions_by_name["save"].trigger()
-    assert "another program" in tab.context.messages.sentence
-    assert load_scene(file).sources[0].speed_mm_s == 81.0
-    over = next(button for button in tab.context.messages.buttons() if button.text() == "Save over it")
-    qtbot.mouseClick(over, LEFT)
-    assert load_scene(file).name == "three"
-
-
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -362,64 +331,3 @@ def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happe
     tab.document.replace(point + circle)
     wait(qtbot, lambda: "later than numbers reach" in tab.surface.problem)
     assert tab.live.preview.traces == [trace]  # what was drawn last stays
-
-
-FINITE, ABOVE = st.floats(-1e6, 1e6), st.floats(1e-6, 1e6)
-PLACE, BAND = st.tuples(FINITE, FINITE), ABOVE.map(lambda low: (low, low + 1.0))
-WORDS = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
-LETTERS = st.text("abcXYZ089 \"\\'é☺#{}", min_size=1, max_size=6).filter(lambda text: bool(text.strip()))
-PATHS = st.one_of(
-    st.builds(LineTable, start_mm=PLACE, end_mm=PLACE),
-    st.builds(CircleTable, centre_mm=PLACE, radius_mm=ABOVE, turns=st.floats(-100.0, 100.0), start_deg=FINITE),
-    st.builds(PolylineTable, points_mm=st.lists(PLACE, min_size=1, max_size=8).map(tuple), closed=st.booleans()),
-    st.builds(TextTable, string=LETTERS, height_mm=ABOVE, centre_mm=PLACE),
-    st.builds(SvgTable, file=st.just("drawing.svg"), path_id=st.sampled_from(["", "first"]), origin_mm=PLACE),
-    st.builds(TrajectoryTable, file=st.just("finger.csv")),
-)
-SIGNALS = st.one_of(
-    st.builds(SineTable, frequency_hz=ABOVE, duration_s=ABOVE),
-    st.builds(
-        NoiseTable, band_hz=ABOVE.map(lambda low: (low, low + 1.0)), duration_s=ABOVE, seed=st.integers(0, 2**63 - 1)
-    ),
-    st.builds(FileTable, path=st.just("a folder/sound.wav")),
-)
-SOURCES = st.builds(
-    SourceTable,
-    path=PATHS,
-    signal=SIGNALS,
-    start_s=ABOVE,
-    speed_mm_s=ABOVE,
-    step_mm=ABOVE,
-    amplitude=FINITE,
-    emission=st.sampled_from(["continuous", "per_point"]),
-).map(lambda one: changed(one, emission="continuous", repeat=True) if one.path.kind == "trajectory" else one)
-DRAFTS = st.builds(
-    SceneConfig,
-    scene=st.builds(SceneTable, name=WORDS),
-    source=st.lists(SOURCES, min_size=1, max_size=4).map(tuple),
-    regularisation=st.builds(Regularisation, saturation=ABOVE, normalise=st.booleans()),
-    output=st.builds(Output, limit_v=st.one_of(st.none(), ABOVE), limit_rms_v=st.one_of(st.none(), ABOVE)),
-)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the drafts name."""
-    made = tmp_path_factory.mktemp("scenes")
-    (made / "drawing.svg").write_text(DRAWING, encoding="utf-8")
-    (made / "finger.csv").write_text(FINGER, encoding="utf-8")
-    (made / "a folder").mkdir()
-    (made / "a folder" / "sound.wav").write_bytes(b"")
-    return made
-
-
-@given(draft=DRAFTS)
-def test_any_draft_is_written_as_the_same_scene_and_read_as_the_same_draft(draft: SceneConfig, folder: Path) -> None:
-    file = folder / "scene.toml"
-    text = scene_toml(draft)
-    file.write_bytes(text.encode("utf-8"))
-    document = SceneDocument()
-    document.load(file)
-    assert scene_toml(document.draft) == text
-    assert document.draft.regularisation == draft.regularisation
-    assert scene_of(document) == load_scene(file) == build_scene(draft, file)

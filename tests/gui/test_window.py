@@ -92,6 +92,7 @@ def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(
     messages.ask("now or never?", ("Now", lambda: answers.append("now")))
     messages.fault("something else")
     assert messages.sentence == "now or never?"
+    assert window.focusWidget() is messages.buttons()[0]  # Space answers
     messages.buttons()[0].click()
     assert answers == ["now"]
     assert messages.sentence == "something else"

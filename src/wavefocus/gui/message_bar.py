@@ -119,6 +119,7 @@ class MessageBar(Themed, QFrame):
         """Ask a question, in place of any other message."""
         self._waiting.clear()
         self._show("question", sentence, answers)
+        self._buttons[0].show()  # what is not visible yet gets no focus
         self._buttons[0].setFocus()  # Space answers
 
     def dismiss(self) -> None:

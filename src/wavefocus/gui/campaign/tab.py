@@ -149,6 +149,10 @@ class CampaignTab(Tab):
         self.map_panel = MapPanel(self.campaign)
         self.position_panel = PositionPanel(context, self.campaign)
         self.events = EventList(self.campaign)
+        seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
+        self._find = ui.action(self, "&Find in events", seek, "Ctrl+F")
+        self._find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)  # editors have this key, too
+        self.addAction(self._find)
         self._lay_out()
         self.run_field.chosen.connect(self._run_chosen)
         self.bank_field.chosen.connect(self._bank_chosen)
@@ -159,9 +163,7 @@ class CampaignTab(Tab):
 
     def menu_actions(self) -> list[QAction | None]:
         """Actions of the buttons, and what a resume may accept."""
-        seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
-        find = ui.action(self, "&Find in events", seek, "Ctrl+F")
-        return [*self.controls.actions_by_name.values(), None, self.run.accept_calibration, None, find]
+        return [*self.controls.actions_by_name.values(), None, self.run.accept_calibration, None, self._find]
 
     def open_file(self, path: Path) -> None:
         if path.suffix.lower() == ".toml":

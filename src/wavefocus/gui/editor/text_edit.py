@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt
+from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt, pyqtSignal
 from PyQt5.QtGui import (
     QColor,
     QFont,
@@ -156,6 +156,21 @@ def _listed(text: str, about: str) -> str:
     return f"{text}   {short}" if about else text
 
 
+class SearchLine(QLineEdit):
+    """Takes Escape itself, also while a message is shown that Escape would dismiss."""
+
+    left = pyqtSignal()
+
+    def event(self, event: QEvent | None) -> bool:
+        """Claim Escape before it is taken for a shortcut."""
+        if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape:
+            event.accept()
+            if event.type() == QEvent.Type.KeyPress:
+                self.left.emit()
+            return True
+        return bool(super().event(event))
+
+
 class TextPanel(Themed, QWidget):
     """The text with a line to search in it, and its mistakes below, each with its line."""
 
@@ -163,7 +178,7 @@ class TextPanel(Themed, QWidget):
         super().__init__()
         self._document = document
         self.text = TomlEdit(document)
-        self.search = ui.named(QLineEdit(), "Enter: next place, Escape: close", "Search in the text")
+        self.search = ui.named(SearchLine(), "Enter: next place, Escape: close", "Search in the text")
         self.search.setPlaceholderText("search: Enter finds the next place")
         self.search.hide()
         self.problem = ui.label("Mistakes of the text", wraps=True, selectable=True)
@@ -172,10 +187,9 @@ class TextPanel(Themed, QWidget):
         ui.column(self.search, (self.text, 1), self.problem, owner=self, spacing=4)
         self.search.returnPressed.connect(self.find_next)
         find = ui.action(self, "&Find", self._find, "Ctrl+F")
-        leave = ui.action(self.search, "Close", self._leave, "Escape")
-        for owner, action in ((self, find), (self.search, leave)):
-            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-            owner.addAction(action)
+        find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+        self.addAction(find)
+        self.search.left.connect(self._leave)
         document.changed.connect(self._show_mistakes)
         self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
         self._show_mistakes()
