@@ -54,9 +54,7 @@ def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot: QtBot,
     assert "must be above 0" in page.editor.problem.text()
 
 
-def test_given_ctrl_f_then_the_text_is_searched_and_escape_closes_no_message(
-    qtbot: QtBot, tab: FilesTab
-) -> None:
+def test_given_ctrl_f_then_the_text_is_searched_and_escape_closes_no_message(qtbot: QtBot, tab: FilesTab) -> None:
     page, messages = tab.pages[FileKind.RUN], tab.context.messages
     page.document.replace("[grid]\nspacing_mm = 4.0\n")
     with qtbot.waitActive(tab.window()):

@@ -16,6 +16,7 @@ from PyQt5.QtWidgets import (
     QApplication,
     QComboBox,
     QFileDialog,
+    QLabel,
     QMenu,
     QPlainTextEdit,
     QTabWidget,
@@ -96,6 +97,23 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
         rig.examination.cancel.click()
         rig.session.release()
         wait(qtbot, lambda: not (rig.session.running or rig.examination.running))
+
+
+def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(open_window: Opens) -> None:
+    window = open_window()
+    bar = window.menuBar()
+    assert bar is not None
+    for tab in window.tabs:
+        window._pages.setCurrentWidget(tab)
+        book = tab.findChild(QTabWidget)
+        for page in range(1 if book is None else book.count()):
+            if book is not None:
+                book.setCurrentIndex(page)
+            QApplication.processEvents()
+            parts = [one for one in tab.findChildren((QAbstractButton, QLabel)) if one.isVisible()]
+            texts = [one.text() for one in (*bar.actions(), *parts)]
+            letters = [text[text.index("&") + 1].lower() for text in texts if "&" in text[:-1] and "&nbsp" not in text]
+            assert sorted(letters) == sorted(set(letters)), f"page {page} of {tab.title}"
 
 
 def test_given_help_then_the_documentation_beside_the_program_is_opened(open_window: Opens) -> None:

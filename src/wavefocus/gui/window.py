@@ -170,11 +170,11 @@ class Window(QMainWindow):
         _add(files, "&Quit", self.close, "Ctrl+Q")
         bar.addMenu(files)
         for tab in self.tabs:
-            menu = QMenu(f"&{tab.title}", self)
+            menu = QMenu(tab.title, self)  # its letter is one of the page's
             for action in tab.menu_actions():
                 menu.addSeparator() if action is None else menu.addAction(action)
             bar.addMenu(menu)
-        view = QMenu("&View", self)
+        view = QMenu("Vie&w", self)
         for index, tab in enumerate(self.tabs):
             _add(view, tab.title, partial(self._pages.setCurrentIndex, index), f"Alt+{index + 1}")
         bar.addMenu(view)

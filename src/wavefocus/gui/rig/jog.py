@@ -134,7 +134,7 @@ class JogPanel(QWidget):
             ui.number_box(f"{axis} in mm", tip.format(axis), " mm", 2, -_FARTHEST_MM, _FARTHEST_MM) for axis in "xy"
         )
         tip = "Send the beam to x, y on the surface"
-        self.go = ui.push_button("&Go there", tip, lambda: session.jog_to(self.x_mm.value(), self.y_mm.value()))
+        self.go = ui.push_button("Go &there", tip, lambda: session.jog_to(self.x_mm.value(), self.y_mm.value()))
         tip = "Send the beam to the middle of the surface, (0, 0) mm"
         self.middle = ui.push_button("&Middle", tip, lambda: session.jog_to(0.0, 0.0))
         tip = "Send the beam to the rig's safe direction (mirror.park_mrad)"

@@ -72,7 +72,7 @@ class SoundPanel(Themed, QWidget):
         tip = (
             "Play a sweep of 0.1 s on the actuator below each time, at its level: jog to where the response is largest"
         )
-        self.sounds = ui.check("W&hile the actuator sounds", tip)
+        self.sounds = ui.check("Wh&ile the actuator sounds", tip)
         self.actuator = ui.choice("Actuator", "Actuator that plays, in the bank's order", ())
         self.level_v = ui.number_box("Level in V", "Peak of the sweep in V", " V", 3, 0.001, 1000.0)
         self.start_hz = ui.number_box("Start in Hz", "Start of the sweep in Hz", " Hz", 0, 1.0, _HIGHEST_HZ)
@@ -88,7 +88,7 @@ class SoundPanel(Themed, QWidget):
         for plot in (self.waveform, self.spectrum):
             plot.setMinimumHeight(90)
         first = (*ui.labelled("A&ctuator", self.actuator), *ui.labelled("Le&vel", self.level_v), self.sweep)
-        pairs = (("&From", self.start_hz), ("to", self.stop_hz), ("for", self.length_s))
+        pairs = (("F&rom", self.start_hz), ("to", self.stop_hz), ("for", self.length_s))
         second = [part for pair in pairs for part in ui.labelled(*pair)]
         ui.column(
             ui.row(self.listen, self.sounds, None),
