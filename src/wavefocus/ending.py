@@ -24,7 +24,7 @@ class EndingSignals:
     """Numbers of signals that end a command; POSIX and Windows do not have the same ones.
 
     `finish` and `terminal_gone` finish the position first, `finish` once more ends at once. SIGBREAK is what Windows
-    sends for Ctrl-Break and, with seconds to live, when the console window is closed.
+    sends for Ctrl-Break and, with seconds to live, when the console window is closed; SIGQUIT is a terminal's key.
     """
 
     finish: tuple[int, ...]
@@ -38,7 +38,7 @@ class EndingSignals:
         def those_of(*names: str) -> tuple[int, ...]:
             return tuple(int(getattr(source, name)) for name in names if hasattr(source, name))
 
-        return cls(those_of("SIGINT"), those_of("SIGHUP"), those_of("SIGTERM", "SIGBREAK"))
+        return cls(those_of("SIGINT"), those_of("SIGHUP"), those_of("SIGTERM", "SIGBREAK", "SIGQUIT"))
 
     @property
     def all(self) -> tuple[int, ...]:

@@ -108,6 +108,7 @@ def test_given_no_package_of_the_maker_then_doctor_names_it_and_blames_no_defect
 BROKEN = {
     "missing-module": ("missing_module:Good", "ModuleNotFoundError"),
     "ending": ("ending:Good", "SystemExit"),
+    "escaping": ("escaping:Good", "GeneratorExit"),
     "number": ("acme:NUMBER", "is not a data class"),
     "renamed": ("acme:Good", "has the name 'good'"),
     "asi-tiger": ("acme:Tiger", "has the name of a driver that is there already"),
@@ -115,8 +116,13 @@ BROKEN = {
     "settling": ("acme:Settling", "has a key that the table has: settle_s"),
     "scaled": ("acme:Scaled", "has a key that driver mirrorcle-mti has with another type: full_scale_mrad"),
     "unable": ("acme:Unable", "lacks open"),
+    "virtual": ("acme:Virtual", "has the name of a driver that is there already"),
+    "threaded": ("acme:Threaded", "has keys that cannot be read: "),
+    "unlike": ("acme:Unlike", "has keys that cannot be read: "),
 }
+BUILT_IN = {"asi-tiger", "virtual"}
 ACME = """
+import threading
 from dataclasses import dataclass
 from wavefocus.drivers.registry import rig_key
 NUMBER = 1
@@ -143,6 +149,27 @@ class Scaled(Opens):
 @dataclass
 class Unable:
     name = "unable"
+@dataclass
+class Virtual(Opens):
+    name = "virtual"
+@dataclass
+class Threaded(Opens):
+    name = "threaded"
+    thread: threading.Thread = rig_key("A key", "it")
+@dataclass
+class Unlike(Opens):
+    name = "unlike"
+    word: str = rig_key("A key", "it", pattern=("(", "must be one"))
+@dataclass
+class Ends:
+    name = "ends"
+    def open(self, settings):
+        raise SystemExit(0)
+@dataclass
+class Fails(Opens):
+    name = "fails"
+    def __post_init__(self):
+        raise OSError("no such device")
 """
 READ = """
 import json, sys
@@ -165,11 +192,13 @@ def test_rigs_of_drivers_that_cannot_be_used_are_refused_with_the_reason(tmp_pat
     facts.mkdir(parents=True)
     (facts / "METADATA").write_text("Name: acme\nVersion: 1.0\n", "utf-8")
     points = "".join(f"{name} = {point}\n" for name, (point, _) in BROKEN.items())
-    (facts / "entry_points.txt").write_text(f"[wavefocus.mirrors]\n{points}good = acme:Good\n", "utf-8")
+    points += "good = acme:Good\nfails = acme:Fails\nends = acme:Ends\n"
+    (facts / "entry_points.txt").write_text(f"[wavefocus.mirrors]\n{points}", "utf-8")
     (facts.parent / "ending.py").write_text("raise SystemExit(3)", "utf-8")
+    (facts.parent / "escaping.py").write_text("raise GeneratorExit", "utf-8")
     (facts.parent / "acme.py").write_text(ACME, "utf-8")
     rigs = []
-    for name in (*BROKEN, "good"):
+    for name in (*BROKEN, "good", "fails", "ends"):
         rigs.append(tmp_path / f"{name}.toml")
         rigs[-1].write_text(
             RIG.format(
@@ -183,7 +212,13 @@ def test_rigs_of_drivers_that_cannot_be_used_are_refused_with_the_reason(tmp_pat
     for name, (point, reason) in BROKEN.items():
         assert failures[name].startswith(f"{point} of acme 1.0 ")
         assert reason in failures[name]
-        if name != "asi-tiger":
+        if name not in BUILT_IN:
             assert told[name].startswith(f"{tmp_path / name}.toml: mirror.driver")
             assert failures[name] in told[name]
-    assert set(told) == set(BROKEN) - {"asi-tiger"}
+    assert told.pop("fails").endswith("cannot be used: OSError: no such device")
+    assert "port" in told.pop("virtual")  # the built-in one has none
+    assert set(told) == set(BROKEN) - BUILT_IN
+    for name, reason in (("ends", "its driver ended with 0"), ("good", "what its driver opened lacks close, ")):
+        examined = python("-m", "wavefocus", "doctor", tmp_path / f"{name}.toml", paths=(facts.parent,))
+        assert examined.returncode == 1, examined.stderr
+        assert reason in " ".join(examined.stdout.split())

@@ -179,10 +179,11 @@ def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_repor
     assert done.stdout.split() == ["muted", "KeyError"]
 
 
-def test_given_a_signal_then_it_ends_in_130(operated: Lines) -> None:
+@pytest.mark.parametrize("name", [name for name in ("SIGTERM", "SIGQUIT") if hasattr(signal, name)])
+def test_given_a_signal_then_it_ends_in_130(operated: Lines, name: str) -> None:
     operated.send(order="level", every_s=0.1, actuator=0)
     operated.hear("level")
-    operated.process.send_signal(signal.SIGTERM)
+    operated.process.send_signal(getattr(signal, name))
     assert operated.hear("ended")["parked"]
     assert operated.end() == 130
     assert operated.said == ["stopped by the user; the outputs are muted, the mirror is parked"]

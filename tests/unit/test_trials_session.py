@@ -167,11 +167,14 @@ def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_count
     experiment: Experiment, tmp_path: Path
 ) -> None:
     later, before = time.monotonic() + 3600, time.monotonic() - 3600
-    wrong = [GoOn(), Answer("up"), Answer("right", later), Answer("right", before), Replay(), Replay(), Answer("left")]
+    untimely = [Answer("right", at_s) for at_s in (later, before, 1e300)]
+    wrong = [GoOn(), Answer("up"), *untimely, Replay(), Replay(), Answer("left")]
     program = Program({(1, "playing"): [Answer("right")], (1, "answer"): wrong, (2, "playing"): [EndTrials()]})
     presenter = InMemory(attempts=(2,))
     run(experiment, tmp_path, program, presenter)
-    assert len(program.those(Refused)) == 6
+    refused = [one.sentence for one in program.those(Refused)]
+    assert len(refused) == 7
+    assert max(map(len, refused)) < 150
     (row,) = read_answers(tmp_path)
     assert (row.answer, row.replays, row.attempts, row.by) == ("left", 1, 3, "program")
     assert [number for _, number in presenter.presented] == [0, 0, 1, 1, 2]

@@ -64,8 +64,8 @@ def predict(
             ) as writer,
             progress("predict", len(index)) as report,
         ):
-            for first, field in _parts(prediction, drive_file, bank, rate_hz, cluster, report):
-                writer.write(first, field)
+            for field in _parts(prediction, drive_file, bank, rate_hz, cluster, report):
+                writer.write(field)
                 peak = max(peak, float(np.abs(field).max(initial=0.0)))
         lost = share_above(drive, view, index, prediction.passed_hz) if prediction.low_pass else 0.0
         quiet: tuple[QuietLevel, ...] = ()
@@ -116,10 +116,10 @@ def _opened(
 
 def _parts(
     prediction: Prediction, drive_file: Path, bank: Path, rate_hz: float | None, cluster: str, report: Report
-) -> Iterator[tuple[int, NDArray[Any]]]:
-    """The first row's number and the values of each part of the field, in their order."""
+) -> Iterator[NDArray[Any]]:
+    """The values of each part of the field, in their order."""
     if not cluster:
-        yield from prediction.rows(report)
+        yield from (values for _, values in prediction.rows(report))
         return
     parts, index = prediction.parts(), prediction.position_index
     positions = [index[part.start : part.stop].tolist() for part in parts]
@@ -128,5 +128,5 @@ def _parts(
     with cluster_client(cluster) as client:
         fields = field_on_cluster(client, drive_file, bank, rate_hz, positions)
         for part, field in zip(parts, fields, strict=True):
-            yield part.start, field
+            yield field
             report(part.stop, len(index))

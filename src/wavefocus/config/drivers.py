@@ -72,9 +72,10 @@ class DriverTable(Table):
     @classmethod
     def _driver_defaults(cls, data: Any) -> Any:
         """Fill in the driver's own defaults, so that the validated table says everything outright."""
-        name = data.get("driver", cls.model_fields["driver"].default) if isinstance(data, dict) else None
+        default = cls.model_fields["driver"].default
+        name = data.get("driver", default) if isinstance(data, dict) else None
         if not isinstance(name, str) or name not in cls.drivers:
-            if isinstance(name, str) and name in cls.left_out:
+            if isinstance(name, str) and name in cls.left_out and name != default:
                 raise mistake("driver", name, f"cannot be used: {cls.left_out[name]}")
             return data
         driver = cls.drivers[name]
@@ -109,35 +110,54 @@ class DriverTable(Table):
                 self.make_driver()
             except KeyMistakeError as wrong:
                 raise mistake(wrong.key, wrong.value, wrong.allowed) from None
+            except Exception as failure:  # of another distribution's driver
+                raise mistake("driver", self.driver, f"cannot be used: {_words(failure)}") from failure
         return self
 
 
 def with_drivers(section: type[Section], registry: Registry[Any]) -> type[Section]:
     """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it.
 
-    Another distribution's driver with a key of the table's own is left out.
+    Another distribution's driver with a key of the table's own, or with keys that are none, is left out.
     """
+    default = section.model_fields["driver"].default
     for name, driver in list(registry.all().items()):
         taken = [key.name for key in fields(driver) if key.name in section.model_fields]
         if taken:
             registry.leave_out(name, f"has a key that the table has: {', '.join(taken)}")
+        elif name == default:
+            registry.leave_out(name, f"has the name of a driver that is there already: {name}")
+        elif name in registry.sources:
+            try:
+                create_model("Keys", **_keys(driver))
+            except Exception as failure:
+                registry.leave_out(name, f"has keys that cannot be read: {_words(failure)}")
     drivers = registry.all()
-    default = section.model_fields["driver"].default
     mark = plan_mark(section.model_fields["driver"])
     keys: dict[str, Any] = {"driver": (Annotated[Literal[(default, *drivers)], mark], default)}
     for driver in drivers.values():
-        hints = get_type_hints(driver)
-        for key in fields(driver):
-            about = key.metadata
-            described = Field(default=None, description=about["description"])
-            checked: Any = Union[_checked(hints[key.name], about), None]  # noqa: UP007
-            mark = {"free": FREE, "always": ALWAYS}.get(about["in_plan"])
-            keys[key.name] = (Annotated[checked, mark] if mark else checked, described)
+        keys |= _keys(driver)
     module = section.__module__
     made = create_model(section.__name__, __base__=section, __doc__=section.__doc__, __module__=module, **keys)
     made.drivers = drivers
     made.left_out = registry.failures
     return made
+
+
+def _keys(driver: type[Any]) -> dict[str, Any]:
+    """The keys of a driver as `create_model` takes them."""
+    hints, keys = get_type_hints(driver), {}
+    for key in fields(driver):
+        about = key.metadata
+        described = Field(default=None, description=about["description"])
+        checked: Any = Union[_checked(hints[key.name], about), None]  # noqa: UP007
+        mark = {"free": FREE, "always": ALWAYS}.get(about["in_plan"])
+        keys[key.name] = (Annotated[checked, mark] if mark else checked, described)
+    return keys
+
+
+def _words(failure: Exception) -> str:
+    return f"{type(failure).__name__}: {failure}".partition("\n")[0]
 
 
 def _checked(hint: Any, about: Mapping[str, Any]) -> Any:

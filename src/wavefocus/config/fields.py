@@ -107,9 +107,10 @@ def like(pattern: str, allowed: str) -> AfterValidator:
     allowed : str
         What the text may be, as the end of a sentence.
     """
+    form = re.compile(pattern)
 
     def check(text: str) -> str:
-        if not re.fullmatch(pattern, text):
+        if not form.fullmatch(text):
             raise mistake("", text, allowed)
         return text
 

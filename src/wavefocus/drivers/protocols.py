@@ -251,8 +251,14 @@ class Player(Instrument):
 
 
 def with_defaults(device: Any, role: Any) -> Any:
-    """The device, with the role's defaults for what it lacks: other distributions' may derive from nothing."""
+    """The device, with the role's defaults for what it lacks: other distributions' may derive from nothing.
+
+    Raises InstrumentError: it lacks what has no default.
+    """
     if not isinstance(device, role):
+        if lacking := [name for name in sorted(role.__abstractmethods__) if not hasattr(device, name)]:
+            cause, remedy = f"what its driver opened lacks {', '.join(lacking)}", "correct the driver, or ask its maker"
+            raise InstrumentError(role.__name__.lower(), "opening", cause, remedy)
         for name, default in vars(role).items():
             lacks = not hasattr(type(device), name) and name not in vars(device)
             if callable(default) and lacks and name not in role.__abstractmethods__:

@@ -39,6 +39,8 @@ class Registry(Generic[Entry]):
     package: Where the modules are.
     group: Name of the group of entry points; each is a class, and its name that of the driver.
     method: What the class must be able to do. Both are empty where only modules of `package` register.
+
+    sources: Whose the classes of other distributions are, by name.
     """
 
     def __init__(self, package: str, group: str = "", method: str = "") -> None:
@@ -47,7 +49,7 @@ class Registry(Generic[Entry]):
         self._method = method
         self._found: dict[str, Entry] = {}
         self._complete = False
-        self._sources: dict[str, str] = {}
+        self.sources: dict[str, str] = {}
         self.failures: dict[str, str] = {}
 
     def register(self, entry: Entry) -> Entry:
@@ -69,7 +71,7 @@ class Registry(Generic[Entry]):
     def leave_out(self, name: str, why: str) -> None:
         """Remove a driver that cannot be used; `failures` has the reason."""
         self._found.pop(name, None)
-        self.failures[name] = f"{self._sources.get(name, self._package)} {why}"
+        self.failures[name] = f"{self.sources.get(name, self._package)} {why}"
 
     def _load(self, module: str) -> None:
         """Import a module; a driver whose maker's package is missing harms no rig but its own."""
@@ -87,12 +89,14 @@ class Registry(Generic[Entry]):
         try:
             entry = point.load()
             fault = self._fault(entry, point.name)
-        except (Exception, SystemExit) as failure:  # another program's, which must not end this one
+        except KeyboardInterrupt:
+            raise
+        except BaseException as failure:  # another program's, which must not end this one
             fault = f"cannot be loaded: {type(failure).__name__}: {failure}"
         if fault:
             self.failures[point.name] = f"{source} {fault}"
         else:
-            self._found[point.name], self._sources[point.name] = entry, source
+            self._found[point.name], self.sources[point.name] = entry, source
 
     def _fault(self, entry: Any, name: str) -> str:
         """Why a class is not a driver for this role; empty if it is one."""

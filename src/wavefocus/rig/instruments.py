@@ -189,7 +189,7 @@ def _player(rig: RigConfig, outputs: int) -> Player:
 def _reporting_missing_packages(role: str, driver: str) -> Iterator[None]:
     """Report a package that a driver imports and that is not installed, as a fault of that instrument.
 
-    Raises MissingPackageError.
+    Raises MissingPackageError. InstrumentError: the driver would end this program.
     """
     try:
         yield
@@ -200,6 +200,9 @@ def _reporting_missing_packages(role: str, driver: str) -> Iterator[None]:
         cause = f"the Python package {package or 'of its maker'} cannot be imported ({missing})"
         remedy = "install it in the environment of wavefocus, as the driver's documentation says"
         raise MissingPackageError(f"{role} ({driver})", "opening", cause, remedy) from missing
+    except SystemExit as ended:  # another distribution's driver, or its maker's library
+        cause, remedy = f"its driver ended with {ended.code!r}", "ask its maker; a driver raises InstrumentError"
+        raise InstrumentError(f"{role} ({driver})", "opening", cause, remedy) from ended
 
 
 def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> VibrometerReading:

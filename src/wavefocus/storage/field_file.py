@@ -109,35 +109,27 @@ def _require_finite(values: NDArray[Any], position_index: Int64Array) -> None:
 
 
 class FieldWriter:
-    """Writes the rows of a field file; made by :func:`field_in_rows`."""
+    """Writes the rows of a field file in turn; made by :func:`field_in_rows`."""
 
     def __init__(self, path: Path, data: h5py.Dataset) -> None:
-        self._path, self._data = path, data
-        self._written = np.zeros(len(data), bool)
+        self._path, self._data, self._written = path, data, 0
         self._digest = hdf5_digest.RunningDigest(data.dtype)
-        self._summed = 0
 
-    def write(self, first: int, rows: FieldArray) -> None:
-        """Write rows ``first``, ``first + 1``, ...; ``rows`` is (k, samples) and finite, or InputError is raised."""
-        last, shape = first + len(rows), self._data.shape
-        if np.shape(rows)[1:] != shape[1:] or first < 0 or last > shape[0]:
+    def write(self, rows: FieldArray) -> None:
+        """Write the next rows; ``rows`` is (k, samples) and finite, or InputError is raised."""
+        first, last, shape = self._written, self._written + len(rows), self._data.shape
+        if np.shape(rows)[1:] != shape[1:] or last > shape[0]:
             raise InputError(f"rows {first} to {last} of shape {np.shape(rows)} do not fit a field of {shape}")
         if not np.isfinite(rows).all():
             raise InputError(f"{self._path}: the field of rows {first} to {last} holds NaN or infinities")
         self._data[first:last] = rows
-        self._written[first:last] = True
-        if first == self._summed:
-            self._digest.update(rows)
-            self._summed = last
-        else:
-            self._summed = -1  # out of order: the whole is read again at the end
+        self._digest.update(rows)
+        self._written = last
 
     def _finish(self) -> None:
-        if not self._written.all():
-            missing = int(np.flatnonzero(~self._written)[0])
-            raise InputError(f"{self._path}: row {missing} of the field was never written; the file is left out")
-        if self._summed == len(self._data):
-            self._data.attrs[hdf5_digest.VALUES] = self._digest.hexdigest()
+        if self._written < len(self._data):
+            raise InputError(f"{self._path}: row {self._written} of the field was never written; the file is left out")
+        self._data.attrs[hdf5_digest.VALUES] = self._digest.hexdigest()
         hdf5_digest.seal(self._data.file)
 
 
@@ -226,7 +218,7 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
         dtype=dtype,
         force=force,
     ) as writer:
-        writer.write(0, field.field)
+        writer.write(field.field)
 
 
 class FieldRowReader(Closing):

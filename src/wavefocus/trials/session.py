@@ -225,7 +225,7 @@ class TrialsSession:
                 self._refuse(f"choice is {order.choice!r}; allowed: {', '.join(self._table.answers)}")
             elif not onset.at_s <= at_s <= now_s + AHEAD_S:
                 allowed = f"from the onset, {onset.at_s:.3f}, to now, {now_s:.3f}, of this machine's monotonic clock"
-                self._refuse(f"at_s is {at_s:.3f}; allowed: {allowed}")
+                self._refuse(f"at_s is {at_s:.9g}; allowed: {allowed}")
             else:
                 return replace(order, at_s=at_s)
 
