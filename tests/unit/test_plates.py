@@ -5,7 +5,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import hankel2
@@ -16,7 +15,6 @@ from wavefocus.mocks.plates import PLATES
 from wavefocus.mocks.plates.infinite import PlateTable
 from wavefocus.mocks.plates.soft import SOFT_PLATE, SPRINGPOT_PLATE, mean_hankel
 from wavefocus.mocks.virtual.settings import MirrorGeometry
-from wavefocus.mocks.virtual.synthesis import chain_response
 
 STEP_HZ = 5.0
 FREQUENCY_HZ = STEP_HZ * np.arange(1001)
@@ -77,36 +75,11 @@ def test_given_any_distance_then_the_table_is_within_1e_minus_7(radius_mm):
     assert np.max(np.abs(error) / np.abs(direct)) < 1e-8
 
 
-def test_given_single_precision_then_the_table_keeps_100_db():
-    table = PlateTable(SOFT_PLATE, STEP_HZ, 1001, np.ones(1001, dtype=np.complex128), single=True)
-    radius_mm = np.linspace(2.5, 300, 57)
-    direct = SOFT_PLATE.velocity(FREQUENCY_HZ, radius_mm[:, None])
-    error = table.evaluate(radius_mm) - direct
-    assert table.evaluate(radius_mm).dtype == np.complex64
-    assert np.max(np.abs(error)[:, 1:] / np.abs(direct)[:, 1:]) < 1e-5
-
-
 @given(st.floats(-120, 120), st.floats(-70, 70), st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6))
 def test_given_any_mirror_then_its_angles_lead_back_to_the_spot(x_mm, y_mm, bent):
     a, b, c, d, e, f = bent
     mirror = MirrorGeometry(((1 + a, b, 12.0), (c, 1 + d, -7.0), (e, f, 900.0)))
     assert mirror.spot_mm(*mirror.angles_mrad(x_mm, y_mm)) == pytest.approx((x_mm, y_mm), abs=1e-9)
-
-
-def test_given_the_chain_then_its_filters_are_the_textbook_s():
-    frequency_hz = np.linspace(0.0, 5000.0, 201)
-    laplace = 2j * np.pi * frequency_hz
-    expected = 14.0 / (14.0 + 5e-3 * laplace)
-    for zeros, poles, gain in (
-        scipy.signal.butter(2, 2 * np.pi * 20.0, "high", analog=True, output="zpk"),
-        scipy.signal.bessel(4, 2 * np.pi * 1200.0, "low", analog=True, output="zpk", norm="mag"),
-    ):
-        expected = expected * gain
-        for zero in zeros:
-            expected = expected * (laplace - zero)
-        for pole in poles:
-            expected = expected / (laplace - pole)
-    assert np.allclose(chain_response(frequency_hz), expected, rtol=1e-10, atol=0)
 
 
 def test_files_name_the_registered_plates_and_only_their_keys():

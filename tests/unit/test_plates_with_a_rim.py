@@ -24,7 +24,6 @@ from wavefocus.mocks.plates.thin import (
 )
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import VirtualSettings
-from wavefocus.mocks.virtual.synthesis import chain_response
 
 HIGHEST_HZ = 500.0
 SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)
@@ -91,18 +90,6 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Pat
     single = plate.response((-8.0, 3.0), 50.0, 11, single=True)
     assert single.dtype == np.complex64
     assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
-
-
-@pytest.mark.parametrize("admittance", [0.0, 0.7])
-@pytest.mark.parametrize(("step_hz", "bins"), [(0.25, 4000)])
-def test_close_frequencies_then_what_is_interpolated_is_exact_to_single_precision(
-    cache: Path, admittance: float, step_hz: float, bins: int
-) -> None:
-    plate = StadiumPlate(ACTUATOR_MM, STADIUM, chain_response, rim_admittance=admittance)
-    exact = plate.response((-8.0, 3.0), step_hz, bins, single=False)
-    single = plate.response((-8.0, 3.0), step_hz, bins, single=True)
-    assert np.linalg.norm(single - exact) < 5e-6 * np.linalg.norm(exact)
-    assert np.abs(single - exact).max() < 1e-5 * np.abs(exact).max()
 
 
 def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache: Path) -> None:

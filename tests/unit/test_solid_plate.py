@@ -11,7 +11,6 @@ from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates.soft import DampedWave
 from wavefocus.mocks.plates.solid import SolidPlate
 from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
-from wavefocus.mocks.virtual.synthesis import chain_response
 
 DISK = Outline.of("disk", 90.0, 90.0)
 KEYS = {"shear_speed_m_s": 5.0, "pressure_speed_m_s": 8.0, "damping_per_s": 2500.0}
@@ -67,21 +66,6 @@ def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(
             found = [plate.response(tuple(place), frequency_hz, 2, single=False)[0, 1] for place in PLACE_MM]
             wanted = solved[:, oscillation, force]
             assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted), (force, oscillation)
-
-
-def test_given_taps_then_the_spectra_are_those_of_the_cut_responses() -> None:
-    plate = SolidPlate(np.array([[30.0, 10.0], [-30.0, -20.0]]), DISK, chain_response, force_deg=30.0)
-    rate_hz, taps, length, full = 10_000.0, 1000, 1024, 24_000
-    places = np.array([[5.0, 5.0], [-20.0, 30.0]])
-    spectra = plate.fir_spectra(places, taps, rate_hz, length, slice(3, 52))
-    for place, found in zip(places, spectra, strict=True):
-        response = plate.response(tuple(place), rate_hz / full, full // 2 + 1, single=False)
-        wanted = np.fft.rfft(np.fft.irfft(response, full)[:, :taps], length)[:, 3:52]
-        assert np.linalg.norm(found - wanted) < 1e-5 * np.linalg.norm(wanted)
-    single = plate.response((5.0, 5.0), 10.0, 51, single=True)
-    assert single.dtype == np.complex64
-    exact = plate.response((5.0, 5.0), 10.0, 51, single=False)
-    assert np.linalg.norm(single - exact) < 1e-5 * np.linalg.norm(exact)
 
 
 def test_given_a_pressure_wave_that_is_too_slow_then_it_is_refused() -> None:
