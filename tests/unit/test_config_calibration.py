@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.config.calibration import (
@@ -97,6 +97,7 @@ def test_given_a_record_then_its_file_reads_back_equal(tmp_path: Path) -> None:
     assert load_calibration(tmp_path / "cal.toml") == measured()
 
 
+@settings(max_examples=6)
 @given(st.text(min_size=1, max_size=50))
 def test_given_any_device_name_then_its_file_reads_back_equal(
     tmp_path_factory: pytest.TempPathFactory, name: str

@@ -49,8 +49,7 @@ def on_a_terminal(code: str, columns: int = 80) -> str:
 
 @pytest.mark.may_skip("a pseudo-terminal is POSIX")
 @posix
-@pytest.mark.parametrize("timed", [True, False])
-@pytest.mark.parametrize(("columns", "bar"), [(60, 4), (80, 8), (120, 8)])
+@pytest.mark.parametrize(("columns", "bar", "timed"), [(60, 4, True), (80, 8, False), (120, 8, True)])
 def test_given_a_narrow_terminal_then_the_progress_line_keeps_count_and_bar(
     columns: int, bar: int, timed: bool
 ) -> None:

@@ -64,8 +64,8 @@ def test_records_without_a_leak_name_none_and_loud_ones_resolve_none() -> None:
 
 def measured(path: Path, share: float, delay_s: float = 0.0, **run: dict[str, object]) -> Bank:
     """A campaign of some positions on the soft plate, with a leak."""
-    keys = {"crosstalk": share, "crosstalk_delay_s": delay_s, "seed": 3, **run.pop("virtual", {})}
-    rig = virtual_rig(actuators=4, spacing_mm=60.0, run={**RUN, **run, "virtual": keys})
+    keys = {"crosstalk": share, "crosstalk_delay_s": delay_s, "seed": 3}
+    rig = virtual_rig(actuators=4, spacing_mm=75.0, run={**RUN, **run, "virtual": keys})
     return rig.measure(path)
 
 
@@ -85,7 +85,7 @@ def one_percent(bank: Bank) -> float:
     return 0.01 * float(np.median(bank.rms)) * np.sqrt(bank.taps) / (PER_VOLT * np.sqrt(2 * 480 / RATE_HZ))
 
 
-@pytest.mark.parametrize(("times", "delay_s"), [(-1.0, 0.0), (3.0, 0.004), (100.0, 0.0002)])
+@pytest.mark.parametrize(("times", "delay_s"), [(-1.0, 0.0), (3.0, 0.004)])
 def test_a_leak_from_one_percent_of_the_median_row_is_named_and_marks_all(
     clean: Bank, tmp_path: Path, times: float, delay_s: float
 ) -> None:
@@ -108,12 +108,9 @@ def test_leak_of_a_third_of_a_percent_stands_in_the_events_and_marks_nothing(cle
     assert np.array_equal(bank.status, clean.status)
 
 
-def test_campaigns_without_a_leak_name_none_and_say_that_they_looked(tmp_path: Path) -> None:
-    for seed in range(2):
-        virtual = {"seed": seed, "noise_v": 10.0 ** (-4 + seed / 2)}
-        bank = measured(tmp_path / f"{seed}.h5", 0.0, virtual=virtual)
-        assert [one.named for one in looks(bank)] == [False, False]
-        assert set(bank.quality["leak_db"][bank.status > 0].tolist()) == {NONE_DB}
+def test_a_campaign_without_a_leak_names_none_and_says_that_it_looked(clean: Bank) -> None:
+    assert [one.named for one in looks(clean)] == [False, False]
+    assert set(clean.quality["leak_db"][clean.status > 0].tolist()) == {NONE_DB}
 
 
 class LeakingSetup:
@@ -191,14 +188,17 @@ def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean: Bank, tmp_p
         assert np.allclose(estimated.quality["leak_db"], bank.quality["leak_db"], atol=0.01)
 
 
-def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(clean: Bank, tmp_path: Path) -> None:
-    assert [one for one in check_bank(clean.path) if one.severity == "error"] == []
-    path = tmp_path / "plate.h5"
-    path.write_bytes(clean.path.read_bytes())
-    with BankWriter.open(path) as writer:
-        writer.amend(1, leak_db=-40.0)
-    named = [one for one in check_bank(path) if one.severity == "error"]
-    assert [(one.position, one.message.split(":")[0]) for one in named] == [(1, "crosstalk")]
+def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(tmp_path: Path) -> None:
+    bench = LeakingSetup(tmp_path / "plate.h5")
+    with ThreadPoolExecutor(1) as worker:
+        watch = bench.watch(0.0)
+        watch.look(worker)
+        bench.commit(watch, 4)
+    bench.bank.amend(1, leak_db=-40.0)
+    bench.bank.close()
+    named = [one for one in check_bank(tmp_path / "plate.h5") if one.message.startswith("crosstalk")]
+    assert [(one.position, one.severity) for one in named] == [(1, "error")]
+    assert "positions 1 were" in named[0].message
 
 
 @pytest.mark.parametrize(("noise", "certain"), [(1e-4, True), (1.0, False)])

@@ -130,8 +130,7 @@ def limit_db(records: Records, truth: Float64Array, excitation: PlayedExcitation
     return np.asarray(10 * np.log10(records.noise_v**2 * variance / energy))
 
 
-@pytest.mark.parametrize("ppm", [0.0, 200.0])
-@pytest.mark.parametrize("kind", ["modes", "random"])
+@pytest.mark.parametrize(("kind", "ppm"), [("modes", 200.0), ("random", 0.0)])
 def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, ppm: float) -> None:
     truth = damped_modes(12, TAPS, SMALL) if kind == "modes" else random_filters(12, TAPS)
     records = records_of(truth, ppm=ppm)
@@ -152,7 +151,7 @@ def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> N
         assert np.abs(np.median(skewed) - np.median(still)) < 0.3
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(st.floats(0, 250), st.floats(-400, 400), st.integers(0, 99))
 def test_start_and_clock_ratio_are_found(offset: float, ppm: float, seed: int) -> None:
     estimate = records_of(damped_modes(2, TAPS, SMALL), offset=offset, ppm=ppm, seed=seed).estimate()
@@ -267,8 +266,8 @@ def repeated_signals() -> dict[str, Float64Array]:
 
 
 @pytest.mark.parametrize("name", repeated_signals())
-@pytest.mark.parametrize("ppm", [30.0, -480.0])
-def test_any_repeated_excitation_of_the_band_is_estimated(name: str, ppm: float) -> None:
+def test_any_repeated_excitation_of_the_band_is_estimated(name: str) -> None:
+    ppm = -480.0
     signal = repeated_signals()[name]
     base_v = np.pad(signal / np.abs(signal).max(), (0, SMALL.decay_samples))
     excitation = RecordedExcitation(base_v, SMALL.sample_rate_hz, *SMALL.band_hz, SMALL.decay_samples, SMALL.averages)
@@ -310,8 +309,8 @@ def test_records_that_cannot_be_are_refused() -> None:
             ESTIMATOR.estimate(reference, response, range_v=RANGE)
 
 
-@pytest.mark.parametrize("ppm", [60.0, -300.0])
-def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found(ppm: float) -> None:
+def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found() -> None:
+    ppm = -300.0
     audio = PlayedExcitation(48_000.0, 50.0, 18_000.0, 0.8, 0.1, 1.0, 2)
     truth = damped_modes(2, 4000, audio)
     estimate = records_of(truth, audio, snr_db=50.0, offset=300.4, ppm=ppm).estimate(SequentialEstimator(audio, 4000))

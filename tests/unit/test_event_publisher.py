@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.lab_files import write_positions
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.campaign.blueprint import blueprint_from_files
@@ -13,7 +14,7 @@ from wavefocus.storage.bank.writer import BankWriter, create_bank
 RUN = """
 rig = "virtual"
 [grid]
-spacing_mm = 60.0
+positions_file = "positions.csv"
 [sweep]
 duration_s = 0.3
 [capture]
@@ -43,6 +44,7 @@ def test_given_a_closed_file_then_event_lines_end_and_say_so(tmp_path, capsys):
 
 def test_a_subscriber_of_the_campaign_that_fails_then_every_position_is_measured(tmp_path, caplog):
     (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
+    write_positions(tmp_path, [(0, 0), (4, 0)])
     blueprint = blueprint_from_files(tmp_path / "run.toml")
     bank = tmp_path / "plate.h5"
     create_bank(bank, blueprint.bank_header())

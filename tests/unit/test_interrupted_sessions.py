@@ -119,13 +119,13 @@ def pause_and_go_on(session: TrialSession) -> None:
     session.stop.go_on()
 
 
-# Each is tried at every so many moments.
+# Each is tried at every so many moments; of the nightly run at each.
 ACTS: dict[str, tuple[Callable[[TrialSession], object], int]] = {
-    "stop": (lambda session: session.stop.finish_position(), 1),
-    "pause": (lambda session: session.stop.pause(), 3),
-    "pause and go on": (pause_and_go_on, 4),
-    "pause and stop": (pause_and_stop, 3),
-    "at once": (at_once, 3),
+    "stop": (lambda session: session.stop.finish_position(), 4),
+    "pause": (lambda session: session.stop.pause(), 8),
+    "pause and go on": (pause_and_go_on, 10),
+    "pause and stop": (pause_and_stop, 9),
+    "at once": (at_once, 7),
 }
 
 
@@ -139,7 +139,11 @@ def moments(events: list[Event]) -> list[int]:
     return sorted(seen.values())
 
 
-@pytest.mark.parametrize(("act", "every"), ACTS.values(), ids=ACTS)
+@pytest.mark.parametrize(
+    ("act", "every"),
+    [*ACTS.values(), *(pytest.param(act, 1, marks=pytest.mark.nightly) for act, _ in ACTS.values())],
+    ids=[*ACTS, *(f"{name}, each" for name in ACTS)],
+)
 def test_a_request_at_any_event_changes_states_by_the_table_and_ends(
     blueprint: Blueprint, tmp_path: Path, act: Callable[[TrialSession], object], every: int
 ) -> None:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any, get_type_hints
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.config.messages.codec import (
@@ -45,6 +45,7 @@ st.register_type_strategy(Number, st.floats())
 def test_given_a_message_then_it_is_read_as_it_was_written(family: tuple[type[Message], ...], kind: type[Message]):
     hints = get_type_hints(kind, include_extras=True).items()
 
+    @settings(max_examples=8)
     @given(
         st.builds(
             kind, **{name: STRATEGIES[hint] if hint in STRATEGIES else st.from_type(hint) for name, hint in hints}

@@ -132,7 +132,6 @@ DEFECTS: dict[str, tuple[Spoil, str, str, Cure]] = {
     "hum at 60 Hz, off the grid of bins": (humming(60.1), "hum", "ground loop", Cure.NOTHING),
     "hum at 150 Hz": (humming(150.0), "hum", "3 times 50 Hz", Cure.NOTHING),
     "a sweep fainter by 0.5 dB": (fainter(-0.5), "unsteady", "gain", Cure.REPEAT),
-    "a sweep fainter by 3 dB": (fainter(-3.0), "unsteady", "gain", Cure.REPEAT),
     "a sweep louder by 6 dB": (fainter(6.0), "unsteady", "gain", Cure.REPEAT),
     "a fan": (humming(133.0), "tone", "133.3 Hz", Cure.NOTHING),
 }
@@ -152,8 +151,7 @@ def test_given_a_defect_at_40_db_then_it_is_named_in_the_record_that_has_it(name
     assert judgement.cure == cure
 
 
-@pytest.mark.parametrize("averages", [1, 2, 3])
-@pytest.mark.parametrize("snr_db", [25.0, 40.0, 60.0])
+@pytest.mark.parametrize(("averages", "snr_db"), [(1, 25.0), (3, 25.0), (3, 60.0)])
 def test_given_clean_records_then_valid_and_nothing_is_named(averages: int, snr_db: float) -> None:
     judgement = judged(None, STRONG, snr_db=snr_db, averages=averages)
     assert judgement.good, judgement.reason
@@ -205,26 +203,24 @@ def later_each_sweep(response: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("drifting", "named"),
+    "drifting",
     [
-        (louder(np.repeat([-1.0, 0.0, 1.0], 12_000)), "unsteady"),
-        (louder(np.repeat([0.0, 0.1, 0.0], 12_000)), "unsteady"),
-        (louder(3.0 * SECONDS / 3.6), "unsteady"),
-        (louder(-0.5 * SECONDS / 3.6), "unsteady"),
-        (louder(-1.0 * (1 - np.exp(-SECONDS / 0.8))), "unsteady"),
-        (later_each_sweep, "unsteady"),
+        louder(np.repeat([0.0, 0.1, 0.0], 12_000)),
+        louder(-0.5 * SECONDS / 3.6),
+        louder(-1.0 * (1 - np.exp(-SECONDS / 0.8))),
+        later_each_sweep,
     ],
-    ids=["steps of 1 dB", "one step of 0.1 dB", "ramp of 3 dB", "ramp of 0.5 dB", "warming up", "ever later"],
+    ids=["one step of 0.1 dB", "ramp of 0.5 dB", "warming up", "ever later"],
 )
 def test_given_a_drift_common_to_all_records_then_none_is_taken_for_the_quiet_one(
-    drifting: Callable[[np.ndarray], np.ndarray], named: str
+    drifting: Callable[[np.ndarray], np.ndarray],
 ) -> None:
     reference, response = quiet_records(3)
     noise = 1e-3 * response.std(axis=1, keepdims=True) * np.random.default_rng(1).normal(size=response.shape)
     spoilt = (drifting(response) + noise).astype(np.float32)
     judgement = judge(estimator(3, 2000).estimate(reference, spoilt, range_v=RANGE_V), False, QualityLimits())
     assert judgement.status == Status.POOR_SIGNAL
-    assert named in {defect.name for defect in judgement.defects}
+    assert "unsteady" in {defect.name for defect in judgement.defects}
     assert sorted(actuator for defect in judgement.defects for actuator in defect.actuators) == [0, 1, 2, 3]
 
 
@@ -254,8 +250,8 @@ def test_given_one_constant_channel_then_it_is_named_and_is_no_quietest_record()
 
 
 def test_given_every_channel_dead_then_failed() -> None:
-    reference, response = quiet_records(2)
-    estimate = estimator(2, 2000).estimate(reference, np.full_like(response, 0.25), range_v=RANGE_V)
+    reference, response = quiet_records(3)
+    estimate = estimator(3, 2000).estimate(reference, np.full_like(response, 0.25), range_v=RANGE_V)
     judgement = judge(estimate, False, QualityLimits())
     assert judgement.status == Status.FAILED
     assert "constant" in judgement.reason

@@ -1,6 +1,6 @@
 """Faults of records on plates that no constant was chosen on: what harms a row is marked, and nothing clean is.
 
-``python -m pytest -q -s tests/unit/test_record_faults.py`` prints the table of docs/reference/point-quality.md.
+``python -m pytest -s -m nightly tests/unit/test_record_faults.py`` prints the table of docs/reference/point-quality.md.
 """
 
 from __future__ import annotations
@@ -116,16 +116,19 @@ def _is_marked(verdict: Judgement | str) -> bool:
     return isinstance(verdict, str) or not verdict.good
 
 
+@pytest.mark.parametrize("count", [2, pytest.param(ACTUATORS, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_harms_a_row_is_marked(fault: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_harms_a_row_is_marked(fault: str, count: int, capsys: pytest.CaptureFixture[str]) -> None:
     cells, kinds = [], ("images", "disk", "elements")
     for snr_db in (40.0, 60.0):
-        found = [_judged(kinds[n % 3], fault, snr_db, n, seed=n) for n in range(ACTUATORS)]
+        found = [_judged(kinds[n % 3], fault, snr_db, n, seed=n) for n in range(count)]
         there = [verdict for error_db, verdict in found if error_db > HARM_DB]
         seen = sum(map(_is_marked, there))
         names = sorted({defect.name for v in there if isinstance(v, Judgement) for defect in v.defects})
         cells.append(f"{seen} of {len(there)}: {', '.join(names) or 'refused'}")
         assert seen == len(there)
+    if count < ACTUATORS:
+        return
     with capsys.disabled():
         sys.stdout.write(f"\n| {fault} | {' | '.join(cells)} |")
 
@@ -133,7 +136,5 @@ def test_what_harms_a_row_is_marked(fault: str, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("kind", ["images", "disk", "elements"])
 @pytest.mark.parametrize("averages", [1, 3])
 def test_clean_positions_are_valid(kind: str, averages: int) -> None:
-    verdicts = [
-        _judged(kind, None, snr_db, 0, seed, averages)[1] for snr_db in (25.0, 40.0, 60.0, 80.0) for seed in range(2)
-    ]
+    verdicts = [_judged(kind, None, snr_db, 0, seed, averages)[1] for snr_db in (25.0, 60.0) for seed in range(2)]
     assert [verdict for verdict in verdicts if _is_marked(verdict)] == []

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.fft
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
@@ -81,6 +81,7 @@ def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
     return 10 * np.log10(noise_v**2 * least_noise() / (np.abs(in_band(true)) ** 2).sum(axis=1))
 
 
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10_000), ppm=st.floats(-200, 200), start=st.floats(0, 599))
 def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_limit(
     seed: int, ppm: float, start: float

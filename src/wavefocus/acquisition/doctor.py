@@ -284,8 +284,9 @@ def _corners_mm(rig: RigConfig) -> NDArray[np.float64]:
     """Corners of the largest rectangle of the surface's proportions within it, (4, 2)."""
     surface = rig.surface
     corner_mm = np.array([surface.length_mm, surface.width_mm]) / 2
-    share = max(s for s in np.linspace(0, 1, 101) if surface.outline.contains(s * SIGNS * corner_mm).all())
-    corners_mm: NDArray[np.float64] = CORNER_SHARE * share * SIGNS * corner_mm
+    shares = np.linspace(0, 1, 101)
+    inside = surface.outline.contains(shares[:, None, None] * SIGNS * corner_mm).all(axis=1)
+    corners_mm: NDArray[np.float64] = CORNER_SHARE * shares[inside].max() * SIGNS * corner_mm
     return corners_mm
 
 
