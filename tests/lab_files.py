@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
@@ -60,6 +64,16 @@ address = "localhost:1"
 driver = "sounddevice"
 device = "no such interface"
 """
+
+
+def setup_of(rig: VirtualRig, **changes: object) -> Setup:
+    """A virtual rig wired as it is, with a mirror a metre above the plate."""
+    settings = rig.settings
+    setup = Setup(
+        rig.instruments, MirrorMap.straight(1000.0), settings.channel_of_actuator, settings.channel_of_loopback,
+        (10.0, 10.0), settings.sensitivity_m_s_per_v,
+    )  # fmt: skip
+    return replace(setup, **changes)
 
 
 def write_positions(folder: Path, positions_mm: Iterable[Sequence[float]]) -> None:

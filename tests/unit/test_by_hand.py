@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.lab_files import setup_of
 from wavefocus.acquisition.manual import ManualMeasurements
 from wavefocus.acquisition.setup import Setup, point_at
-from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.operate import TakeSweep
-from wavefocus.drivers.protocols import DeviceIdentity, Float64Array, Instruments
+from wavefocus.drivers.protocols import Float64Array, Instruments, Player
 from wavefocus.drivers.timeouts import BoundedPlayer, ShutError
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 
@@ -25,16 +25,7 @@ SWEEP = TakeSweep(actuator=0, level_v=1.0, start_hz=40.0, stop_hz=400.0, duratio
 
 def bench(**changes: object) -> Setup:
     rig = VirtualRig(replace(VirtualSettings(actuator_mm=ACTUATORS, dropout_probability=0.0), **changes))
-    settings = rig.settings
-    setup = Setup(
-        rig.instruments,
-        MirrorMap.straight(1000.0),
-        settings.channel_of_actuator,
-        settings.channel_of_loopback,
-        (10.0, 10.0),
-        settings.sensitivity_m_s_per_v,
-        inter_channel_delay_s=settings.inter_channel_delay_s,
-    )
+    setup = setup_of(rig, inter_channel_delay_s=rig.settings.inter_channel_delay_s)
     point_at(setup, 20.0, 10.0)
     return setup
 
@@ -72,36 +63,25 @@ def test_loopback_that_is_not_plugged_in_then_sweep_tells_that_in_place_of_figur
 class SlowPlayer:
     """Converts its signal for as long as somebody lets it, as real ones do."""
 
-    channels, full_scale_v = 2, 5.0
-    identity = DeviceIdentity("", "slow player")
-
-    def __init__(self) -> None:
+    def __init__(self, player: Player) -> None:
+        self._player = player
         self.converting, self.go_on = threading.Event(), threading.Event()
         self.sounding = False
 
-    def identify(self) -> str:
-        return "slow player"
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._player, name)
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         self.converting.set()
         assert self.go_on.wait(30)
         self.sounding = True
 
-    def wait(self, timeout_s: float) -> None:
-        pass
-
     def mute(self) -> None:
         self.sounding = False
 
-    def reconnect(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
 
 def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds() -> None:
-    player = SlowPlayer()
+    player = SlowPlayer(VirtualRig().instruments.player)
     gate = BoundedPlayer(player, 30.0)
     refused: list[ShutError] = []
 

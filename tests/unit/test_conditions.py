@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.lab_files import setup_of
 from wavefocus.acquisition.conditions import Conditions
 from wavefocus.acquisition.plays import Play
-from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.watch import AllowedRange, Watch
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Recording
 from wavefocus.mocks.virtual.rig import VirtualRig
@@ -32,15 +31,7 @@ class Thermometer:
 
 
 def _conditions(sensor: Thermometer | None = None, **bands: AllowedRange) -> Conditions:
-    setup = Setup(
-        instruments=VirtualRig().instruments,
-        mirror_map=MirrorMap.straight(1000.0),
-        actuator_channels=(0,),
-        loopback_channel=20,
-        range_v=(10.0, 10.0),
-        response_per_volt=0.125,
-        reference_gain=0.5,
-    )
+    setup = setup_of(VirtualRig(), reference_gain=0.5)
     watch = Watch(bands, {} if sensor is None else {"room": sensor.read})
     return Conditions(watch, setup, EXCITATION)
 

@@ -39,15 +39,8 @@ def test_rig_of_another_size_gets_its_actuators_on_its_own_rim() -> None:
     assert rig.actuator_mm[0].tolist() == [44, 0]
 
 
-@pytest.mark.parametrize(
-    "data",
-    [{}, {"actuators": {"position_mm": [[1.5, 2]]}}, {"mirror": {"map": [[2, 0, 0], [0, 2, 0], [0, 1e-4, 2000]]}}],
-)
-def test_rig_survives_json(data: dict[str, object]) -> None:
-    rig = RigConfig.model_validate(data)
-    assert RigConfig.model_validate_json(rig.model_dump_json()) == rig
-
-
+NI = "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\n"
+GENERIC = "[mirror]\ndriver = 'generic'\nport = 'COM3'\n"
 MISTAKES = [
     ("[surface]\nlength_m = 0.25", "surface.length_m = 0.25: unknown key; did you mean length_mm?"),
     ("[surface]\nkind = 'oval'", 'surface.kind = "oval": must be "stadium", "rectangle", "disk" or "polygon"'),
@@ -59,14 +52,8 @@ MISTAKES = [
     ("[actuators]\nposition_mm = [[0, 0], [1]]", "actuators.position_mm[1][1]: is missing"),
     ("[actuators]\nposition_mm = [[0, nan]]", "actuators.position_mm[0][1] = nan: must be a finite number"),
     ("[actuators]\nposition_mm = [[0, 0, 0]]", "actuators.position_mm[0] = [0, 0, 0]: must have at most 2 entries"),
-    (
-        "[actuators]\nposition_mm = [[0, 0], [0, 80]]",
-        "actuators.position_mm[1] = [0.0, 80.0]: must be on the surface of 250 x 150 mm",
-    ),
-    (
-        "[actuators]\nposition_mm = [[1, 2], [0, 0], [1, 2]]",
-        "actuators.position_mm[2] = [1.0, 2.0]: is already the place of actuator 0",
-    ),
+    ("[actuators]\nposition_mm = [[0, 0], [0, 80]]", "actuators.position_mm[1] = [0.0, 80.0]: must be on the surface"),
+    ("[actuators]\nposition_mm = [[1, 2], [0, 0], [1, 2]]", "actuators.position_mm[2] = [1.0, 2.0]: is already the"),
     ("[mirror]\ndriver = 'asi'", 'mirror.driver = "asi": must be "virtual", "analog", "asi-tiger", "generic"'),
     ("[mirror]\ndriver = 'asi-tiger'", 'mirror.port: is missing; driver "asi-tiger" needs it, such as "/dev/ttyUSB0"'),
     ("[mirror]\nport = 'COM3'", 'mirror.port = "COM3": belongs to driver "asi-tiger", "generic"'),
@@ -74,10 +61,7 @@ MISTAKES = [
         "[mirror]\ndriver = 'asi-tiger'\nport = 'COM3'\nfull_scale_mrad = 100",
         'mirror.full_scale_mrad = 100.0: belongs to driver "mirrorcle-mti"',
     ),
-    (
-        "[mirror]\ndriver = 'mirrorcle-mti'\nport = 'COM3'",
-        'mirror.full_scale_mrad: is missing; driver "mirrorcle-mti" needs the optical angle at full scale in mrad',
-    ),
+    ("[mirror]\ndriver = 'mirrorcle-mti'\nport = 'COM3'", "mirror.full_scale_mrad: is missing; driver"),
     (
         "[mirror]\ndriver = 'generic'\nport = 'socket://somewhere'",
         'mirror.port = "socket://somewhere": must be socket://HOST:PORT',
@@ -86,23 +70,14 @@ MISTAKES = [
         "[mirror]\ndriver = 'generic'\nport = 'serial-number:'",
         'mirror.port = "serial-number:": must be serial-number: and the number itself',
     ),
-    ("[mirror]\ndriver = 'generic'\nport = 'COM3'\nbaud = 100", "mirror.baud = 100: must be at least 300"),
-    (
-        "[mirror]\ndriver = 'generic'\nport = 'COM3'",
-        'recorder.driver = "virtual": a rig\'s instruments are all virtual or all real, and mirror.driver is "generic"',
-    ),
-    (
-        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'",
-        'recorder.driver = "nidaqmx": a rig\'s instruments are all virtual or all real, and mirror.driver is "virtual"',
-    ),
+    (GENERIC + "baud = 100", "mirror.baud = 100: must be at least 300"),
+    (GENERIC, 'recorder.driver = "virtual": a rig\'s instruments are all virtual or'),
+    (NI, 'recorder.driver = "nidaqmx": a rig\'s instruments are all virtual or'),
     (
         "[vibrometer]\ndriver = 'polytec-ofv5000'\nport = 'COM4'",
         'vibrometer.driver = "polytec-ofv5000": a rig\'s instruments are all virtual or all real, and these are virt',
     ),
-    (
-        "[vibrometer]\nport = 'COM4'",
-        'vibrometer.port = "COM4": belongs to driver "polytec-ofv5000" or "polytec-ofv3001"; the driver',
-    ),
+    ("[vibrometer]\nport = 'COM4'", 'vibrometer.port = "COM4": belongs to driver "polytec-ofv5000" or'),
     ("[vibrometer]\ndriver = 'polytec-ofv5000'", "vibrometer.port: is missing; driver"),
     ("[mirror]\nmap = [[1, 0], [0, 1]]", "mirror.map[0][2]: is missing"),
     (
@@ -113,51 +88,25 @@ MISTAKES = [
         "[mirror]\ndistance_mm = 900\nmap = [[1, 0, 0], [0, 1, 0], [0, 0, 900]]",
         "mirror.distance_mm = 900.0: must be left out where map is given",
     ),
-    (
-        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\naddress = 'daq:31763'\ntls_root = 'none.pem'",
-        'recorder.tls_root = "none.pem": must be a file',
-    ),
+    (NI + "address = 'daq:31763'\ntls_root = 'none.pem'", 'recorder.tls_root = "none.pem": must be a file'),
     ("[mirror]\npark_mrad = [0, 300]", "mirror.park_mrad = [0.0, 300.0]: must be within limit_mrad = 250"),
-    ("[mirror]\nlimit_deg = 3", "mirror.limit_deg = 3: unknown key; did you mean limit_mrad?"),
+    ("[recorder]\ndriver = 'nidaqmx'", 'recorder.device: is missing; driver "nidaqmx" needs the name that NI MAX'),
+    ("[recorder]\ntrigger = 'PFI0'", 'recorder.trigger = "PFI0": belongs to driver "nidaqmx"; the driver here is'),
+    (NI + "reference_input = 'ai1'", 'recorder.response_input = "ai1": is already the reference_input'),
+    (NI + "response_input = 'Dev1/ai1'", 'recorder.response_input = "Dev1/ai1": must be "ai0", "ai1" and so on'),
+    (NI + "terminal = 'single'", 'recorder.terminal = "single": must be "differential", "rse", "nrse" or'),
+    (NI + "address = 'localhost'", 'recorder.address = "localhost": must be HOST:PORT of a gRPC Device Server'),
     (
-        "[recorder]\ndriver = 'nidaqmx'",
-        'recorder.device: is missing; driver "nidaqmx" needs the name that NI MAX shows',
-    ),
-    (
-        "[recorder]\ntrigger = 'PFI0'",
-        'recorder.trigger = "PFI0": belongs to driver "nidaqmx"; the driver here is "virtual"',
-    ),
-    (
-        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\nreference_input = 'ai1'",
-        'recorder.response_input = "ai1": is already the reference_input',
-    ),
-    (
-        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\nresponse_input = 'Dev1/ai1'",
-        'recorder.response_input = "Dev1/ai1": must be "ai0", "ai1" and so on',
-    ),
-    (
-        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\nterminal = 'single'",
-        'recorder.terminal = "single": must be "differential", "rse", "nrse" or "pseudodifferential"',
-    ),
-    (
-        "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\naddress = 'localhost'",
-        'recorder.address = "localhost": must be HOST:PORT of a gRPC Device Server',
-    ),
-    (
-        f"[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\ntls_root = '{__file__}'",
+        NI + f"tls_root = '{__file__}'",
         f"recorder.tls_root = {json.dumps(__file__)}: must be left out, or an address given",
     ),
     (
-        f"[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\naddress = 'a:1'\ntls_root = '{__file__}'\n"
-        f"tls_key = '{__file__}'",
+        NI + f"address = 'a:1'\ntls_root = '{__file__}'\ntls_key = '{__file__}'",
         f"recorder.tls_key = {json.dumps(__file__)}: needs tls_root and tls_certificate",
     ),
     ("[player]\ndriver = 'sounddevice'", "player.device: is missing; driver"),
     ("[player]\nblock_frames = 64", 'player.block_frames = 64: belongs to driver "sounddevice"'),
-    (
-        "[player]\nchannel_full_scale_v = [5.0, 5.0]",
-        "player.channel_full_scale_v = [5.0, 5.0]: must have one entry per output from 0 to the highest used, 21 in",
-    ),
+    ("[player]\nchannel_full_scale_v = [5.0, 5.0]", "player.channel_full_scale_v = [5.0, 5.0]: must have one entry"),
     ("[recovery]\ngive_up_after_s = -1", "recovery.give_up_after_s = -1: must be at least 0"),
     ("[calibration]\nfile = 'nowhere.toml'", 'calibration.file = "nowhere.toml": must be a file; none found from'),
     ("[calibration]\nstale_after_days = 0", "calibration.stale_after_days = 0: must be above 0"),
@@ -166,15 +115,9 @@ MISTAKES = [
     ("[[usb]]\nrole = 'mirror'\nvendor_id = 0x10000", "usb[0].vendor_id = 65536: must be at most 65535"),
     ("[usb]\nrole = 'mirror'", "usb: must be a list of tables, each under [[usb]]"),
     ("[emulation]\nclock_ppm = 2000", "emulation.clock_ppm = 2000: must be at most 1000"),
-    (
-        "[emulation]\ndead_actuators = [20]",
-        "emulation.dead_actuators[0] = 20: must be below 20, the number of actuators",
-    ),
+    ("[emulation]\ndead_actuators = [20]", "emulation.dead_actuators[0] = 20: must be below 20, the number of"),
     ("[emulation]\nreversed_outputs = [0, 21]", "emulation.reversed_outputs[1] = 21: must be below 21, the number of"),
-    (
-        "[emulation]\ndead_actuators = [1]\nweak_actuators = [3, 1]",
-        "emulation.weak_actuators[1] = 1: is already one of dead_actuators",
-    ),
+    ("[emulation]\ndead_actuators = [1]\nweak_actuators = [3, 1]", "emulation.weak_actuators[1] = 1: is already one"),
     (
         "[[emulation.fault_plan]]\nrole = 'player'\nkind = 'silent'\nat_call = 1",
         "emulation.fault_plan[0] = { role, kind, at_call }: fault kind of the player is 'silent'; allowed: underflow",
@@ -184,13 +127,11 @@ MISTAKES = [
         "emulation.fault_plan[0].position = 1: unknown key; ",
     ),
     ("[recorder]\nresponse_range_v = 0", "recorder.response_range_v = 0: must be above 0"),
-    ("[recorder]\ninter_channel_delay_us = 5", "recorder.inter_channel_delay_us = 5: unknown key; did you mean"),
     ("[recorder]\ninter_channel_delay_s = 5", "recorder.inter_channel_delay_s = 5: must be at most 0.001"),
     ("[player]\nchannels = [0, 1]", "player.channels = [0, 1]: must have one entry per actuator, 20 in all, has 2"),
     ("[player]\nloopback_channel = 3", "player.loopback_channel = 3: is already the channel of actuator 3"),
     ("[player]\nlimit_v = 6", "player.limit_v = 6.0: must be at most full_scale_v = 5"),
     ("[player]\nlimit_v = -1", "player.limit_v = -1: must be above 0"),
-    ("[vibrometer]\nsensitivity_mm_s_per_v = 5", "vibrometer.sensitivity_mm_s_per_v = 5: unknown key; did you mean"),
     ("[watch.noise]\nsettle_s = 1", "watch.noise.leaves_below: is needed"),
     ("[watch.noise]\nleaves_above = 1\nreturns_below = 2", "watch.noise.leaves_above = 1"),
     ("[watch.room]\nleaves_below = 18\nreturns_above = 17", "watch.room.returns_above = 17"),
@@ -200,7 +141,7 @@ MISTAKES = [
     ("[watch.wind]\nleaves_above = 1", "watch.wind"),
     ("[recovery]\nhung_after_s = 0", "recovery.hung_after_s = 0"),
     (
-        "[mirror]\ndriver = 'generic'\nport = 'COM3'\n[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\n[player]\n"
+        GENERIC + "[recorder]\ndriver = 'nidaqmx'\ndevice = 'Dev1'\n[player]\n"
         "driver = 'sounddevice'\ndevice = 'USB'\n[watch.light]\nleaves_below = 0.2",
         'watch.light = "...": needs a vibrometer that reports it',
     ),
@@ -210,8 +151,6 @@ MISTAKES = [
     ),
     ("[camera]\ndriver = 'x'", "camera = { driver }: unknown key; allowed: rig, surface, actuators, mirror"),
     ("actuators = 3", "actuators = 3: must be a table"),
-    ("player = []", "player = []: must be a table"),
-    ("surface = 'x'", 'surface = "x": must be a table'),
 ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 
 from wavefocus.acquisition.watch import Watch
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.configuration import load_rig, load_run
+from wavefocus.configuration import load_rig
 from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.setup import band_of, open_rig, room_c
 
@@ -38,16 +37,6 @@ def test_given_no_lower_limit_then_any_low_value_is_well(tmp_path: Path) -> None
     watch = watch_of(rig)
     assert (watch.bands["noise"].leaves_below, watch.bands["noise"].returns_above) == (-math.inf, -math.inf)
     assert watch.bands["noise"].is_back(0.0)
-
-
-def test_given_watched_conditions_then_a_bank_holds_them_and_the_plan_is_the_same(tmp_path: Path) -> None:
-    rig = _rig(tmp_path, "[watch.room]\nleaves_below = 18\n[watch.noise]\nleaves_above = 0.01")
-    assert RigConfig.model_validate(json.loads(rig.model_dump_json())) == rig
-    (tmp_path / "run.toml").write_text('rig = "rig.toml"\n[drift]\nevery_positions = 7', encoding="utf-8")
-    watched = load_run(tmp_path / "run.toml")
-    (tmp_path / "rig.toml").write_text("", encoding="utf-8")
-    (tmp_path / "run.toml").write_text('rig = "rig.toml"', encoding="utf-8")
-    assert watched.plan_sha256 == load_run(tmp_path / "run.toml").plan_sha256
 
 
 def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path: Path) -> None:

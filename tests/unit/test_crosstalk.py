@@ -9,14 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.lab_files import setup_of
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.leak import LeakWatch
-from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.check import check_bank
 from wavefocus.calibration.crosstalk import NONE_DB, Crosstalk, crosstalk_of_record
 from wavefocus.calibration.evidence import CERTAIN_SHARE
-from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.config.messages.campaign import CrosstalkMeasured
@@ -127,10 +126,7 @@ class LeakingSetup:
 
     def watch(self, share: float, unvouched: tuple[int, ...] = ()) -> LeakWatch:
         settings = VirtualSettings(crosstalk=share, actuator_mm=tuple(map(tuple, self.plan.actuator_mm.tolist())))
-        setup = Setup(
-            VirtualRig(settings).instruments, MirrorMap.straight(1000.0), settings.channel_of_actuator,
-            settings.channel_of_loopback, (10.0, 10.0), PER_VOLT,
-        )  # fmt: skip
+        setup = setup_of(VirtualRig(settings))
         session = Session(setup.instruments.clock, self.events.append, StopRequest())
         return LeakWatch(self.plan, setup, self.bank, session, Recovery(setup, session), unvouched)
 

@@ -58,22 +58,20 @@ def absent(name: str) -> Callable[[], object]:
 SOUND = VirtualSettings(dropout_probability=0.0)
 
 
-def test_given_a_sound_rig_then_all_is_well_and_everything_was_looked_at() -> None:
-    findings = examined(VirtualRig(SOUND))
+def test_given_a_sound_rig_then_all_is_well_looked_at_and_released() -> None:
+    rig = VirtualRig(SOUND)
+    findings = examined(rig)
     assert {one.verdict for one in findings} == {"ok"}
     assert not any(one.remedy for one in findings)
     told = verdicts(findings)
     for key in (
-        ("mirror", "corners"),
-        ("recorder", "record"),
-        ("recorder", "response noise"),
-        ("player", "outputs"),
-        ("player", "loopback level"),
-        ("player", "latency"),
-        ("player", "clock ratio"),
-        ("vibrometer", "response"),
-    ):
+        ("mirror", "corners"), ("recorder", "record"), ("recorder", "response noise"), ("player", "outputs"),
+        ("player", "loopback level"), ("player", "latency"), ("player", "clock ratio"), ("vibrometer", "response"),
+    ):  # fmt: skip
         assert key in told
+    for role in (rig.instruments.mirror, rig.instruments.recorder, rig.instruments.player):
+        with pytest.raises(InstrumentError, match="it is closed"):
+            role.identify()
 
 
 class KnowsItsConverter:
@@ -254,11 +252,3 @@ def test_given_a_defect_of_a_driver_then_it_is_a_finding_too() -> None:
     assert RigFindings(findings.append).ask("recorder", "record", lambda: np.zeros(1)[3], 60.0) is None
     assert findings[0].what.startswith("IndexError: ")
     assert "report" in findings[0].remedy
-
-
-def test_given_an_examination_then_everything_is_released_and_the_beam_parked() -> None:
-    rig = VirtualRig(SOUND)
-    examined(rig)
-    for role in (rig.instruments.mirror, rig.instruments.recorder, rig.instruments.player):
-        with pytest.raises(InstrumentError, match="it is closed"):
-            role.identify()

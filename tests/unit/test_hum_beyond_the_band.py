@@ -58,16 +58,15 @@ def _judged(estimate: Estimate) -> tuple[float, Judgement]:
     return float(error_db), judge(estimate, False, QualityLimits())
 
 
-@pytest.mark.parametrize("hum_hz", [23.0, 30.0])
-def test_given_hum_below_the_band_that_leaves_the_rows_right_then_they_are_valid(hum_hz: float) -> None:
-    estimate = _sequential(hum_hz, -40.0)
+def test_given_hum_below_the_band_that_leaves_the_rows_right_then_they_are_valid() -> None:
+    estimate = _sequential(23.0, -40.0)
     error_db, judgement = _judged(estimate)
     assert error_db < -50
     assert judgement.status == Status.VALID
     assert float(estimate.residual_db.max()) == pytest.approx(error_db, abs=10)
 
 
-@pytest.mark.parametrize(("measure", "hum_hz"), [(_sequential, 30.0), (_sequential, 120.0), (_staggered, 120.0)])
+@pytest.mark.parametrize(("measure", "hum_hz"), [(_sequential, 30.0), (_staggered, 120.0)])
 def test_given_hum_that_makes_the_rows_wrong_then_they_are_poor_and_it_is_named(measure, hum_hz: float) -> None:
     error_db, judgement = _judged(measure(hum_hz, -5.0))
     assert error_db > -35

@@ -11,7 +11,6 @@ import scipy.io
 
 from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import ImportOptions
@@ -78,11 +77,6 @@ def test_units_and_rates_that_cannot_be_meant_are_refused(tmp_path: Path, option
     with pytest.raises(InputError, match=words):
         import_bank(hdf5(tmp_path / "a.nc", **options), tmp_path / "a.h5", OPTIONS)
     assert not (tmp_path / "a.h5").exists()
-
-
-def test_an_array_with_a_band_beyond_half_the_rate_is_refused() -> None:
-    with pytest.raises(InputError, match="half the rate"):
-        GreenArray(GREEN, PLACES, 1000.0, band_hz=(20.0, 600.0))
 
 
 def test_an_accelerance_is_whole_by_default_and_taps_that_cut_it_are_a_warning(tmp_path: Path) -> None:

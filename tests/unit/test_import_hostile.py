@@ -9,12 +9,14 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 import scipy.io
 
+from tests.lab_files import put
 from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
 from wavefocus.options import ImportOptions
@@ -27,84 +29,62 @@ ARRAYS = {"green": GREEN, "position_mm": PLACES_MM, "sample_rate_hz": np.float64
 BOMB_BYTES = 100 << 20
 
 
-def hdf5(path: Path, change: Callable[[h5py.File], None]) -> Path:
-    with h5py.File(path, "w") as file:
-        for name, values in ARRAYS.items():
-            if name != "response_unit":
-                file[name] = values
-        file.attrs["response_unit"] = "m/s/V"
-        change(file)
-    return path
+def exported(tmp_path: Path, kind: str, *options: str) -> Path:
+    np.savez(tmp_path / "b.npz", **ARRAYS)
+    if not (tmp_path / "bank.h5").exists():
+        import_bank(tmp_path / "b.npz", tmp_path / "bank.h5", ImportOptions())
+    out = tmp_path / f"exported.{kind}"
+    assert run(["export", str(tmp_path / "bank.h5"), str(out), "--to", kind, *options]) == 0
+    return out
 
 
-def linked(tmp_path: Path) -> Path:
-    hdf5(tmp_path / "other.nc", lambda file: None)
+def hdf5(change: Callable[[h5py.File], None]) -> Callable[[Path], Path]:
+    """A maker of a sound file with one change."""
 
-    def link(file: h5py.File) -> None:
+    def make(folder: Path) -> Path:
+        with h5py.File(folder / "a.nc", "w") as file:
+            for name, values in ARRAYS.items():
+                if name != "response_unit":
+                    file[name] = values
+            file.attrs["response_unit"] = "m/s/V"
+            change(file)
+        return folder / "a.nc"
+
+    return make
+
+
+def dataset(**options: Any) -> Callable[[Path], Path]:
+    """A maker of a file whose responses are stored in another way."""
+
+    def change(file: h5py.File) -> None:
         del file["green"]
-        file["green"] = h5py.ExternalLink("other.nc", "/green")
+        file.create_dataset("green", **options)
 
-    return hdf5(tmp_path / "a.nc", link)
-
-
-def soft_linked(tmp_path: Path) -> Path:
-    def link(file: h5py.File) -> None:
-        file.move("green", "elsewhere")
-        file["green"] = h5py.SoftLink("/elsewhere")
-
-    return hdf5(tmp_path / "a.nc", link)
+    return hdf5(change)
 
 
-def hollow(tmp_path: Path) -> Path:
-    def declare(file: h5py.File) -> None:
-        del file["green"]
-        file.create_dataset("green", (6, 10_000, 10_000), "f4", chunks=(1, 100, 100))
+def archive(**changes: object) -> Callable[[Path], Path]:
+    """A maker of an archive with other arrays."""
 
-    return hdf5(tmp_path / "a.nc", declare)
+    def make(folder: Path) -> Path:
+        np.savez(folder / "a.npz", **ARRAYS | changes)
+        return folder / "a.npz"
 
-
-def unfolding_hdf5(tmp_path: Path) -> Path:
-    def declare(file: h5py.File) -> None:
-        del file["green"]
-        shape = (6, 2, BOMB_BYTES // 48)
-        file.create_dataset("green", data=np.zeros(shape, np.float32), chunks=(1, 2, shape[2]), compression=9)
-
-    return hdf5(tmp_path / "a.nc", declare)
+    return make
 
 
-def external_storage(tmp_path: Path) -> Path:
-    (tmp_path / "raw").write_bytes(GREEN.tobytes())
+def zipped(values: np.ndarray, header: str = "", *, pickled: bool = False) -> Callable[[Path], Path]:
+    """A maker of a compressed archive whose responses may declare another shape."""
 
-    def store(file: h5py.File) -> None:
-        del file["green"]
-        file.create_dataset("green", GREEN.shape, "f4", external=[(str(tmp_path / "raw"), 0, h5py.h5f.UNLIMITED)])
+    def make(folder: Path) -> Path:
+        content, shape = io.BytesIO(), str(values.shape).encode()
+        np.lib.format.write_array(content, values, allow_pickle=pickled)
+        np.savez(folder / "a.npz", **{name: values for name, values in ARRAYS.items() if name != "green"})
+        with zipfile.ZipFile(folder / "a.npz", "a", zipfile.ZIP_DEFLATED) as file:
+            file.writestr("green.npy", content.getvalue().replace(shape, header.encode() or shape))
+        return folder / "a.npz"
 
-    return hdf5(tmp_path / "a.nc", store)
-
-
-def zipped(tmp_path: Path, name: str, content: bytes) -> Path:
-    np.savez(tmp_path / "a.npz", **{one: values for one, values in ARRAYS.items() if f"{one}.npy" != name})
-    with zipfile.ZipFile(tmp_path / "a.npz", "a", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(name, content)
-    return tmp_path / "a.npz"
-
-
-def npy(values: np.ndarray, header: str = "", *, pickled: bool = False) -> bytes:
-    content = io.BytesIO()
-    np.lib.format.write_array(content, values, allow_pickle=pickled)
-    return content.getvalue().replace(str(values.shape).encode(), header.encode() or str(values.shape).encode())
-
-
-def unfolding_zip(tmp_path: Path) -> Path:
-    return zipped(tmp_path, "green.npy", npy(np.zeros((1, 1, BOMB_BYTES // 4), np.float32)))
-
-
-def huge_shape(tmp_path: Path) -> Path:
-    return zipped(tmp_path, "green.npy", npy(GREEN, "(6, 2, 99999999999)"))
-
-
-def pickled_archive(tmp_path: Path) -> Path:
-    return zipped(tmp_path, "green.npy", npy(np.array([{"a": 1}], object), pickled=True))
+    return make
 
 
 def pickled_array(tmp_path: Path) -> Path:
@@ -128,23 +108,6 @@ def cells(tmp_path: Path) -> Path:
     return tmp_path / "a.mat"
 
 
-def not_finite(tmp_path: Path) -> Path:
-    green = GREEN.copy()
-    green[3, 1, 7] = np.nan
-    np.savez(tmp_path / "a.npz", **ARRAYS | {"green": green})
-    return tmp_path / "a.npz"
-
-
-def control_characters(tmp_path: Path) -> Path:
-    np.savez(tmp_path / "a.npz", **ARRAYS | {"response_unit": "m/s/V\x1b[31m"})
-    return tmp_path / "a.npz"
-
-
-def two_places(tmp_path: Path) -> Path:
-    np.savez(tmp_path / "a.npz", **ARRAYS | {"position_mm": PLACES_MM[:2]})
-    return tmp_path / "a.npz"
-
-
 def ascii_short(tmp_path: Path) -> Path:
     file = exported(tmp_path, "uff")
     content = file.read_text(encoding="ascii")
@@ -152,36 +115,38 @@ def ascii_short(tmp_path: Path) -> Path:
     return file
 
 
-def exported(tmp_path: Path, kind: str, *options: str) -> Path:
-    np.savez(tmp_path / "b.npz", **ARRAYS)
-    if not (tmp_path / "bank.h5").exists():
-        import_bank(tmp_path / "b.npz", tmp_path / "bank.h5", ImportOptions())
-    out = tmp_path / f"exported.{kind}"
-    assert run(["export", str(tmp_path / "bank.h5"), str(out), "--to", kind, *options]) == 0
-    return out
+def unfolding_zip(tmp_path: Path) -> Path:
+    return zipped(np.zeros((1, 1, BOMB_BYTES // 4), np.float32))(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("make", "told"),
-    [
-        (linked, "link"),
-        (soft_linked, "link"),
-        (hollow, "holds"),
-        (unfolding_hdf5, "holds"),
-        (external_storage, "other files"),
-        (unfolding_zip, "holds"),
-        (huge_shape, "holds"),
-        (pickled_archive, "pickled"),
-        (pickled_array, "pickled"),
-        (unfolding_mat, "holds"),
-        (cells, "green"),
-        (not_finite, "position 3 to actuator 1"),
-        (control_characters, "control characters"),
-        (two_places, "places of 2 positions"),
-        (ascii_short, "declares 99999999 numbers"),
-    ],
-    ids=lambda one: getattr(one, "__name__", None),
-)
+def unfolding_hdf5(tmp_path: Path) -> Path:
+    shape = (6, 2, BOMB_BYTES // 48)
+    return dataset(data=np.zeros(shape, np.float32), chunks=(1, 2, shape[2]), compression=9)(tmp_path)
+
+
+NOT_FINITE = np.where(np.arange(GREEN.size).reshape(GREEN.shape) == 287, np.nan, GREEN)
+HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "external link": (hdf5(put("green", h5py.ExternalLink("other.nc", "/green"))), "link"),
+    "soft link": (hdf5(put("green", h5py.SoftLink("/position_mm"))), "link"),
+    "hollow": (dataset(shape=(6, 10_000, 10_000), dtype="f4", chunks=(1, 100, 100)), "holds"),
+    "unfolding HDF5": (unfolding_hdf5, "holds"),
+    "external storage": (
+        dataset(shape=GREEN.shape, dtype="f4", external=[("raw", 0, h5py.h5f.UNLIMITED)]), "other files",
+    ),
+    "unfolding archive": (unfolding_zip, "holds"),
+    "huge shape": (zipped(GREEN, "(6, 2, 99999999999)"), "holds"),
+    "pickled archive": (zipped(np.array([{"a": 1}], object), pickled=True), "pickled"),
+    "pickled array": (pickled_array, "pickled"),
+    "unfolding MATLAB file": (unfolding_mat, "holds"),
+    "cells": (cells, "green"),
+    "not finite": (archive(green=NOT_FINITE), "position 3 to actuator 1"),
+    "control characters": (archive(response_unit="m/s/V\x1b[31m"), "control characters"),
+    "two places": (archive(position_mm=PLACES_MM[:2]), "places of 2 positions"),
+    "short text": (ascii_short, "declares 99999999 numbers"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "told"), HOSTILE.values(), ids=HOSTILE)
 def test_given_a_hostile_file_then_one_sentence_says_why(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], told: str
 ) -> None:

@@ -95,8 +95,9 @@ LOSSES: list[tuple[Callable[[Path], None], set[int]]] = [
 ]
 
 
-@pytest.mark.parametrize("name", ["night", "night.raw"])
-@pytest.mark.parametrize(("lose", "kept"), LOSSES, ids=lambda value: getattr(value, "__name__", ""))
+@pytest.mark.parametrize(
+    ("name", "lose", "kept"), [("night", *loss) for loss in LOSSES] + [("night.raw", *loss) for loss in LOSSES[2:4]]
+)
 def test_a_file_lost_while_it_is_measured_ends_the_session_and_is_rescued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, lose: Callable[[Path], None], kept: set[int]
 ) -> None:

@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.lab_files import setup_of
 from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.judgement import Judgement, judge
-from wavefocus.acquisition.setup import Setup, point_at, take_record
+from wavefocus.acquisition.setup import point_at, take_record
 from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.limits import QualityLimits
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
@@ -48,14 +48,7 @@ def quiet_records(averages: int) -> Volts:
     signal_v = excitation(averages).signal_v()
     taken = []
     for actuator, range_v in enumerate((5.0, 0.2, 0.01, 0.2)):
-        setup = Setup(
-            instruments=rig.instruments,
-            mirror_map=MirrorMap.straight(1000.0),
-            actuator_channels=settings.channel_of_actuator,
-            loopback_channel=settings.channel_of_loopback,
-            range_v=(10.0, range_v),
-            response_per_volt=1.0,
-        )
+        setup = setup_of(rig, range_v=(10.0, range_v))
         point_at(setup, *POSITION_MM)
         signals_v = {actuator: signal_v, settings.channel_of_loopback: signal_v}
         taken.append(take_record(setup, signals_v, RATE_HZ, RecordLabel(0, 1, actuator)).volts)

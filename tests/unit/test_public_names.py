@@ -26,11 +26,6 @@ signal = { kind = "impulse" }
 """
 
 
-@pytest.mark.parametrize("name", wavefocus.__all__)
-def test_every_public_name_is_there(name: str) -> None:
-    assert callable(getattr(wavefocus, name))
-
-
 @pytest.mark.parametrize(
     "package", ["acquisition", "calibration", "config", "drivers", "mocks", "rendering", "storage"]
 )
@@ -50,11 +45,6 @@ def test_the_package_says_that_it_is_typed() -> None:
 def test_the_reference_has_every_public_name() -> None:
     entries = python_reference.entries()
     assert not [name for name in wavefocus.__all__ if f"### `{name}`" not in entries]
-
-
-def test_given_another_name_then_it_is_no_attribute() -> None:
-    with pytest.raises(AttributeError, match="frobnicate"):
-        _ = wavefocus.frobnicate
 
 
 def test_no_module_imports_itself_round_a_circle() -> None:

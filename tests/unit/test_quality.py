@@ -26,26 +26,6 @@ def _estimate(records: int = 4, **changed: np.ndarray) -> Estimate:
     return Estimate(**{**figures, **changed})
 
 
-def test_one_record_far_noisier_and_unexplained_then_poor_and_the_actuator_is_named() -> None:
-    judgement = judge(_estimate(noise_v=np.array([1e-4, 1e-4, 5e-3, 1e-4], np.float32)), False, LIMITS)
-    assert judgement.status == Status.POOR_SIGNAL
-    assert "actuator 2" in judgement.reason
-
-
-def test_given_most_records_spoilt_then_poor() -> None:
-    spoilt = _estimate(
-        noise_v=np.array([0.1, 0.07, 0.09, 1e-4], np.float32),
-        residual_db=np.array([-1.2, -5.0, -2.0, -47.0], np.float32),
-    )
-    assert judge(spoilt, False, LIMITS).status == Status.POOR_SIGNAL
-
-
-def test_given_no_signal_at_all_then_poor() -> None:
-    judgement = judge(_estimate(snr_db=np.full(4, 3.0, np.float32)), False, LIMITS)
-    assert judgement.status & Status.POOR_SIGNAL
-    assert "signal-to-noise" in judgement.reason
-
-
 @pytest.mark.parametrize("flag", [True, False])
 def test_given_over_range_by_flag_or_by_count_then_not_valid(flag: bool) -> None:
     clipped = np.array([0, 0 if flag else 3, 0, 0], np.int32)

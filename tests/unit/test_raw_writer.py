@@ -144,12 +144,3 @@ def test_given_a_flipped_byte_then_that_position_alone_is_told_as_damaged(tmp_pa
     with open_raw(path) as raw, pytest.raises(DamagedError, match="position 0 is damaged"):
         raw.read(0)
     assert holds(path, 1, 1)
-
-
-def test_given_a_changed_schedule_then_the_file_is_refused(tmp_path: Path) -> None:
-    path = made(tmp_path)
-    with h5py.File(path, "r+") as file:
-        file.attrs["taps"] = 60
-        file.attrs["plan_sha256"] = "cd" * 32
-    with pytest.raises(InputError, match="damaged"):
-        RawWriter.open(path)

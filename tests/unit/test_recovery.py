@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 import pytest
 
+from tests import lab_files
 from wavefocus.acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
-from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
+from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import Setup, names_of, point_at
-from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.campaign import Event, ReconnectTried, State, StateChanged
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
 from wavefocus.drivers.protocols import Clock, Instruments, WallClock
@@ -25,15 +25,7 @@ LOST = RigFault("mirror", "move_to", "lost", at_call=1)
 def setup_of(*faults: RigFault, clock: Clock | None = None, recovery_s: float = 600.0) -> Setup:
     rig = VirtualRig(VirtualSettings(fault_plan=faults))
     instruments = rig.instruments if clock is None else dataclasses.replace(rig.instruments, clock=clock)
-    return Setup(
-        instruments=instruments,
-        mirror_map=MirrorMap.straight(1000.0),
-        actuator_channels=(0,),
-        loopback_channel=20,
-        range_v=(10.0, 10.0),
-        response_per_volt=0.125,
-        recovery_s=recovery_s,
-    )
+    return lab_files.setup_of(rig, instruments=instruments, recovery_s=recovery_s)
 
 
 def lost(role: str = "mirror") -> InstrumentLostError:
@@ -182,20 +174,6 @@ def test_given_another_device_in_its_place_then_nobody_waits_for_it():
     with pytest.raises(InstrumentError, match="it says it is a printer"):
         watched.recovery.retry_after_reconnect(measure)
     assert [(one.connected, one.next_try_s) for one in watched.tries] == [(False, None)]
-
-
-def test_given_a_stop_while_an_instrument_is_waited_for_then_the_waiting_ends():
-    setup = setup_of(LOST, clock=WallClock(), recovery_s=1e9)
-
-    def stop_soon(event: Event) -> None:
-        if isinstance(event, ReconnectTried) and event.number == 2:
-            threading.Thread(target=watched.stop.finish_position).start()
-
-    watched = Watched(setup, stop_soon)
-    with pytest.raises(StoppedWhileWaitingError, match="virtual mirror was gone"):
-        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
-    # The next try, two seconds later, was not waited for.
-    assert len(watched.tries) == 2
 
 
 def test_a_signal_to_end_while_an_instrument_is_waited_for_then_it_is_heard_at_once():

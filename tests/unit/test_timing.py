@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.unit.test_estimator import played as played_signals
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.resampling import resampled
 from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
@@ -21,20 +22,8 @@ KNOWN = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()
 
 
 def played(signal: NDArray[np.float64], samples: int, offset: float, ratio: float) -> NDArray[np.float64]:
-    """The recording of a signal that is silent at its ends, by 16-fold oversampling and cubic pieces."""
-    length = scipy.fft.next_fast_len(signal.size + 4000)
-    fine = 16 * scipy.fft.irfft(scipy.fft.rfft(signal, length), 16 * length)
-    place = 16 * (np.arange(samples) - offset) / ratio
-    whole = np.floor(place).astype(int)
-    share = place - whole
-    out = np.zeros(samples)
-    for node in range(-2, 4):
-        weight = np.ones(samples)
-        for other in range(-2, 4):
-            if other != node:
-                weight *= (share - other) / (node - other)
-        out += weight * fine[(whole + node) % fine.size]
-    return out
+    """The recording of a signal that is silent at its ends."""
+    return played_signals(signal[None], samples, offset, ratio)[0]
 
 
 @settings(max_examples=4)
