@@ -132,6 +132,16 @@ def with_check_rows(bank: Path, out: Path, *rows: int) -> Path:
     return out
 
 
+def write_foreign(path: Path, gain: object = 1.0) -> Path:
+    """A bank of another program, no more in it than there must be: 5 x 3 positions, three actuators, 60 taps, 2 kHz."""
+    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
+    green = np.random.default_rng(4).standard_normal((15, 3, 60)) * np.exp(-np.arange(60) / 15)
+    with h5py.File(path, "w") as file:
+        file["green"], file["position_mm"] = green * gain, np.column_stack([x_mm.ravel(), y_mm.ravel()])
+        file.attrs["sample_rate_hz"] = 2000.0
+    return path
+
+
 def put(name: str, value: object) -> Callable[[h5py.File], None]:
     """A change of a file: another dataset or link under a name."""
 

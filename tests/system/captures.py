@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 
@@ -16,9 +17,19 @@ from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.storage.bank.writer import create_bank
 
 
-def events_of(text: str, kind: str) -> list[dict[str, object]]:
-    """The events of a kind among lines of JSON."""
-    return [event for event in map(json.loads, text.splitlines()) if event["event"] == kind]
+def wavefocus(*arguments: object) -> int:
+    """Run a command in this process; its exit code."""
+    return run([str(argument) for argument in arguments])
+
+
+def of_kind(events: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
+    """The events of a kind."""
+    return [event for event in events if event["event"] == kind]
+
+
+def events_of(text: str, kind: str = "") -> list[dict[str, Any]]:
+    """The events among lines of JSON: all, or those of a kind."""
+    return [event for event in map(json.loads, text.splitlines()) if kind in ("", event["event"])]
 
 
 def states_of(text: str) -> list[object]:

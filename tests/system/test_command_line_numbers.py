@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
-import numpy as np
 import pytest
 
+from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 
 SCENE = """
@@ -37,12 +36,7 @@ REFUSED = [*((CALIBRATE, option) for option in ("--amplitude-v", "--limit-mm", "
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("numbers")
-    random = np.random.default_rng(4)
-    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
-    with h5py.File(folder / "bank.h5", "w") as file:
-        file["green"] = random.standard_normal((15, 3, 60)) * np.exp(-np.arange(60) / 15)
-        file["position_mm"] = np.column_stack([x_mm.ravel(), y_mm.ravel()])
-        file.attrs["sample_rate_hz"] = 2000.0
+    write_foreign(folder / "bank.h5")
     assert run(["init", str(folder)]) == 0
     (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
     bank = ["--bank", str(folder / "bank.h5"), "--out"]

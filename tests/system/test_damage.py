@@ -9,11 +9,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from wavefocus.__main__ import run
-
-
-def _run(*arguments: object) -> int:
-    return run([str(argument) for argument in arguments])
+from tests.system.captures import wavefocus
 
 
 def _zero_ledger_page(bank: Path, position: int) -> None:
@@ -28,7 +24,7 @@ def test_given_a_zeroed_ledger_page_then_every_command_names_the_position(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sound = shutil.copy(bank, lab / "sound.h5")
-    assert _run("render", lab / "scene.toml", "--bank", sound, "--out", lab / "drive.h5") == 0
+    assert wavefocus("render", lab / "scene.toml", "--bank", sound, "--out", lab / "drive.h5") == 0
     _zero_ledger_page(bank, 2)
     commands = [
         ("check", bank),
@@ -38,13 +34,13 @@ def test_given_a_zeroed_ledger_page_then_every_command_names_the_position(
         ("verify", lab / "scene.toml", "--bank", bank, "--rig", lab / "rig.toml", "--out", lab / "verify"),
     ]
     capsys.readouterr()
-    assert [_run(*command) for command in commands] == [1, 2, 2, 2, 2]
+    assert [wavefocus(*command) for command in commands] == [1, 2, 2, 2, 2]
     assert "".join(capsys.readouterr()).count("position 2 is damaged") == 5
     assert not (lab / "out.h5").exists()
-    assert _run("predict", lab / "drive.h5", "--bank", bank, "--out", lab / "field.h5", "--positions", "0,1") == 0
+    assert wavefocus("predict", lab / "drive.h5", "--bank", bank, "--out", lab / "field.h5", "--positions", "0,1") == 0
     capsys.readouterr()
-    assert _run("status", bank, "--json") == 0
+    assert wavefocus("status", bank, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["damaged_positions"], told["counts"]["damaged"], told["counts"]["not-measured"]) == ([2], 1, 0)
-    assert _run("resume", bank) == 0
+    assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == Path(sound).read_bytes()

@@ -30,20 +30,6 @@ def bank() -> GreenArray:
     return GreenArray(green, position_mm, 2000.0)
 
 
-def test_given_the_example_then_its_drives_are_the_sum_of_each_source_s_own(scene: Scene, bank: GreenArray) -> None:
-    assert len(scene.sources) == 4
-    together = render_with_report(scene, bank)[0]
-    alone = [render_with_report(replace(scene, sources=(source,)), bank)[0] for source in scene.sources]
-    total = np.zeros_like(together.drive_v)
-    for one in alone:
-        assert one.start_s == together.start_s
-        total[:, : one.drive_v.shape[1]] += one.drive_v
-    np.testing.assert_allclose(together.drive_v, total, rtol=0, atol=1e-12 * np.abs(total).max())
-    foci = [len(one.focus_sample) for one in alone]
-    assert together.focus_source.tolist() == np.repeat(np.arange(4), foci).tolist()
-    assert foci == [21, 21, 21, 1]
-
-
 def test_given_a_bar_then_its_points_move_abreast_and_say_the_same(scene: Scene, bank: GreenArray) -> None:
     bar = replace(scene, sources=scene.sources[:3])
     drive = render_with_report(bar, bank)[0]

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 
 RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
@@ -33,14 +34,7 @@ saturation = 0.7
 
 @pytest.fixture
 def bank(tmp_path: Path) -> Path:
-    path = tmp_path / "foreign.h5"
-    random = np.random.default_rng(4)
-    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
-    with h5py.File(path, "w") as file:
-        file["green"] = random.standard_normal((15, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 15)
-        file["position_mm"] = np.column_stack([x_mm.ravel(), y_mm.ravel()])
-        file.attrs["sample_rate_hz"] = RATE_HZ
-    return path
+    return write_foreign(tmp_path / "foreign.h5")
 
 
 def _weights(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,24 +104,6 @@ def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(
         assert list(file["position_index"]) == list(range(15))
 
 
-def test_given_an_impulse_then_the_predicted_response_at_the_focus_is_its_amplitude(bank: Path) -> None:
-    from wavefocus.rendering.drive.rendering import render_with_report
-    from wavefocus.rendering.field.prediction import predict
-    from wavefocus.rendering.scene.model import load_scene
-    from wavefocus.storage.bank.reading import open_bank
-
-    scene = bank.with_name("scene.toml")
-    scene.write_text(
-        '[[source]]\namplitude = 0.25\npath = { kind = "point", at_mm = [8, 4] }\nsignal = { kind = "impulse" }\n',
-        encoding="utf-8",
-    )
-    with open_bank(bank) as view:
-        drive, _ = render_with_report(load_scene(scene), view)
-        field = predict(drive, view, [int(drive.focus_position[0])])
-    focus = int(drive.focus_sample[0]) - round(drive.start_s * RATE_HZ)
-    assert field.field[0, focus] == pytest.approx(0.25, rel=1e-9)
-
-
 @pytest.mark.parametrize("command", ["resume", "remeasure", "verify"])
 def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(
     bank: Path, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
@@ -157,7 +133,7 @@ def test_a_bank_of_other_units_then_gives_drives_and_fields_their_units(
 ) -> None:
     with h5py.File(bank, "r+") as file:
         file.attrs.update(response_unit=green, drive_unit=drive)
-    scene, rig = tmp_path / "scene.toml", tmp_path / "rig.toml"
+    scene = tmp_path / "scene.toml"
     scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
     played, field = tmp_path / "drive.h5", tmp_path / "field.h5"
     assert run(["render", str(scene), "--bank", str(bank), "--out", str(played)]) == 0
@@ -170,13 +146,6 @@ def test_a_bank_of_other_units_then_gives_drives_and_fields_their_units(
         assert (file.attrs["drive_unit"], file["drive"].attrs["units"]) == (drive, drive)
     with h5py.File(field) as file:
         assert file.attrs["response_unit"] == response
-    if drive == "mV":
-        places = "[actuators]\nposition_mm = [[0, 0], [9, 0], [0, 9]]\n"
-        player = '[player]\ndriver = "virtual"\nchannels = [0, 1, 2]\nloopback_channel = 4\n'
-        text = f'[rig]\nname = "virtual"\n{places}{player}'
-        rig.write_text(text, encoding="utf-8")
-        assert run(["play", str(played), "--rig", str(rig)]) == 2
-        assert "is in mV" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["sample_rate_hz", "start_s", "scale", "method", "drive"])

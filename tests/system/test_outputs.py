@@ -15,13 +15,14 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs, staged_folder, write_whole
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, devices and limits of POSIX")
 
-RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
+RATE_HZ = 2000.0
 SCENE = """
 [scene]
 name = "point"
@@ -40,12 +41,8 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     monkeypatch.chdir(tmp_path)
     random = np.random.default_rng(4)
-    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
-    green = random.standard_normal((15, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 15)
     for name in ("bank.h5", "other.h5"):
-        with h5py.File(name, "w") as file:
-            file["green"], file["position_mm"] = green, np.column_stack([x_mm.ravel(), y_mm.ravel()])
-            file.attrs["sample_rate_hz"] = RATE_HZ
+        write_foreign(Path(name))
     with h5py.File("other.raw.h5", "w") as file:
         file.attrs["format"], file.attrs["format_version"] = "wavefocus-raw", 1
     soundfile.write("sound.wav", random.uniform(-1, 1, 200), int(RATE_HZ))
@@ -147,6 +144,7 @@ def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_
 FORKS = """
 import json, os, resource, signal, sys
 from pathlib import Path
+from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 import wavefocus.rendering.report.movie, wavefocus.rendering.drive.wav
 import wavefocus.storage.exchange.mat, wavefocus.storage.exchange.npz
@@ -273,45 +271,6 @@ def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(
         assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
 
 
-def test_given_a_staged_folder_then_nothing_appears_before_all_is_whole(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "record").write_bytes(OLD)
-    (tmp_path / "out" / "notes").write_bytes(b"mine")
-
-    def write(fail: bool) -> None:
-        with staged_folder(tmp_path / "out", "record") as staged:
-            (staged / "record").write_bytes(b"new")
-            write_whole(staged / "data", b"new")
-            assert not (tmp_path / "out" / "data").exists()
-            if fail:
-                raise InputError(f"{staged / 'data'} cannot be written")
-
-    with pytest.raises(InputError, match=re.escape(str(tmp_path / "out" / "data"))):
-        write(fail=True)
-    assert {entry.name: entry.read_bytes() for entry in (tmp_path / "out").iterdir()} == {
-        "record": OLD,
-        "notes": b"mine",
-    }
-    write(fail=False)
-    assert {entry.name: entry.read_bytes() for entry in (tmp_path / "out").iterdir()} == {
-        "record": b"new",
-        "data": b"new",
-        "notes": b"mine",
-    }
-
-
-def test_given_a_new_file_then_it_never_replaces_one(tmp_path: Path) -> None:
-    (tmp_path / "file").write_bytes(OLD)
-
-    def write() -> None:
-        with replacement(tmp_path / "file", new=True) as temporary:
-            temporary.write_bytes(b"new")
-
-    with pytest.raises(FileExistsError):
-        write()
-    assert (tmp_path / "file").read_bytes() == OLD
-
-
 def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised(lab: Path) -> None:
     content = bytearray((lab / "other.h5").read_bytes())
     (lab / "damaged.h5").write_bytes(content[:700])
@@ -319,3 +278,17 @@ def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised
         with pytest.raises(InputError):
             require_outputs((lab / name,), (), force=True)
     require_outputs((lab / "field.h5",), (), force=True)
+
+
+def test_given_a_staged_folder_that_fails_then_its_final_name_is_told_and_nothing_appears(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "record").write_bytes(OLD)
+
+    def write() -> None:
+        with staged_folder(tmp_path / "out", "record") as staged:
+            write_whole(staged / "data", b"new")
+            raise InputError(f"{staged / 'data'} cannot be written")
+
+    with pytest.raises(InputError, match=re.escape(str(tmp_path / "out" / "data"))):
+        write()
+    assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["record"]

@@ -4,37 +4,26 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import change_text
+from tests.system.captures import events_of, held, of_kind, wavefocus
 from tests.system.conftest import with_faults
-from wavefocus.__main__ import run
+from tests.system.lines import Lines
 
 READ = 'role = "recorder"\noperation = "read"\n'
 
 
-def _wavefocus(*arguments: object) -> int:
-    return run([str(argument) for argument in arguments])
-
-
-def _captured(lab: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, list[dict[str, object]], str]:
+def _captured(lab: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, list[dict[str, Any]], str]:
     """A bank, what was told in events and what was told to people."""
     bank = lab / "plate.h5"
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
     told = capsys.readouterr()
-    return bank, [json.loads(line) for line in told.out.splitlines()], told.err
-
-
-def _of_kind(events: list[dict[str, object]], kind: str) -> list[dict[str, object]]:
-    return [event for event in events if event["event"] == kind]
-
-
-def _status(bank: Path) -> list[int]:
-    with h5py.File(bank, "r") as file:
-        return [int(one) for one in file["status"]]
+    return bank, events_of(told.out), told.err
 
 
 @pytest.mark.parametrize(
@@ -53,10 +42,10 @@ def test_given_a_defect_in_one_record_then_it_is_named_with_its_remedy_and_not_v
 ) -> None:
     with_faults(lab, f"{READ}{fault}\nposition = 2\nrecord = 1\ncount = 99")
     bank, events, told = _captured(lab, capsys)
-    committed = [event for event in _of_kind(events, "position_committed") if event["position"] == 2]
+    committed = [event for event in of_kind(events, "position_committed") if event["position"] == 2]
     assert committed[0]["defects"] == [name]
     assert remedy in str(committed[0]["reason"])
-    status = _status(bank)
+    status = held(bank)
     assert status[2] & bit
     assert not status[2] & 1
     assert status[:2] + status[3:] == [1] * 5
@@ -70,11 +59,11 @@ def test_given_taps_that_are_too_few_then_the_tail_is_named_and_no_try_is_wasted
 ) -> None:
     change_text(lab / "run.toml", "taps = 1000", "taps = 150")
     bank, events, _ = _captured(lab, capsys)
-    committed = _of_kind(events, "position_committed")
-    assert all("tail" in event["defects"] for event in committed[:6])  # type: ignore[operator]
+    committed = of_kind(events, "position_committed")
+    assert all("tail" in event["defects"] for event in committed[:6])
     assert "capture.taps" in str(committed[0]["reason"])
-    assert not _of_kind(events, "position_repeated")
-    assert not any(status & 1 for status in _status(bank))
+    assert not of_kind(events, "position_repeated")
+    assert not any(status & 1 for status in held(bank))
 
 
 def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid(
@@ -93,13 +82,13 @@ def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid
     )
     bank, events, _ = _captured(lab, capsys)
     loudest = int(np.argmax(peak_v))
-    repeated = _of_kind(events, "position_repeated")
-    assert [(event["position"], event["defects"][0]) for event in repeated] == [(loudest, "over-range")]  # type: ignore[index]
+    repeated = of_kind(events, "position_repeated")
+    assert [(event["position"], event["defects"][0]) for event in repeated] == [(loudest, "over-range")]
     assert repeated[0]["response_range_v"] == pytest.approx(2 * low_v)
-    committed = {event["position"]: event for event in _of_kind(events, "position_committed")}
+    committed = {event["position"]: event for event in of_kind(events, "position_committed")}
     assert committed[loudest]["response_range_v"] == pytest.approx(2 * low_v)
     assert committed[(loudest + 1) % 6]["response_range_v"] is None
-    assert _status(bank) == [1] * 6
+    assert held(bank) == [1] * 6
     with h5py.File(bank, "r") as file:
         error = np.linalg.norm(file["green"][loudest] - green[loudest]) / np.linalg.norm(green[loudest])
     assert error < 2e-2  # the noise of both
@@ -110,25 +99,25 @@ def test_given_a_dark_spot_then_the_mirror_moves_aside_and_finds_light(
 ) -> None:
     with_faults(lab, f'{READ}kind = "dark"\nposition = 2\ncount = 99\nspot_mm = [8.0, 0.0, 0.05]')
     bank, events, told = _captured(lab, capsys)
-    repeated = _of_kind(events, "position_repeated")
+    repeated = of_kind(events, "position_repeated")
     assert [event["position"] for event in repeated] == [2]
-    assert np.hypot(*repeated[0]["moved_mm"]) == pytest.approx(0.1)  # type: ignore[misc]
-    committed = [event for event in _of_kind(events, "position_committed") if event["position"] == 2]
+    assert np.hypot(*repeated[0]["moved_mm"]) == pytest.approx(0.1)
+    committed = [event for event in of_kind(events, "position_committed") if event["position"] == 2]
     assert committed[0]["moved_mm"] == repeated[0]["moved_mm"]
     assert "0.1 mm aside" in told
-    assert _status(bank) == [1] * 6
+    assert held(bank) == [1] * 6
     with h5py.File(bank, "r") as file:
         assert file["quality/moved_mm"][...] == pytest.approx([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
-    assert _wavefocus("status", bank, "--json") == 0
+    assert wavefocus("status", bank, "--json") == 0
     assert json.loads(capsys.readouterr().out)["moved_positions"] == "2"
-    assert _wavefocus("check", bank, "--json") == 0
+    assert wavefocus("check", bank, "--json") == 0
     assert 2 in [one["position"] for one in json.loads(capsys.readouterr().out)["findings"]]
 
 
 def test_given_one_dropout_then_the_next_try_is_in_place(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 2\nrecord = 1\nattempt = 1\ncount = 2')
     _, events, _ = _captured(lab, capsys)
-    repeated = _of_kind(events, "position_repeated")
+    repeated = of_kind(events, "position_repeated")
     assert [event["moved_mm"] != [0.0, 0.0] for event in repeated] == [False, True]
 
 
@@ -141,11 +130,11 @@ def test_given_what_stayed_poor_then_a_pass_at_the_end_measures_it_again(
         f'{READ}kind = "hum"\nlevel_db = -30.0\nposition = 4\ncount = 1',
     )
     bank, events, _ = _captured(lab, capsys)
-    assert [event["positions"] for event in _of_kind(events, "pass_started")] == [[1, 4]]
-    order = [event["position"] for event in _of_kind(events, "position_committed")]
+    assert [event["positions"] for event in of_kind(events, "pass_started")] == [[1, 4]]
+    order = [event["position"] for event in of_kind(events, "position_committed")]
     assert sorted(order[:6]) == [0, 1, 2, 3, 4, 5]
     assert order[6:] == [1, 4]
-    assert _status(bank) == [1] * 6
+    assert held(bank) == [1] * 6
     with h5py.File(bank, "r") as file:
         assert list(file["quality/attempts"]) == [1, 4, 1, 1, 4, 1]
 
@@ -155,10 +144,10 @@ def test_a_pass_that_does_not_help_comes_once_and_another_capture_changes_nothin
 ) -> None:
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 1\ncount = 99')
     bank, events, _ = _captured(lab, capsys)
-    assert [event["position"] for event in _of_kind(events, "position_kept")] == [1]
-    assert _status(bank) == [1, 4, 1, 1, 1, 1]
+    assert [event["position"] for event in of_kind(events, "position_kept")] == [1]
+    assert held(bank) == [1, 4, 1, 1, 1, 1]
     before = bank.read_bytes()
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
     assert bank.read_bytes() == before
 
 
@@ -166,8 +155,8 @@ def test_given_no_passes_in_the_run_file_then_none_comes(lab: Path, capsys: pyte
     change_text(lab / "run.toml", "[quality]", "[quality]\nremeasure_pass = 0")
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 1\ncount = 3')
     bank, events, _ = _captured(lab, capsys)
-    assert not _of_kind(events, "pass_started")
-    assert _status(bank) == [1, 4, 1, 1, 1, 1]
+    assert not of_kind(events, "pass_started")
+    assert held(bank) == [1, 4, 1, 1, 1, 1]
 
 
 @pytest.mark.parametrize(("position", "attempt"), [(1, 2), (3, 5)])
@@ -184,32 +173,9 @@ def test_given_a_break_in_a_round_or_in_the_pass_then_resume_ends_byte_identical
     uninterrupted = reference.read_bytes()
     reference.unlink()
     bank = lab / "plate.h5"
-    _interrupted(lab, bank, position, attempt)
-    assert _wavefocus("resume", bank) == 0
+    with Lines("capture", lab / "run.toml", "--bank", bank, "--json") as killed:
+        while (begun := killed.hear("position_started"))["position"] != position or begun["attempt"] != attempt:
+            pass
+        killed.process.kill()
+    assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == uninterrupted
-
-
-def _interrupted(lab: Path, bank: Path, position: int, attempt: int) -> None:
-    """A session of the campaign that ends at the first record of an attempt, as a kill there would end it."""
-    from wavefocus.acquisition.engine.campaign import Campaign
-    from wavefocus.acquisition.engine.session import StopRequest
-    from wavefocus.campaign.blueprint import blueprint_from_files
-    from wavefocus.config.messages.campaign import Event, PositionStarted
-    from wavefocus.rig.setup import open_setup
-    from wavefocus.storage.bank.writer import BankWriter, create_bank
-
-    class KilledError(BaseException):
-        """The end of the process."""
-
-    def publish(event: Event) -> None:
-        if isinstance(event, PositionStarted) and (event.position, event.attempt) == (position, attempt):
-            raise KilledError
-
-    blueprint = blueprint_from_files(lab / "run.toml")
-    create_bank(bank, blueprint.bank_header())
-    with (
-        BankWriter.open(bank, plan_sha256=blueprint.plan.sha256) as writer,
-        open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
-        pytest.raises(KilledError),
-    ):
-        Campaign(blueprint.plan, setup, writer, publish, StopRequest()).run()

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
+from tests.system.captures import events_of, of_kind, wavefocus
 from tests.system.conftest import with_faults
-from wavefocus.__main__ import run
 
 READ = 'role = "recorder"\noperation = "read"\nkind = "faint_reference"\n'
 SCHEDULES = ["sequential", "staggered"]
 
 
-def _wavefocus(*arguments: object) -> int:
-    return run([str(argument) for argument in arguments])
-
-
 def _as(lab: Path, schedule: str) -> None:
-    if schedule == "staggered":
-        text = (lab / "run.toml").read_text(encoding="utf-8")
-        asked = '[capture]\nexcitation = "staggered"\n'
-        (lab / "run.toml").write_text(text.replace("[capture]\n", asked), encoding="utf-8")
+    change_text(lab / "run.toml", "[capture]\n", f'[capture]\nexcitation = "{schedule}"\n')
 
 
-def _captured(lab: Path, name: str, capsys: pytest.CaptureFixture[str]) -> tuple[Path, list[dict[str, object]]]:
+def _captured(lab: Path, name: str, capsys: pytest.CaptureFixture[str]) -> tuple[Path, list[dict[str, Any]]]:
     bank = lab / name
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
-    return bank, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    return bank, events_of(capsys.readouterr().out)
 
 
 def _rows(bank: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -38,12 +32,7 @@ def _rows(bank: Path) -> tuple[np.ndarray, np.ndarray]:
         return file["status"][...], file["green"][...].astype(np.float64)
 
 
-def _of_kind(events: list[dict[str, object]], kind: str) -> list[dict[str, object]]:
-    return [event for event in events if event["event"] == kind]
-
-
-@pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("level_db", [-0.3, 6.0])
+@pytest.mark.parametrize(("schedule", "level_db"), [("sequential", -0.3), ("staggered", 6.0)])
 def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(
     lab: Path, capsys: pytest.CaptureFixture[str], schedule: str, level_db: float
 ) -> None:
@@ -52,7 +41,7 @@ def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(
     faults = [f"{READ}position = {row}\nrecord = {'0' if schedule == 'staggered' else row % 3}" for row in range(6)]
     with_faults(lab, *(f"{one}\nlevel_db = {level_db}" for one in faults))
     bank, events = _captured(lab, "faint.h5", capsys)
-    assert {tuple(one["defects"]) for one in _of_kind(events, "position_repeated")} == {("reference level",)}  # type: ignore[arg-type]
+    assert {tuple(one["defects"]) for one in of_kind(events, "position_repeated")} == {("reference level",)}
     status, green = _rows(bank)
     _, right = _rows(quiet)
     assert list(status) == [1] * 6
@@ -66,7 +55,7 @@ def test_reference_that_stays_faint_then_position_is_poor_and_its_level_is_named
     _as(lab, schedule)
     with_faults(lab, f"{READ}position = 0\nrecord = 0\ncount = 99\nlevel_db = -0.3")
     bank, events = _captured(lab, "plate.h5", capsys)
-    told = next(one for one in _of_kind(events, "position_committed") if one["position"] == 0)
+    told = next(one for one in of_kind(events, "position_committed") if one["position"] == 0)
     assert told["defects"] == ["reference level"]
     assert "0.30 dB below" in str(told["reason"])
     assert told["moved_mm"] == [0.0, 0.0]
@@ -82,7 +71,10 @@ def test_a_reference_that_changes_within_its_calibration_is_refused(
     with_faults(lab, f"{READ}at_call = {2 * records + 2}\ncount = 999\nlevel_db = -0.2")
     bank, events = _captured(lab, "plate.h5", capsys)
     assert list(_rows(bank)[0]) == [1, 1, 4, 4, 4, 4]
-    assert {tuple(one["defects"]) for one in _of_kind(events, "position_committed")} == {(), ("reference level",)}  # type: ignore[arg-type]
+    assert {tuple(one["defects"]) for one in of_kind(events, "position_committed")} == {
+        (),
+        ("reference level",),
+    }
     with h5py.File(bank, "r") as file:
         assert file["quality/reference_db"][...] == pytest.approx([0.0, 0.0, -0.2, -0.2, -0.2, -0.2], abs=0.01)
 
@@ -93,7 +85,7 @@ def test_a_reference_off_in_every_record_stops_capture_early_and_says_why(
 ) -> None:
     _as(lab, schedule)
     with_faults(lab, f'{READ}purpose = "capture"\ncount = 999\nlevel_db = -0.54')
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 3
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 3
     last = capsys.readouterr().err.splitlines()[-1]
     assert "every record" in last
     assert "0.54 dB below its calibration" in last

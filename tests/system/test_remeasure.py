@@ -10,31 +10,26 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
+from tests.system.captures import wavefocus
 from tests.system.conftest import with_faults
-from wavefocus.__main__ import run
 
 READ = 'role = "recorder"\noperation = "read"\nposition = 2\n'
 
 
-def _wavefocus(*arguments: object) -> int:
-    return run([str(argument) for argument in arguments])
-
-
 def _captured(lab: Path, *faults: str, schedule: str = "sequential") -> Path:
-    text = (lab / "run.toml").read_text(encoding="utf-8")
-    asked = f'[capture]\nexcitation = "{schedule}"\n'
-    (lab / "run.toml").write_text(text.replace("[capture]\n", asked), encoding="utf-8")
+    change_text(lab / "run.toml", "[capture]\n", f'[capture]\nexcitation = "{schedule}"\n')
     with_faults(lab, *faults)
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     return lab / "plate.h5"
 
 
 def _remeasured(bank: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[list[dict[str, Any]], Any]:
     """The events of measuring position 2 again, and what status says then."""
     capsys.readouterr()
-    assert _wavefocus("remeasure", bank, "--positions", "2", "--json", *options) == 0
+    assert wavefocus("remeasure", bank, "--positions", "2", "--json", *options) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert _wavefocus("status", bank, "--json") == 0
+    assert wavefocus("status", bank, "--json") == 0
     return events, json.loads(capsys.readouterr().out)
 
 

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.system.captures import Listener, capture
 from wavefocus.__main__ import run
-from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.control import give_order, orders_path
-from wavefocus.commands.demo import compare_with_truth
-from wavefocus.config.run import Virtual
 from wavefocus.console import finish_clock
-from wavefocus.rig.virtual_bench import virtual_rig
-from wavefocus.storage.bank.reading import open_bank
 
 # Three records of two periods of 0.4 s with 0.12 s around them, and 0.05 s a position beside, the sentinel being the
 # seventh; 0.52 s of the loopback alone with 0.12 s around them, at the beginning and with the sentinel.
@@ -43,33 +38,22 @@ def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
     assert "6, 3 actuators, 18 records" in told.out
 
 
-def test_given_a_plan_then_its_bytes_are_those_of_the_bank(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_plan_then_its_bytes_are_those_of_the_bank(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
     planned = json.loads(capsys.readouterr().out)["bank_bytes"]
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
     # The plan allows HDF5 four front blocks of 1 MB, of which it needs one or two.
-    assert planned - 4.5e6 < (lab / "plate.h5").stat().st_size <= planned
+    assert planned - 4.5e6 < bank.stat().st_size <= planned
 
 
-def test_given_a_bank_then_status_tells_people_how_it_stands(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bank = lab / "plate.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+def test_given_a_bank_then_status_tells_people_how_it_stands(bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert run(["status", str(bank)]) == 0
     told = capsys.readouterr()
     assert told.err == ""
     assert "6 of 6 positions measured (6 valid)" in told.out
     assert "no process is measuring" in told.out
-
-
-def test_given_a_log_with_a_torn_line_then_status_still_reads_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bank = lab / "plate.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
-    with bank.with_suffix(".events.jsonl").open("a", encoding="utf-8") as log:
-        log.write('{"at": "2026-01-01T00:00:00+00:00", "event": "prog')
-    capsys.readouterr()
-    assert run(["status", str(bank), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["last_event_at"] is not None
 
 
 @pytest.mark.may_skip("only Linux has a device that is always full")
@@ -82,20 +66,6 @@ def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_s
     told = capsys.readouterr().err
     assert told.count("plate.events.jsonl cannot be written any more") == 1
     assert "finished: 6 of 6 positions (6 valid)" in told
-
-
-def test_given_a_measured_bank_then_it_is_near_the_plates_truth(lab: Path) -> None:
-    bank = lab / "plate.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
-    with open_bank(bank) as view:
-        configuration = bank_configuration(view)
-        rig = virtual_rig(configuration.rig, configuration.run.virtual or Virtual())
-        error_db = compare_with_truth(view, rig)
-        snr_db = view.quality["snr_db"]
-    assert error_db.shape == (6, 3)
-    assert np.median(error_db) < -45.0
-    # Each pair is as good as its own signal-to-noise ratio promises, up to a few dB.
-    assert np.max(error_db + np.minimum(snr_db, 70.0)) < 8.0
 
 
 def test_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(
@@ -150,6 +120,8 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(
     assert early["remaining_s"] == pytest.approx(PLANNED_S, rel=0.01)  # as planned
     assert (paused["state"], paused["done"], paused["record"]) == ("paused", 1, {"position": 0, "number": 3, "of": 3})
     assert float(str(paused["remaining_s"])) > 4 * 3 * 2 * 0.4
+    assert paused["owner"]["pid"] == os.getpid()  # type: ignore[index]
+    assert float(str(paused["positions_per_hour"])) > 0
     assert float(str(paused["wall_remaining_s"])) > 0
     assert "5 positions to go" in told[1]
     assert "finished at" not in told[1]

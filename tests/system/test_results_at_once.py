@@ -19,7 +19,6 @@ from tests.lab_files import change_text, write_positions
 from tests.system.test_trials import TRIALS
 from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.output_files import staged_folder
 
 POSITIONS, ACTUATORS, TAPS = 5, 2, 16
 # Python reports each renaming to audit hooks; the process ends there as if it were killed.
@@ -85,16 +84,6 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
     assert (True, 0) in outcomes
     assert {which for killed, which in outcomes if not killed} == {1}
     assert [entry.name for entry in tmp_path.iterdir() if "partial" in entry.name] == []
-
-
-def test_an_export_that_is_killed_in_a_new_folder_then_goes_on_by_the_same_command(tmp_path: Path) -> None:
-    bank = bank_of(tmp_path / "bank.h5", 1.0)
-    for renaming in range(1, 20):
-        command = ["export", str(bank), str(tmp_path / f"sounds{renaming}"), "--to", "wav"]
-        if not killed_at(renaming, RUNS, *command):
-            break
-        assert run(command) == 0
-    assert renaming > 1
 
 
 def test_a_capture_with_recordings_that_is_killed_then_goes_on_by_the_same_command(lab: Path) -> None:
@@ -165,37 +154,6 @@ with staged_folder(Path(sys.argv[1]), "record", ("stale",)) as staged:
     for name in ("a", "b", "record"):
         (staged / name).write_text("new")
 """
-
-
-def test_a_staged_folder_that_is_killed_then_has_a_record_only_with_its_own_files(tmp_path: Path) -> None:
-    for renaming in range(1, 20):
-        out = tmp_path / str(renaming)
-        out.mkdir()
-        for name in ("a", "b", "record", "stale"):
-            (out / name).write_text("old")
-        (out / "notes").write_text("mine")
-        killed = killed_at(renaming, STAGED, out)
-        found = {file.name: file.read_text() for file in out.iterdir() if file.is_file()}
-        assert found.pop("notes") == "mine"
-        if "record" in found:
-            assert set(found.values()) == {found["record"]}
-        assert run_again(out) == {"a": "newer", "record": "newer", "b": "new", "notes": "mine"} if killed else True
-        if not killed:
-            assert found == {"a": "new", "b": "new", "record": "new"}
-            break
-    assert renaming > 5
-
-
-def run_again(out: Path) -> dict[str, str]:
-    """Contents after the next command wrote two of the files, and what the killed one left behind is finished."""
-    with staged_folder(out, "record", ("stale",)) as staged:
-        left = {file.name for file in out.iterdir() if file.is_file()}
-        assert left in ({"a", "b", "record", "notes"}, {"a", "b", "record", "stale", "notes"})
-        for name in ("a", "record"):
-            (staged / name).write_text("newer")
-    if "old" in (content := {file.name: file.read_text() for file in out.iterdir()}).values():
-        content["b"] = "new"  # killed before anything was noted: the older file stays, as one that is not written
-    return content
 
 
 def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from tests.lab_files import change_text
+from tests.system.captures import events_of, wavefocus
 from tests.system.conftest import with_faults, write_lab
-from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_from_files, blueprint_of
 from wavefocus.commands.demo import compare_with_truth
 from wavefocus.rig.virtual_bench import virtual_rig
@@ -25,10 +25,6 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import create_bank
 
 KEEP = 'excitation = "staggered"'
-
-
-def _wavefocus(*arguments: object) -> int:
-    return run([str(argument) for argument in arguments])
 
 
 def _with_capture(lab: Path, *lines: str) -> Path:
@@ -45,14 +41,10 @@ def _median_error_db(bank: Path) -> float:
         return float(np.nanmedian(compare_with_truth(content, rig)))
 
 
-def _events(text: str) -> list[dict[str, object]]:
-    return [json.loads(line) for line in text.splitlines()]
-
-
 def test_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(lab: Path) -> None:
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "sequential.h5") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "sequential.h5") == 0
     _with_capture(lab, KEEP)
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "staggered.h5") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "staggered.h5") == 0
     with h5py.File(lab / "staggered.h5") as file:
         assert list(file["status"]) == [1] * 6
     # A period of 0.375 s takes the place of two sweeps of 0.3 s each.
@@ -60,22 +52,10 @@ def test_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(
     assert _median_error_db(lab / "staggered.h5") < _median_error_db(lab / "sequential.h5") + allowed_db
 
 
-def test_given_a_staggered_run_then_its_records_take_the_time_that_was_planned(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _with_capture(lab, KEEP, "groups = 2", "periods = 2")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == 0
-    events = _events(capsys.readouterr().out)
-    (started,) = [one for one in events if one["event"] == "session_started"]
-    assert events[-1]["time_s"] == pytest.approx(started["planned_s"], rel=0.1)
-    committed = [one for one in events if one["event"] == "position_committed"]
-    assert [one["clock_ppm"] for one in committed] == pytest.approx([30.0] * 6, abs=0.5)
-
-
 def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab: Path) -> None:
     # Many periods, so that the kill meets the campaign on a machine that is busy too.
     _with_capture(lab, KEEP, "periods = 20", "keep_raw = true")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "reference.h5") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "reference.h5") == 0
     bank = lab / "plate.h5"
     arguments = ["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
     with subprocess.Popen(
@@ -89,7 +69,7 @@ def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab
     assert process.wait() == -signal.SIGKILL
     with h5py.File(bank) as file:
         assert np.count_nonzero(file["status"]) < 6
-    assert _wavefocus("resume", bank) == 0
+    assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == (lab / "reference.h5").read_bytes()
     assert bank.with_suffix(".raw.h5").read_bytes() == (lab / "reference.raw.h5").read_bytes()
 
@@ -105,9 +85,9 @@ def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(
         f'{trial}\nattempt = 2\nrecord = 1\nkind = "missing_reference"',
         f'{trial}\nattempt = 3\nrecord = 0\nkind = "unplugged"',
     )
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
     output = capsys.readouterr()
-    compared = _events(output.out)[0]
+    compared = events_of(output.out)[0]
     assert compared["event"] == "schedule_settled"
     assert str(compared["reason"]) in output.err
     staggered, sequential = compared["candidates"]
@@ -115,9 +95,9 @@ def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(
     assert -70.0 < sequential["error_db"] < staggered["error_db"] < -25.0
     assert staggered["campaign_s"] < sequential["campaign_s"]
     # The bank is there: nothing is compared again.
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
     assert "schedule_settled" not in capsys.readouterr().out
-    assert _wavefocus("resume", bank) == 0
+    assert wavefocus("resume", bank) == 0
 
 
 def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on_so(lab: Path) -> None:
@@ -130,7 +110,7 @@ def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on
     held = json.loads(header.run_json)
     held["settled"]["asked"] |= {"when_staggered_does_not_pay": "choose", "allowed_loss_db": 3.0}
     create_bank(lab / "plate.h5", replace(header, run_json=json.dumps(held)))
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     assert blueprint_from_bank(lab / "plate.h5").plan.staggered is None
 
 
@@ -139,7 +119,7 @@ def with_recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A lab with a sequential bank and its recordings; to be copied."""
     lab = write_lab(tmp_path_factory.mktemp("with_recordings"))
     _with_capture(lab, "keep_raw = true")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     return lab
 
 
@@ -152,8 +132,8 @@ def kept(lab: Path, with_recordings: Path) -> Path:
 
 def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab: Path) -> None:
     _with_capture(lab, KEEP, "keep_raw = true")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
-    assert _wavefocus("estimate", lab / "plate.raw.h5", "--bank", lab / "again.h5") == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    assert wavefocus("estimate", lab / "plate.raw.h5", "--bank", lab / "again.h5") == 0
     with h5py.File(lab / "plate.h5") as then, h5py.File(lab / "again.h5") as now:
         assert np.array_equal(then["green"][:], now["green"][:])
         assert np.array_equal(then["status"][:], now["status"][:])
@@ -164,7 +144,7 @@ def test_given_recordings_that_are_gone_then_resume_refuses_by_a_sentence(
 ) -> None:
     (kept / "plate.raw.h5").unlink()
     capsys.readouterr()
-    assert _wavefocus("resume", kept / "plate.h5") == 2
+    assert wavefocus("resume", kept / "plate.h5") == 2
     assert "plate.raw.h5 is missing" in capsys.readouterr().err
 
 
@@ -175,9 +155,9 @@ def test_given_a_lost_row_of_recordings_then_resume_measures_that_position_again
     with h5py.File(raw, "r+") as file:
         file["durability/ledger"][2] = 0
     capsys.readouterr()
-    assert _wavefocus("resume", kept / "plate.h5") == 0
+    assert wavefocus("resume", kept / "plate.h5") == 0
     assert "lacks the recordings of 1 measured position" in capsys.readouterr().err
-    assert _wavefocus("estimate", raw, "--bank", kept / "again.h5") == 0
+    assert wavefocus("estimate", raw, "--bank", kept / "again.h5") == 0
     with h5py.File(kept / "plate.h5") as then, h5py.File(kept / "again.h5") as now:
         assert np.array_equal(then["green"][:], now["green"][:])
 
@@ -189,10 +169,10 @@ def test_damaged_recordings_then_estimate_tells_and_remeasuring_position_cures_i
     with h5py.File(raw, "r+") as file:
         file["response"][2, 0, 100:200] ^= 64
     capsys.readouterr()
-    assert _wavefocus("estimate", raw, "--bank", kept / "damaged.h5") == 0
+    assert wavefocus("estimate", raw, "--bank", kept / "damaged.h5") == 0
     assert "position 2 failed" in capsys.readouterr().err
-    assert _wavefocus("remeasure", kept / "plate.h5", "--positions", "2") == 0
-    assert _wavefocus("estimate", raw, "--bank", kept / "cured.h5") == 0
+    assert wavefocus("remeasure", kept / "plate.h5", "--positions", "2") == 0
+    assert wavefocus("estimate", raw, "--bank", kept / "cured.h5") == 0
     with h5py.File(kept / "plate.h5") as then, h5py.File(kept / "cured.h5") as now:
         assert list(now["status"]) == [1] * 6
         assert np.array_equal(then["green"][:], now["green"][:])

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import soundfile
 
+from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 from wavefocus.storage.drive_file import read_drive
 
@@ -41,11 +41,7 @@ limit_v = 0.01
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
-    x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
-    green = np.random.default_rng(4).standard_normal((15, 3, 60)) * np.exp(-np.arange(60) / 15)
-    with h5py.File(tmp_path / "bank.h5", "w") as file:
-        file["green"], file["position_mm"] = green, np.column_stack([x_mm.ravel(), y_mm.ravel()])
-        file.attrs["sample_rate_hz"] = 2000.0
+    write_foreign(tmp_path / "bank.h5")
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     return tmp_path
@@ -73,32 +69,3 @@ def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(
     assert "between samples" in figures["limited_by"]
     assert figures["scale"] == drive.scale < 1
     assert "between samples = 0.01 V; actuator" in told.err
-
-
-@pytest.mark.parametrize(
-    ("command", "told"),
-    [
-        (("play", "scene.toml"), "scene.toml is a TOML file"),
-        (("play", "drive.h5", "--bank", "bank.h5"), "--bank is gone: render the scene, and play the drive file"),
-        (("render", "scene.toml", "--picture", "scene.png"), "--picture is gone: the window"),
-        (("render", "scene.toml", "--allow-large"), "--allow-large is gone: a scene may have 8 GiB"),
-    ],
-)
-def test_given_a_scene_to_play_or_an_option_that_is_gone_then_it_says_what_to_do(
-    lab: Path, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], told: str
-) -> None:
-    place = ["--bank", str(lab / "bank.h5"), "--out", "x.h5"] if command[0] == "render" else ["--rig", "virtual"]
-    assert run([command[0], str(lab / command[1]), *place, *command[2:]]) == 2
-    error = capsys.readouterr().err
-    assert told in error
-    assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("options", "told"), [(("--device", "cuda", "--tolerance-db", "-60"), "--device c"), (("--stream",), "is gone")]
-)
-def test_given_what_a_gpu_does_not_know_or_what_is_gone_then_it_is_refused(
-    lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], told: str
-) -> None:
-    assert render(lab, "drive", *options) == 2
-    assert told in capsys.readouterr().err
