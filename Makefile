@@ -49,7 +49,7 @@ test: ## Run unit, contract and wire tests, and one test of each command and tab
 test-all: ## Run the tests that `make test` leaves out: whole commands, kills, captures in real time
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test-all
-	$(PY) -m pytest -m "(whole or long) and not nightly" $(ARGS)
+	$(PY) -m pytest --dist loadfile -m "(whole or long) and not nightly" $(ARGS)
 
 test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new cases, coverage, soak; two hours
 	@tools/system-packages.sh $(TEST_PACKAGES)

@@ -133,7 +133,7 @@ def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab:
 LONE_SCHEDULER = SCHEDULER.replace("n_workers=2, threads_per_worker=1", "n_workers=0")
 
 
-@pytest.mark.parametrize("lost", ["scheduler", "worker"])
+@pytest.mark.parametrize("lost", ["scheduler", pytest.param("worker", marks=pytest.mark.nightly)])
 def test_given_a_cluster_that_dies_then_one_sentence_says_so(
     tmp_path: Path, lost: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

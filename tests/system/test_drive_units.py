@@ -99,8 +99,8 @@ def test_drives_that_are_not_in_volts_then_are_not_played(
     assert wf.render(scene, array).drive_unit == drive_of(unit)
 
 
-@pytest.mark.parametrize("unit", ["m/s/N", "m/s per mV", "m s-1 V-1", "mm/s²/kN"])
 @pytest.mark.parametrize("kind", ["sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf"])
+@pytest.mark.parametrize("unit", ["m/s per mV", "mm/s²/kN"])
 def test_an_export_then_names_units_that_the_import_reads_back(tmp_path: Path, kind: str, unit: str) -> None:
     bank, out, back = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "out", tmp_path / "back.h5"
     assert run(["export", str(bank), str(out), "--to", *kind.split()]) == 0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -34,12 +36,25 @@ signal = { kind = "file", path = "sound.wav" }
 OLD = b"precious results of an earlier day"
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a bank, a scene with its sound, a drive and a field of them."""
+    folder = tmp_path_factory.mktemp("made")
+    with contextlib.chdir(folder):
+        make()
+    return folder
+
+
 @pytest.fixture
-def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A bank, a scene with its sound, a drive and a field of them; the working folder."""
+def lab(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same, as the working folder of a test."""
+    monkeypatch.chdir(tmp_path)
+    return Path(shutil.copytree(made, tmp_path, dirs_exist_ok=True))
+
+
+def make() -> None:
     import soundfile
 
-    monkeypatch.chdir(tmp_path)
     random = np.random.default_rng(4)
     for name in ("bank.h5", "other.h5"):
         write_foreign(Path(name))
@@ -49,7 +64,6 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("scene.toml").write_text(SCENE, encoding="utf-8")
     assert run(["render", "scene.toml", "--bank", "bank.h5", "--out", "drive.h5"]) == 0
     assert run(["predict", "drive.h5", "--bank", "bank.h5", "--out", "field.h5"]) == 0
-    return tmp_path
 
 
 RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out"]
@@ -231,7 +245,7 @@ def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(la
     [
         (["npz"], "1"),
         (["wav", "predict"], "8"),
-        pytest.param(["render", "snapshots", "uff", "mat", "movie"], "4", marks=pytest.mark.long),
+        pytest.param(["render", "snapshots", "uff", "mat", "movie"], "4", marks=pytest.mark.nightly),
     ],
 )
 @pytest.mark.timeout(600)

@@ -60,7 +60,7 @@ interpolation = "kernel"
         ("stadium", "rectangle", (90.0, 60.0, 4.0)),
         pytest.param("thin", "rectangle", (300.0, 200.0, 20.0), marks=pytest.mark.nightly),
         pytest.param("thin, infinite", "stadium", (300.0, 200.0, 20.0), marks=pytest.mark.nightly),
-        ("solid", "stadium", (90.0, 60.0, 4.0)),
+        pytest.param("solid", "stadium", (90.0, 60.0, 4.0), marks=pytest.mark.nightly),
     ],
 )
 def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(

@@ -31,9 +31,7 @@ def _captured(lab: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, list
     [
         ('kind = "clipped"\nlevel_db = -0.45', "clipping", "amplitude", 2),
         ('kind = "lost_sample"', "unsteady", "lost samples", 4),
-        ('kind = "dropout"', "unexplained", "focus the laser", 4),
         ('kind = "hum"\nlevel_db = -40.0', "hum", "ground loop", 4),
-        ('kind = "dead_response"', "dead channel", "cable", 4),
         ('kind = "dark"', "dropout", "light", 4),
     ],
 )

@@ -85,12 +85,7 @@ def marks_file(folder: Path) -> Path:
 def test_the_doctor_asks_every_instrument_and_a_missing_one_hides_no_other(
     rig: Path, sides: EmulatedInstruments
 ) -> None:
-    for _ in range(5):
-        code, told = doctor(rig, sides)
-        if ("recorder", "record") not in failures(told):  # a busy machine's
-            break
-    # The loopback's full scale is not calibrated: every position would be poor.
-    assert (code, failures(told)) == (1, [("player", "loopback level")])
+    # Where the loopback's full scale is not calibrated, every position would be poor.
     full_scale_v = 5.0 * output_errors(len(ACTUATORS) + 1, SPREAD_S, SPREAD_DB, SEED)[1][-1]
     change_text(rig, "[player]", f"[player]\nfull_scale_v = {full_scale_v}\nlimit_v = 4.0")
     for _ in range(5):
