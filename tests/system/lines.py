@@ -37,9 +37,13 @@ class Lines:
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()
 
+    def told(self) -> dict[str, Any] | None:
+        """The next line that it tells; None at its end."""
+        return self._told.get(timeout=SOON_S)
+
     def hear(self, *events: str) -> dict[str, Any]:
         """The next event of one of some kinds; those before it are passed over."""
-        while (told := self._told.get(timeout=SOON_S)) is not None:
+        while (told := self.told()) is not None:
             if told["event"] in events:
                 return told
         raise AssertionError(f"it ended without {' or '.join(events)}: {self.said}")
@@ -58,7 +62,7 @@ class Lines:
     def rest(self) -> list[dict[str, Any]]:
         """All that it tells until its end."""
         told = []
-        while (one := self._told.get(timeout=SOON_S)) is not None:
+        while (one := self.told()) is not None:
             told.append(one)
         return told
 
@@ -97,4 +101,5 @@ class Lines:
 
     def _listen(self) -> None:
         assert self.process.stderr is not None
-        self.said.extend(line.rstrip() for line in self.process.stderr)
+        for line in self.process.stderr:
+            self.said.append(line.rstrip())

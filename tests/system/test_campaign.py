@@ -168,26 +168,6 @@ def test_given_three_positions_in_a_row_without_a_record_then_exit_3(
     assert "3 positions in a row" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_given_a_second_process_then_exit_75_names_the_owner(bank: Path) -> None:
-    hold = (
-        "import sys, time\n"
-        "from wavefocus.storage.bank.writer import BankWriter\n"
-        f"with BankWriter.open({str(bank)!r}):\n"
-        "    print('mine', flush=True)\n"
-        "    sys.stdin.read()\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
-        assert owner.stdout is not None
-        assert owner.stdout.readline().strip() == b"mine"
-        second = subprocess.run(
-            [sys.executable, "-m", "wavefocus", "resume", str(bank)], capture_output=True, text=True, check=False
-        )
-        owner.communicate(timeout=20)
-    assert second.returncode == 75
-    assert str(owner.pid) in second.stderr
-    assert "Traceback" not in second.stderr
-
-
 def test_given_another_run_file_then_the_bank_is_refused_and_untouched(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

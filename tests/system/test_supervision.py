@@ -149,6 +149,8 @@ def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(
         assert f"process {owner.pid}" in told
         assert "does not answer" in told
         assert not (lab / "plate.h5.orders").exists()
+        assert run(["resume", str(bank)]) == 75
+        assert str(owner.pid) in capsys.readouterr().err
         assert run(["status", str(bank)]) == 0
         assert "owns the bank but has been silent for" in capsys.readouterr().out
         assert run(["status", str(bank), "--json"]) == 0

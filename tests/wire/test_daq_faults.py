@@ -220,11 +220,12 @@ def test_given_a_silent_server_then_clearing_up_waits_for_no_second_deadline():
         assert len(bench.server.log) + len(bench.server.under_way) == silent
 
 
-def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back():
+@pytest.mark.parametrize("wiring", [{}, {"resets": False, "task_name": "wavefocus_here"}], ids=["reset", "by name"])
+def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back(wiring):
     # The server stays silent while the first recorder clears up, so that its task stays there, committed.
     silence = fault("silent", "StopTask", at_call=2)
     with daq_bench(faults=silence) as bench:
-        recorder = bench.recorder(answer_s=ANSWER_S)
+        recorder = bench.recorder(answer_s=ANSWER_S, **wiring)
         check_tone(take_one(recorder))
         with pytest.raises(LOST, match="does not answer"):
             take_one(recorder)
@@ -232,19 +233,7 @@ def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back
             bench.recorder().start(ask())
         recorder.reconnect()
         check_tone(take_one(recorder))
-        assert bench.calls("ResetDevice") == 1
-
-
-def test_a_box_that_a_dead_session_reserved_is_taken_back_without_a_reset():
-    silence = fault("silent", "StopTask", at_call=2)
-    with daq_bench(faults=silence) as bench:
-        recorder = bench.recorder(answer_s=ANSWER_S, resets=False, task_name="wavefocus_here")
-        check_tone(take_one(recorder))
-        with pytest.raises(LOST, match="does not answer"):
-            take_one(recorder)
-        recorder.reconnect()
-        check_tone(take_one(recorder))
-        assert bench.calls("ResetDevice") == 0
+        assert bench.calls("ResetDevice") == (not wiring)
 
 
 def test_what_a_killed_process_left_reserved_goes_to_the_next_recorder():

@@ -34,6 +34,7 @@ def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came
     assert any("closed" in line for line in lines)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(LOCAL != "pty", reason="the emulated mirror is behind a path")
 def test_emulated_rig_then_doctors_record_has_what_every_instrument_was_asked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
