@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5py
 
+from tests.system.lines import Lines
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.storage.bank.writer import create_bank
@@ -54,20 +53,9 @@ def held(bank: Path, name: str = "status") -> list[int]:
         return list(file[name][...].tolist())
 
 
-def capture_process(lab: Path, bank: Path) -> subprocess.Popen[str]:
-    """A capture in a process of its own, its events on its standard output."""
-    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def await_event(child: subprocess.Popen[str], kind: str, done: int = 0) -> None:
-    """Return when such a process reports an event of a kind, so many positions being done."""
-    assert child.stdout is not None
-    for line in child.stdout:
-        event = json.loads(line)
-        if event["event"] == kind and event.get("done", done) >= done:
-            return
-    raise AssertionError(f"ended before {kind}: {child.wait()}")
+def capture_process(lab: Path, bank: Path) -> Lines:
+    """A capture in a process of its own."""
+    return Lines("capture", lab / "run.toml", "--bank", bank, "--json")
 
 
 class Listener(io.TextIOBase):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import await_event, capture_process, events_of, held, wavefocus
+from tests.system.captures import capture_process, events_of, held, wavefocus
 from tests.system.conftest import with_faults, write_lab
 
 
@@ -69,9 +69,9 @@ def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab: Path, 
     _take_longer(lab)
     bank = lab / "plate.h5"
     with capture_process(lab, bank) as child:
-        await_event(child, "progress", 2)
-        child.kill()
-    assert child.returncode != 0
+        while child.hear("progress")["done"] < 2:
+            pass
+        child.process.kill()
     assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == reference
 
@@ -80,13 +80,13 @@ def test_a_bank_deleted_while_it_is_measured_exits_3_and_its_rescue_is_identical
     _take_longer(lab)
     bank = lab / "plate.h5"
     with capture_process(lab, bank) as child:
-        await_event(child, "progress", 2)
+        while child.hear("progress")["done"] < 2:
+            pass
         bank.unlink()
-        rest, told = child.communicate(timeout=60)
-    assert child.returncode == 3, told
-    assert events_of(rest)[-1]["state"] == "failed"
+        assert child.rest()[-1]["state"] == "failed"
+        assert child.end() == 3
     rescue = lab / "plate.rescue.h5"
-    assert str(rescue) in told
+    assert str(rescue) in "".join(child.said)
     assert wavefocus("resume", rescue) == 0
     assert rescue.read_bytes() == reference
 
@@ -105,17 +105,14 @@ def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(
     _take_longer(lab)
     bank = lab / "plate.h5"
     with capture_process(lab, bank) as child:
-        await_event(child, "position_started")
+        child.hear("position_started")
         for _ in range(interrupts):
-            child.send_signal(signal.SIGINT)
+            child.process.send_signal(signal.SIGINT)
             time.sleep(0.001)
-        rest, told = child.communicate(timeout=60)
-    assert child.returncode == 130, told
-    ended = events_of(rest)[-1]
-    assert ended["event"] == "session_ended"
-    assert ended["state"] == "stopped"
-    assert f"wavefocus resume {bank}" in told
-    assert "Traceback" not in told
+        ended = child.rest()[-1]
+        assert child.end() == 130
+    assert (ended["event"], ended["state"]) == ("session_ended", "stopped")
+    assert f"wavefocus resume {bank}" in "".join(child.said)
     assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == reference
 

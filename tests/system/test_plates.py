@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.system.captures import capture_process
 from wavefocus.__main__ import run
 from wavefocus.storage.bank.reading import open_bank
 
@@ -81,14 +80,10 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
         (tmp_path / name).write_text(text, encoding="utf-8")
     quiet, bank = tmp_path / "quiet.h5", tmp_path / "plate.h5"
     assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(quiet)]) == 0
-    start = [sys.executable, "-m", "wavefocus", "capture", str(tmp_path / "run.toml"), "--bank", str(bank), "--json"]
-    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
-        assert child.stdout is not None
-        for line in child.stdout:
-            event = json.loads(line)
-            if event["event"] == "progress" and event["done"] >= 3:
-                child.kill()
-                break
+    with capture_process(tmp_path, bank) as child:
+        while child.hear("progress")["done"] < 3:
+            pass
+        child.process.kill()
     assert run(["resume", str(bank)]) == 0
     assert bank.read_bytes() == quiet.read_bytes()
     assert run(["check", str(bank)]) == 0

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import events_of, wavefocus
+from tests.system.captures import capture_process, events_of, wavefocus
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_from_files, blueprint_of
 from wavefocus.commands.demo import compare_with_truth
@@ -57,16 +53,9 @@ def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab
     _with_capture(lab, KEEP, "periods = 20", "keep_raw = true")
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "reference.h5") == 0
     bank = lab / "plate.h5"
-    arguments = ["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "wavefocus", *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            if '"position_committed"' in line:
-                os.kill(process.pid, signal.SIGKILL)
-                break
-    assert process.wait() == -signal.SIGKILL
+    with capture_process(lab, bank) as child:
+        child.hear("position_committed")
+        child.process.kill()
     with h5py.File(bank) as file:
         assert np.count_nonzero(file["status"]) < 6
     assert wavefocus("resume", bank) == 0

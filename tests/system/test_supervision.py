@@ -17,7 +17,6 @@ import pytest
 from tests.lab_files import change_text
 from tests.system.captures import (
     Listener,
-    await_event,
     capture,
     capture_process,
     empty_bank,
@@ -230,28 +229,21 @@ def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab
 LONG_NIGHT = ("averages = 2", "averages = 40")
 
 
-def _start(lab: Path, bank: Path) -> subprocess.Popen[str]:
-    """A capture of its own, under way when this returns; parking fails, so that it is told."""
-    change_text(lab / "run.toml", *LONG_NIGHT)
-    with_faults(lab, 'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1')
-    child = capture_process(lab, bank)
-    await_event(child, "position_committed")
-    return child
-
-
 @POSIX
 @pytest.mark.may_skip("Windows has none of these signals")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])
 def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number: str) -> None:
     bank = lab / "plate.h5"
-    child = _start(lab, bank)
-    child.send_signal(getattr(signal, number))
-    rest, told = child.communicate(timeout=60)
-    assert child.returncode == 130, told
-    assert "on the way out: virtual mirror: parking" in told
-    ended = [json.loads(line) for line in rest.splitlines()]
-    assert ended[-1]["event"] == "session_ended"
-    assert ended[-1]["state"] == "stopped"
+    change_text(lab / "run.toml", *LONG_NIGHT)
+    # Parking fails, so that it is told.
+    with_faults(lab, 'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1')
+    with capture_process(lab, bank) as child:
+        child.hear("position_committed")
+        child.process.send_signal(getattr(signal, number))
+        ended = child.rest()
+        assert child.end() == 130
+    assert any("on the way out: virtual mirror: parking" in line for line in child.said)
+    assert (ended[-1]["event"], ended[-1]["state"]) == ("session_ended", "stopped")
     if number == "SIGHUP":
         assert any("terminal was closed" in str(getattr(one.event, "reason", "")) for one in last_events(bank))
         assert any(one["event"] == "position_committed" for one in ended)  # the one under way was finished
