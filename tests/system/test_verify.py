@@ -212,3 +212,21 @@ def test_given_a_louder_actuator_then_cause_and_remedy_stand_first_in_the_report
     assert symptom["sentence"] in printed.err
     report = (lab / "verify" / "report.html").read_text(encoding="utf-8")
     assert report.index(symptom["sentence"]) < report.index(symptom["remedy"]) < report.index("<table>")
+
+
+@pytest.mark.parametrize(
+    ("emulation", "code", "actuators"),
+    [("swapped_outputs = [[0, 2]]", "swapped", [0, 2]), ("output_delays_s = [0, 2e-4]", "delay", [1])],
+)
+def test_given_a_rig_that_was_changed_then_its_cause_is_named(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], emulation: str, code: str, actuators: list[int]
+) -> None:
+    change_text(
+        lab / "scene.toml", 'kind = "sine", frequency_hz = 200.0', 'kind = "noise", band_hz = [50, 450], seed = 1'
+    )
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write(f"\n[emulation]\n{emulation}\n")
+    capsys.readouterr()
+    assert _verify(lab, bank) == 1
+    (symptom,) = json.loads(capsys.readouterr().out)["symptoms"]
+    assert (symptom["code"], symptom["actuators"]) == (code, actuators)
