@@ -63,17 +63,6 @@ def calibrate(rig: Path, *options: object, lines: list[str] | None = None, code:
     return json.loads(out.getvalue()) if out.getvalue() else {}, told.getvalue()
 
 
-def calibrate_as_process(
-    rig: Path, *options: object, lines: list[str] | None = None, code: int = 0
-) -> tuple[dict[str, Any], str]:
-    """The same, standard input being a pipe."""
-    command = [sys.executable, "-m", "wavefocus", "calibrate", str(rig), "--json", *map(str, options)]
-    done = subprocess.run(command, input=typed_by(lines), capture_output=True, text=True, check=False)
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    return json.loads(done.stdout) if done.stdout else {}, done.stderr
-
-
 def typed_by(lines: list[str] | None) -> str:
     """What a person types: these lines, or Enter as often as it takes."""
     return "\n" * 50 if lines is None else "".join(f"{line}\n" for line in lines)
@@ -108,7 +97,7 @@ def name_in(rig: Path, file: Path) -> None:
 
 
 def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig: Path) -> None:
-    told, people = calibrate_as_process(rig, "--fiducials", marks_file(rig.parent))
+    told, people = calibrate(rig, "--fiducials", marks_file(rig.parent))
     file = rig.parent / f"calibration-{date.today().isoformat()}.toml"
     assert told["file"] == str(file)
     assert told["measured"] == ["inputs", "outputs", "mirror", "actuators"]

@@ -55,17 +55,8 @@ def test_a_users_modules_of_the_same_names_and_ours_work_side_by_side(bank, kind
 @pytest.mark.timeout(900)
 def test_a_wheel_next_to_the_package_config_runs_the_demo_among_users_files(tmp_path):
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    checked(
-        *pip,
-        "wheel",
-        "-q",
-        "--no-deps",
-        "--no-build-isolation",
-        "-w",
-        tmp_path / "wheel",
-        copy_of_source(tmp_path),
-        cwd=tmp_path,
-    )
+    build = ["wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path / "wheel", copy_of_source(tmp_path)]
+    checked(*pip, *build, cwd=tmp_path)
     (wheel,) = (tmp_path / "wheel").iterdir()
     environment = tmp_path / "environment"
     venv.create(environment, with_pip=False)

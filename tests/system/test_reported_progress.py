@@ -91,22 +91,17 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(
     facts: list[dict[str, object]] = []
     told: list[str] = []
 
+    def status(*options: str) -> str:
+        command = [sys.executable, "-m", "wavefocus", "status", str(bank), *options]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
     def ask() -> None:
-        for options in (["--json"], []):
-            done = subprocess.run(
-                [sys.executable, "-m", "wavefocus", "status", str(bank), *options],
-                capture_output=True, text=True, check=True,
-            )  # fmt: skip
-            facts.extend(map(json.loads, done.stdout.splitlines()) if options else ())
-            told.append(done.stdout + done.stderr)
+        facts.append(json.loads(status("--json")))
+        told.append(status())
         give_order(bank, "go-on")
 
     def during() -> None:
-        done = subprocess.run(
-            [sys.executable, "-m", "wavefocus", "status", str(bank), "--json"],
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        facts.append(json.loads(done.stdout))
+        facts.append(json.loads(status("--json")))
         give_order(bank, "pause")
         until_s = time.monotonic() + 60
         while orders_path(bank).exists() and time.monotonic() < until_s:
@@ -123,8 +118,8 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(
     assert paused["owner"]["pid"] == os.getpid()  # type: ignore[index]
     assert float(str(paused["positions_per_hour"])) > 0
     assert float(str(paused["wall_remaining_s"])) > 0
-    assert "5 positions to go" in told[1]
-    assert "finished at" not in told[1]
+    assert "5 positions to go" in told[0]
+    assert "finished at" not in told[0]
 
 
 def test_given_the_written_templates_then_they_plan_the_thirty_hour_campaign(

@@ -231,15 +231,6 @@ def test_given_another_thread_that_ends_the_record_then_a_waiting_read_fails_at_
             check_tone(recorder.read(10.0))
 
 
-def test_given_a_good_connection_then_reconnecting_goes_on_with_the_same_device(bench):
-    recorder = bench.recorder()
-    named = recorder.identify()
-    recorder.start(ask())
-    recorder.reconnect()
-    assert recorder.identify() == named
-    check_tone(take_one(recorder))
-
-
 def test_another_input_then_its_volts_are_read_between_two_records_and_records_go_on():
     class Steady:
         def record(self, start_ns, samples, rate_hz, inputs, channel_delay_s):
