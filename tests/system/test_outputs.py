@@ -294,7 +294,7 @@ def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised
     require_outputs((lab / "field.h5",), (), force=True)
 
 
-def test_given_a_staged_folder_that_fails_then_its_final_name_is_told_and_nothing_appears(tmp_path: Path) -> None:
+def test_a_staged_folder_that_fails_then_its_final_name_is_told_and_nothing_appears(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "record").write_bytes(OLD)
 
