@@ -77,6 +77,7 @@ def rig(tmp_path: Path) -> Path:
     return tmp_path / "rig.toml"
 
 
+@pytest.mark.long
 def test_given_the_example_as_a_distribution_then_it_passes_the_tests_of_mirrors(installed, rig):
     suite = ["tests/contract/test_mirror_contract.py", "--hardware", rig, "-n", "0", "-q", "-p", "no:cov"]
     done = python("-m", "pytest", *suite, paths=(installed, rig.parent / "maker"))

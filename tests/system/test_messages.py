@@ -73,24 +73,34 @@ def ended(state: State) -> SessionEnded:
     return SessionEnded(7200.0, state, 6, 6, COUNTS)
 
 
-def test_given_a_finished_campaign_then_one_message_says_so(office, tmp_path):
-    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
-        messenger(StateChanged(0.0, State.RUNNING, "6 positions to do"))
-        messenger(ended(State.FINISHED))
-    (message,) = office.taken
-    assert message["title"] == "plate.h5: finished"
-    assert sentence(ended(State.FINISHED)) in message["message"]
+FAILED = (
+    Fault(1.0, "player", "playing", "no device", "plug it in", 3, 1, retried=False),
+    StateChanged(2.0, State.FAILED, "player: playing: no device"),
+    ended(State.FAILED),
+)
+FINISHED = (StateChanged(0.0, State.RUNNING, "6 positions to do"), ended(State.FINISHED))
+DRIFTING = tuple(drift(verdict) for verdict in ("steady", "warn", "warn", "steady", "warn"))
 
 
-def test_failed_campaign_then_message_names_fault_remedy_and_way_on(office, tmp_path):
-    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
-        messenger(Fault(1.0, "player", "playing", "no device", "plug it in", 3, 1, retried=False))
-        messenger(StateChanged(2.0, State.FAILED, "player: playing: no device"))
-        messenger(ended(State.FAILED))
-    (message,) = office.taken
-    assert message["title"] == "plate.h5: failed"
-    for part in ("player: playing: no device", "plug it in", "wavefocus resume plate.h5"):
-        assert part in message["message"]
+@pytest.mark.parametrize(
+    ("about", "events", "titles", "words"),
+    [
+        ({}, FINISHED, ["finished"], [sentence(ended(State.FINISHED))]),
+        ({}, FAILED, ["failed"], ["player: playing: no device", "plug it in", "wavefocus resume plate.h5"]),
+        ({}, DRIFTING, ["drift", "drift"], ["level -0.70 dB", "the level changed"]),  # when it begins, and not again
+        ({"about": ("failed",)}, (drift("warn"), *FINISHED), [], []),
+    ],
+    ids=["finished", "failed", "drift", "only failures"],
+)
+def test_given_a_campaign_s_events_then_those_that_are_asked_for_are_told(
+    office, tmp_path, about, events, titles, words
+):
+    with Messenger(tmp_path / "plate.h5", MessagesSection(**about), AppriseOutbox([office.url])) as messenger:
+        for event in events:
+            messenger(event)
+    assert [message["title"] for message in office.taken] == [f"plate.h5: {title}" for title in titles]
+    for word in words:
+        assert word in office.taken[0]["message"]
 
 
 def test_given_a_wait_longer_than_allowed_then_it_is_told_once_and_so_is_its_end(office, tmp_path):
@@ -103,22 +113,6 @@ def test_given_a_wait_longer_than_allowed_then_it_is_told_once_and_so_is_its_end
         messenger(StateChanged(10.0, State.RECOVERING, "mirror: unplugged"))
         messenger(StateChanged(10.1, State.RUNNING, "mirror is connected again"))
     assert len(office.taken) == 2
-
-
-def test_given_drift_then_it_is_told_when_it_begins_and_not_again(office, tmp_path):
-    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
-        for verdict in ("steady", "warn", "warn", "steady", "warn"):
-            messenger(drift(verdict))
-    assert [message["title"] for message in office.taken] == ["plate.h5: drift"] * 2
-    assert "level -0.70 dB" in office.taken[0]["message"]
-    assert "the level changed" in office.taken[0]["message"]
-
-
-def test_given_only_failures_are_asked_for_then_nothing_else_is_told(office, tmp_path):
-    with Messenger(tmp_path / "plate.h5", MessagesSection(about=("failed",)), AppriseOutbox([office.url])) as messenger:
-        messenger(drift("warn"))
-        messenger(ended(State.FINISHED))
-    assert office.taken == []
 
 
 def test_given_an_address_that_takes_nothing_then_it_is_told_without_the_address(office, tmp_path, capsys):
