@@ -158,7 +158,6 @@ def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_
 FORKS = """
 import json, os, resource, signal, sys
 from pathlib import Path
-from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 import wavefocus.rendering.report.movie, wavefocus.rendering.drive.wav
 import wavefocus.storage.exchange.mat, wavefocus.storage.exchange.npz
