@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from tests.lab_files import change_text
 from tests.system.lines import Lines
 from tests.wire.emulated import EmulatedInstruments
+from wavefocus.drivers.process import SILENT_S
 
 pytestmark = pytest.mark.long
 
@@ -67,7 +69,7 @@ def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_e
         assert spot_of(sides) == "spot: not on the plate"
 
 
-def test_given_a_sweep_under_way_then_a_mute_ends_its_sound_before_its_time(
+def test_a_mute_ends_a_sweep_before_its_time_and_so_does_a_program_that_is_stopped(
     rig: Path, sides: EmulatedInstruments
 ) -> None:
     with Lines("operate", rig, environment=sides.environment) as lines:
@@ -81,5 +83,12 @@ def test_given_a_sweep_under_way_then_a_mute_ends_its_sound_before_its_time(
         assert [one["id"] for one in done] == ["long", "mute"]
         assert not done[0]["ok"]
         assert swept(lines, actuator=1)["figures"]["snr_db"] > 10
+        lines.send(order="sweep", actuator=0, level_v=1.0, duration_s=10.0, id="stopped")
+        lines.hear("sweeping")
+        lines.process.send_signal(signal.SIGSTOP)
+        time.sleep(SILENT_S + 3.0)
+        lines.process.send_signal(signal.SIGCONT)
+        told = lines.hear("fault")
+        assert "was stopped" in str(told), told
         lines.send(order="end")
         assert lines.end() == 0

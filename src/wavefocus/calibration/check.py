@@ -104,12 +104,10 @@ def check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
             " resume measures it again"
         )
         yield BankProblem(position, None, message, cut_off)
-    if isinstance(rows, VerifiedRows):
+    if isinstance(rows, VerifiedRows | RawRows):
+        names = "/status or /quality" if isinstance(rows, VerifiedRows) else "/leak_db"
         for position in np.flatnonzero(rows.differing() & ~rows.ledger.damaged).tolist():
-            message = (
-                f"/status or /quality of position {position} differ from the ledger;"
-                " opening the bank to resume rebuilds them"
-            )
+            message = f"{names} of position {position} differ from the ledger; opening the file to resume rebuilds them"
             yield BankProblem(position, None, message, cut_off)
 
 

@@ -18,7 +18,7 @@ from wavefocus.storage.argument_types import bank_row, checked
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.layout import has_ledger
-from wavefocus.storage.ledger.pages import ROW_HEAD, sealed
+from wavefocus.storage.ledger.pages import ROW_HEAD, Ledger, sealed
 from wavefocus.storage.ledger.reader import DamagedError, LedgerReader
 from wavefocus.storage.ledger.writer import LedgerWriter
 from wavefocus.storage.raw.header import RAW, RawHeader
@@ -145,6 +145,13 @@ class RawRows(LedgerReader):
             return None
         return tuple(np.frombuffer(chunk, "<i2").reshape(shape.dimensions) for chunk in chunks)
 
+    def differing(self) -> NDArray[np.bool_]:
+        """Positions (P,) whose ``/leak_db`` in the file is not that of the ledger."""
+        if LEAK not in self._layout.figures:  # of an earlier version
+            return np.zeros(self._layout.positions, bool)
+        levels = _levels_held(self.ledger, self._shape.row_bytes)
+        return np.asarray(np.frombuffer(levels, "<u4") != np.frombuffer(self.figure(LEAK), "<u4"))
+
 
 class ForeignRecordings:
     """Recordings in any layout that HDF5 reads."""
@@ -229,7 +236,7 @@ class RawWriter(LedgerWriter):
         layout, shape = self._layout, self._shape
         ledger = shape.decode(self._file.read(layout.ledger_offset, layout.positions * shape.row_bytes))
         if LEAK in layout.figures:
-            levels = np.where(ledger.holds, _levels(ledger.rows, shape.row_bytes), np.float32(np.nan)).tobytes()
+            levels = _levels_held(ledger, shape.row_bytes)
             if self._file.read(layout.figures[LEAK][0], len(levels)) != levels:
                 self._file.write(layout.figures[LEAK][0], levels)
         return ledger.holds
@@ -238,6 +245,11 @@ class RawWriter(LedgerWriter):
 def _known(leak_db: float) -> float:
     """A level as the ledger has it: 0 stands for none, as in rows of earlier versions."""
     return 0.0 if np.isnan(leak_db) else leak_db
+
+
+def _levels_held(ledger: Ledger, row_bytes: int) -> bytes:
+    """``/leak_db`` as the ledger has it."""
+    return np.where(ledger.holds, _levels(ledger.rows, row_bytes), np.float32(np.nan)).tobytes()
 
 
 def _levels(rows: Any, row_bytes: int = 0) -> Float32Array:
