@@ -7,8 +7,6 @@ What no wave of one wave number explains is interpolated as a field whose wave n
 at the positions, ``rest(x) = K(x, X) (K(X, X) + ridge)^-1 r``, K(z) = 2 J1(z) / z. Radius and ridge are those of
 greatest evidence; where they leave hardly less of left-out positions than there is, or the positions do not resolve the
 waves, there is no rest. (M. Ribeiro et al., EURASIP J. ASMP 2024:43: directed plus residual kernels.)
-
-Bounds are those of normalised split conformal prediction, see `bounds`.
 """
 
 from __future__ import annotations
