@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,7 @@ from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.draft import new_source, scene_toml
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.surface_view import SurfaceView
+from wavefocus.gui.tab import Tab
 from wavefocus.gui.window import Window
 
 
@@ -99,21 +101,27 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
         wait(qtbot, lambda: not (rig.session.running or rig.examination.running))
 
 
-def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(open_window: Opens) -> None:
-    window = open_window()
-    bar = window.menuBar()
-    assert bar is not None
+def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
+    """Show each page of each tab, one after the other."""
     for tab in window.tabs:
         window._pages.setCurrentWidget(tab)
         book = tab.findChild(QTabWidget)
         for page in range(1 if book is None else book.count()):
             if book is not None:
                 book.setCurrentIndex(page)
-            QApplication.processEvents()
-            parts = [one for one in tab.findChildren((QAbstractButton, QLabel)) if one.isVisible()]
-            texts = [one.text() for one in (*bar.actions(), *parts)]
-            letters = [text[text.index("&") + 1].lower() for text in texts if "&" in text[:-1] and "&nbsp" not in text]
-            assert sorted(letters) == sorted(set(letters)), f"page {page} of {tab.title}"
+            yield tab, page
+
+
+def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(open_window: Opens) -> None:
+    window = open_window()
+    bar = window.menuBar()
+    assert bar is not None
+    for tab, page in each_page(window):
+        QApplication.processEvents()
+        parts = [one for one in tab.findChildren((QAbstractButton, QLabel)) if one.isVisible()]
+        texts = [one.text() for one in (*bar.actions(), *parts)]
+        letters = [text[text.index("&") + 1].lower() for text in texts if "&" in text[:-1] and "&nbsp" not in text]
+        assert sorted(letters) == sorted(set(letters)), f"page {page} of {tab.title}"
 
 
 def test_given_help_then_the_documentation_beside_the_program_is_opened(open_window: Opens) -> None:
@@ -159,13 +167,8 @@ def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(
     window = open_window(finished.with_name("run.toml"), finished, finished.with_name("rig.toml"))
     campaign = tab_of(window, CampaignTab)
     wait(qtbot, lambda: campaign.campaign.measured == 12)
-    for tab in window.tabs:
-        window._pages.setCurrentWidget(tab)
-        book = tab.findChild(QTabWidget)
-        for page in range(1 if book is None else book.count()):
-            if book is not None:
-                book.setCurrentIndex(page)
-            assert not_reached(qtbot, window, tab) == [], f"page {page} of {tab.title}"
+    for tab, page in each_page(window):
+        assert not_reached(qtbot, window, tab) == [], f"page {page} of {tab.title}"
 
 
 def not_reached(qtbot: QtBot, window: Window, tab: QWidget) -> list[str]:

@@ -39,7 +39,6 @@ from wavefocus.mocks.virtual.settings import VirtualSettings
 
 ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
 SWEEP_V = 1.0
-# 60 dB below the rms of a sweep of 1 V peak.
 INTERFACE_RATE_HZ = 48_000
 FULL_SCALE_V = 5.0
 PERIOD_FRAMES = 4096

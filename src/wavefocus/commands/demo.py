@@ -82,7 +82,7 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
 
 def _configure(out: Path, plate: str, *, quick: bool) -> None:
     init.init(out, "virtual")
-    # All actuators at once: two hours of the rig's time, and a tenth of the computer's.
+    # All actuators at once: two hours of the rig's time, and a fifth of the computer's.
     changes = {'plate = "soft"': f'plate = "{plate}"', 'excitation = "sequential"': 'excitation = "staggered"'}
     if quick:
         changes["spacing_mm = 4.0"] = "spacing_mm = 16"

@@ -59,7 +59,6 @@ def movie(
                 from_s=options.from_s,
                 to_s=options.to_s,
                 slow=options.slow,
-                frame_rate_hz=25.0,
             )
             _warn_of_strobing(plan, view, field)
             with progress("movie", len(plan.sample)) as report:

@@ -37,7 +37,6 @@ OPENING_S = 20.0
 CLOSING_S = 6.0
 """Longer than the process allows itself."""
 
-
 SILENT_S = 5.0
 """A parent that gives no sign of life for so long is stopped; a busy one is late by a second."""
 

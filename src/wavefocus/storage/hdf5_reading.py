@@ -19,7 +19,6 @@ from wavefocus.storage.text_file import permission_words, require_regular
 
 _MAX_METADATA_BYTES = 64 << 20
 _MIN_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
-# What filters may add to a chunk that does not get smaller.
 _MAX_VARIABLE = "WAVEFOCUS_MOST_GIB"
 # What rounding may put between two ways of counting samples.
 _ROUNDING_SAMPLES = 1e-2

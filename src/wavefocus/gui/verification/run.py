@@ -16,6 +16,7 @@ from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, StateChanged
 from wavefocus.config.messages.codec import MessageError, message_of
 from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
+from wavefocus.exits import Exit
 from wavefocus.gui.campaign.follower import LogTail
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import CommandProcess
@@ -146,7 +147,7 @@ class VerificationRun(OwnCommand):
         with suppress(OSError):
             (self.out / STOP_NAME).unlink(missing_ok=True)
         stopped = "stopped; the outputs are muted and the mirror is parked; Verify goes on with what was scanned"
-        judged = process.exit_code in (0, 1)
+        judged = process.exit_code in (Exit.DONE, Exit.NOT_GOOD_ENOUGH)
         why = f"Not good enough. {self._reason}" if judged else self._reason
         self._context.report_end(process, f"Verified. {self._reason}", stopped, why)
         if judged:

@@ -49,7 +49,6 @@ UNCHANGED = PlateChange()
 REFERENCE_C = 21.0
 """Temperature at which plates are as their keys say."""
 
-
 MAX_RINGING_S = 20.0
 """What rings longer wraps: such a plate needs taps that hold its whole response."""
 

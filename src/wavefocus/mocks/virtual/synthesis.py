@@ -23,8 +23,6 @@ from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal, delay_factor
 
-# Butterworth of two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest
-# frequencies.
 COIL_OHM = 14.0  # the paper, section IV.A
 # Poles of the Bessel filter of order 4 with -3 dB at 1 rad/s, each with its conjugate (`scipy.signal.bessel` with
 # norm="mag", whose import would cost every command half a second).

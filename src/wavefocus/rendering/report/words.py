@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
 
-# Smaller deviations get no remark.
 NOISE_SHARE = 0.7
 """Share of the error above which noise is named as its cause: half of the error's square."""
 
@@ -67,7 +66,7 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
     gain = float(np.nanmedian(gains)) if np.isfinite(gains).any() else 1.0
     artefact_db = median_or_none(verification.focus.scanned_artefact_db)
     excluded = Counter(reason for _, reason in fields.excluded).most_common()
-    # Smaller deviations get no remark.
+    # Levels within 0.2 dB, delays within 0.1 samples and a loopback within 1 % get no remark.
     found: list[tuple[bool, str]] = [
         (
             "normalised error" in failed and from_noise,

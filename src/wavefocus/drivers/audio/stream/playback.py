@@ -17,7 +17,6 @@ FADE_S = 0.002
 SLOWEST = 5e-4
 """How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
 
-
 PERIODS_AFTER = 2
 """Periods after the last sample before a play has ended well: an underflow is flagged a period late."""
 

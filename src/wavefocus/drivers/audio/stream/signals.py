@@ -17,7 +17,6 @@ from wavefocus.drivers.protocols import Float32Array, Float64Array
 HALF_STEP = 2.0**-25
 """Half a step of a 24-bit converter, as a part of full scale: less than that at either end is silence."""
 
-
 FADED = 0.01
 """A signal that begins or ends above this part of its peak has no fade there."""
 
