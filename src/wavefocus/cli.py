@@ -4,8 +4,6 @@ Its arguments are passed by their names in Python to a function of the module in
 only when the command is chosen.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from typing import Any

@@ -3,8 +3,6 @@
 Workers open files by their path, once for all tasks, and hold BLAS to one thread, as every command does.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import socket

@@ -1,7 +1,5 @@
 """How arguments are declared and command lines are read; a mistake names the argument and what was meant."""
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import math

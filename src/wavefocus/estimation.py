@@ -1,7 +1,5 @@
 """Green's functions from kept recordings, in Python and for ``wavefocus estimate``."""
 
-from __future__ import annotations
-
 import logging
 import os
 import time

@@ -1,7 +1,5 @@
 """Exit codes of the contract, the error that ends in each, and text that is safe to show."""
 
-from __future__ import annotations
-
 import traceback
 import unicodedata
 from collections.abc import Sequence

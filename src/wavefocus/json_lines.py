@@ -1,7 +1,5 @@
 """Messages between a program and a command as JSON lines: events out, orders or answers in."""
 
-from __future__ import annotations
-
 import codecs
 import json
 import math

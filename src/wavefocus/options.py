@@ -4,8 +4,6 @@ A field of such a class is an option. Its name, type and default are those of th
 stand in `option`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -13,15 +13,7 @@ from PyQt5.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, Opens, click, drag, edit, pixel, scene_of, shown_tab, wait
-from wavefocus.config.scene import (
-    LineTable,
-    NoiseTable,
-    PathTable,
-    PointTable,
-    SceneConfig,
-    SceneTable,
-    TextTable,
-)
+from wavefocus.config.scene import LineTable, NoiseTable, PathTable, PointTable, SceneConfig, SceneTable, TextTable
 from wavefocus.gui.files import Settings, kind_of
 from wavefocus.gui.scene.canvas import SceneCanvas
 from wavefocus.gui.scene.document import NOTHING

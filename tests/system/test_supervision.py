@@ -15,15 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import (
-    Listener,
-    capture,
-    capture_process,
-    empty_bank,
-    events_of,
-    held,
-    states_of,
-)
+from tests.system.captures import Listener, capture, capture_process, empty_bank, events_of, held, states_of
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.campaign.control import read_heartbeat

@@ -1,7 +1,5 @@
 """Calibrating inputs, outputs and actuators: levels, delays and gains of both interfaces, polarity of each actuator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal

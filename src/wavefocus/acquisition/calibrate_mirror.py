@@ -1,7 +1,5 @@
 """Calibrating the mirror: from marks on the surface, where the operator jogs the beam, to the map of its angles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Watched conditions of a campaign: their bands, left on one threshold and re-entered on another, and their values."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

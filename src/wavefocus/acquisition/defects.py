@@ -1,7 +1,5 @@
 """Defects by their names: from a record's figures to what is wrong with it and what to do about it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

@@ -1,7 +1,5 @@
 """Examination of a rig: each instrument opened, identified and exercised within a time limit; and its findings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar, cast
@@ -10,22 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.doctor_records import check_loopback, check_pickup, check_response, check_silence
-from wavefocus.acquisition.setup import (
-    MAX_DELAY_DIFFERENCE_S,
-    Openers,
-    Setup,
-    wired,
-)
+from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Openers, Setup, wired
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import (
-    DeviceIdentity,
-    Instruments,
-    Mirror,
-    Player,
-    Recorder,
-)
+from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Mirror, Player, Recorder
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import CallThread, HungError
 

@@ -1,7 +1,5 @@
 """Records that a rig is examined by: silence, the loopback alone, what single outputs leak, and a few actuators."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The sentinel position, measured again every so often: one bank holds one plate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """One sentence for each event of a campaign: what the terminal, the window and messages to people show."""
 
-from __future__ import annotations
-
 import math
 
 from wavefocus.acquisition.wording import hours, row_ranges

@@ -1,7 +1,5 @@
 """Positions that the laser measures: a grid on the surface, or a file."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Literal

@@ -1,20 +1,11 @@
 """Point quality: from the estimator's figures and an earlier measurement to the bank's status bits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.defects import (
-    REFERENCE_LEVEL,
-    Cure,
-    RecordDefect,
-    dead_records,
-    listed,
-    named_defects,
-)
+from wavefocus.acquisition.defects import REFERENCE_LEVEL, Cure, RecordDefect, dead_records, listed, named_defects
 from wavefocus.calibration import BoolArray, Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.evidence import MOST, SIGMAS, SOUND

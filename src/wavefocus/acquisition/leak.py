@@ -1,7 +1,5 @@
 """The leak of the loopback into the response input: measured with the loopback alone, judged by the median row."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Measuring by hand: live levels while a person points the laser, and single sweeps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

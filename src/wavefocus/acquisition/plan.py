@@ -1,7 +1,5 @@
 """The plan: everything that a campaign will do, as data that dry run, engine and resume all walk."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 from statistics import median

@@ -1,7 +1,5 @@
 """What plays at each position and how it is estimated, whatever the schedule."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

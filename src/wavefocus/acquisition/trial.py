@@ -1,7 +1,5 @@
 """Before a staggered campaign: one position measured one actuator after the other and as asked for, and compared."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

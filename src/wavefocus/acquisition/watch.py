@@ -1,7 +1,5 @@
 """Conditions that are watched while a campaign measures, and the ranges that they must stay in."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Durations, times and bank rows in few words."""
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime, timedelta
 

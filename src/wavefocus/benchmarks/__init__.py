@@ -4,8 +4,6 @@ A benchmark is a module here with ``run(out, quick=...)`` that returns `wavefocu
 entry of `BENCHMARKS`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -3,8 +3,6 @@
 All write rows of 20 x 2000 float32 into the same folder, in turns.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

@@ -5,8 +5,6 @@ the files of ``wavefocus init``. Commands run in processes of their own; peak me
 those of the written file against that of the exact command.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace

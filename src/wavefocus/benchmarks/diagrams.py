@@ -1,7 +1,5 @@
 """Work-precision diagrams: the error of each method over its run time."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from itertools import groupby

@@ -7,8 +7,6 @@ linear sweep of 3 s at 10 kHz with 0.5 s of silence, three times; 40 dB signal-t
 60 dB on each record's own reference. Error: relative L2 of the 20-500 Hz spectrum of the first 200 ms.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

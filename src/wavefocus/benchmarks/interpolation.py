@@ -6,8 +6,6 @@ transfer functions at one frequency, over that of the true ones; the table has i
 grid's area, and the renderer's own estimate of it, made without the truth by leaving positions out.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

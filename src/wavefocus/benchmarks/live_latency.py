@@ -11,8 +11,6 @@ sounds, the largest of three, all four moving: at the measured position nearest 
 them, on the plate itself, for which the mark is.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Machine, versions and load of a benchmark, and commands run in processes of their own."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

@@ -5,8 +5,6 @@ rig's own clock over the positions that were measured, the whole way through the
 positions of it; errors are those of the same positions against the rig's truth.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

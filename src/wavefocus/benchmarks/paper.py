@@ -5,8 +5,6 @@ and a stadium of the same gel whose rim reflects half of the amplitude or less (
 figures are drawn on the stadium. The actuators lie on the rim.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

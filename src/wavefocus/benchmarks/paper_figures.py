@@ -1,7 +1,5 @@
 """The paper's figures 3A-D and 4A-D, measured and drawn; our numbers go to `Paper.found`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Data of the paper's figures, computed from a bank."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

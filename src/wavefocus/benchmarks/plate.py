@@ -9,8 +9,6 @@
 - A bank of the default grid on every plate, and the stadium's modes computed and read from the cache: times alone.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import replace

@@ -11,8 +11,6 @@ positions 4 mm apart. Figures:
 Each level is asked for to within 10 times the energy; what that cannot buy is what the level falls short by.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -5,8 +5,6 @@ behind a low-pass (Butterworth, order 4, 600 Hz), white noise as the source, mov
 jumping to another row at every path point. Errors are relative L2 errors against convolution in float64.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

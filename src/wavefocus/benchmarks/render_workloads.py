@@ -5,8 +5,6 @@ some twenty path points in a row use the same row of the bank, so that a peer wh
 times the work. It does one convolution per run of equal rows, and transforms a drive once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Banks for benchmarks: measured on the virtual rig, or the truth with noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

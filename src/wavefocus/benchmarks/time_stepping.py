@@ -5,8 +5,6 @@ same share per period, and all modes have the quality factor Q. The modal sum is
 quality factor; the steppers show what time stepping costs, and say so before it goes wrong.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ The emulated instruments (serial mirror, gRPC Device Server, JACK server on a du
 own, all in real time.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

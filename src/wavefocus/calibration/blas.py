@@ -1,7 +1,5 @@
 """One thread for linear algebra."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

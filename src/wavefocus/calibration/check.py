@@ -1,7 +1,5 @@
 """Checks of finished files: checksums, physical sanity, rows against their neighbours."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass

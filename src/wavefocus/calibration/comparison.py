@@ -1,7 +1,5 @@
 """Comparison of actuators by their responses, and of the recorder's two channels by one signal."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Crosstalk: the share of the loopback voltage that leaks into the response input, measured while only it plays."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Limits that several verdicts share; docs/reference/constants.md says what half and double of each would do."""
 
-from __future__ import annotations
-
 MOST = 0.5
 """By definition: what explains, holds or leaves more than half."""
 CERTAIN_SHARE = 0.95

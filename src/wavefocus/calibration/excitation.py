@@ -1,7 +1,5 @@
 """What a record plays: a base signal several times with silence after each, or a periodic one, actuators staggered."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

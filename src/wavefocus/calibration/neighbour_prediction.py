@@ -1,7 +1,5 @@
 """Rows of a bank predicted from their neighbours by the bank's own waves, each position left out in turn."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 

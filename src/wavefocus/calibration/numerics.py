@@ -1,7 +1,5 @@
 """Small numerical tools: vertex of a parabola, evenly spread indices, Fourier transforms."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

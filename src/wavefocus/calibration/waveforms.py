@@ -3,8 +3,6 @@
 A function takes the times (samples,) from 0 on and before the duration, the band in Hz and the duration in s.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wavefocus.calibration import Float64Array

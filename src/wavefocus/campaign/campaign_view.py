@@ -1,7 +1,5 @@
 """A campaign for people: a progress bar, and a line for each important event."""
 
-from __future__ import annotations
-
 import time
 from datetime import UTC, datetime
 

@@ -1,7 +1,5 @@
 """A bank with more positions: the rows of other banks of the same rig and plate are taken over, not measured again."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack

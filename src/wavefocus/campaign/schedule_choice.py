@@ -1,7 +1,5 @@
 """Staggered campaigns, compared with sequential capture before their bank is made; schedules that a bank settled."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from wavefocus.campaign.blueprint import Blueprint

@@ -1,7 +1,5 @@
 """Bank and raw file of a session: made where there are none, else found to be of its plan."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
@@ -24,14 +22,7 @@ from wavefocus.campaign.blueprint import (
 from wavefocus.campaign.schedule_choice import compared_schedules, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, raw_path, unvouched_rows
 from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Subscriber
-from wavefocus.configuration import (
-    DEFAULT_CHECKS,
-    Configuration,
-    check_rows,
-    named_rig,
-    plan_differences,
-    with_rig,
-)
+from wavefocus.configuration import DEFAULT_CHECKS, Configuration, check_rows, named_rig, plan_differences, with_rig
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import with_one_calibration
 from wavefocus.rig.input_delay import with_stated_delay

@@ -1,7 +1,5 @@
 """``wavefocus analyse``: statistics of the answers to trials, a report, and a BIDS-like folder."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

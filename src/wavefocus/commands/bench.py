@@ -1,7 +1,5 @@
 """``wavefocus bench``: error against run time."""
 
-from __future__ import annotations
-
 import time
 from importlib import import_module
 from pathlib import Path

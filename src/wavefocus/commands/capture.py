@@ -1,7 +1,5 @@
 """``wavefocus capture``, ``resume`` and ``remeasure``: sessions of a campaign."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace

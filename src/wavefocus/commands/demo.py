@@ -1,7 +1,5 @@
 """``wavefocus demo``: the whole suite on the virtual rig, a power cut included."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """``wavefocus gui``: opens the window, or that of trials; loads no Qt before there is a display for it."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Sequence

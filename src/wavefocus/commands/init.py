@@ -1,7 +1,5 @@
 """``wavefocus init``: commented configuration files to start from."""
 
-from __future__ import annotations
-
 import os
 from importlib.resources import files
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``wavefocus movie``: a predicted or scanned field as a GIF, and at its focus instants as a picture."""
 
-from __future__ import annotations
-
 import json
 from math import inf
 from pathlib import Path

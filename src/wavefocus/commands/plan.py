@@ -1,7 +1,5 @@
 """``wavefocus plan``: the dry run."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Collection, Mapping, Sequence

@@ -1,7 +1,5 @@
 """``wavefocus play``: drives on the rig's actuators."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """``wavefocus status``, ``pause`` and ``stop``: how a campaign stands, and orders to it."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator, Mapping
@@ -15,22 +13,10 @@ from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.calibration.estimator.noise_error import median_noise_error_db
 from wavefocus.campaign.campaign_view import remaining
-from wavefocus.campaign.control import (
-    Word,
-    give_order,
-    read_heartbeat,
-    resume_line,
-    withdraw,
-)
-from wavefocus.campaign.sidecar_files import (
-    read_crosstalk,
-    read_drift,
-    suspect_rows,
-)
+from wavefocus.campaign.control import Word, give_order, read_heartbeat, resume_line, withdraw
+from wavefocus.campaign.sidecar_files import read_crosstalk, read_drift, suspect_rows
 from wavefocus.campaign.status import CampaignStatus, Heartbeat, campaign_status, instant
-from wavefocus.config.messages.campaign import (
-    State,
-)
+from wavefocus.config.messages.campaign import State
 from wavefocus.config.messages.codec import to_record
 from wavefocus.console import answer, say
 from wavefocus.exits import Exit

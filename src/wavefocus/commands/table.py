@@ -1,7 +1,5 @@
 """All commands in three groups: names, arguments and help."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import import_module
@@ -9,15 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.command_line import (
-    Argument,
-    Command,
-    argument,
-    file,
-    number,
-    options_of,
-    switch,
-)
+from wavefocus.command_line import Argument, Command, argument, file, number, options_of, switch
 from wavefocus.options import (
     CalibrationOptions,
     DoctorOptions,

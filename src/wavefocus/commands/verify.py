@@ -1,7 +1,5 @@
 """``wavefocus verify``: a scene played, scanned and compared with its prediction."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A configuration file's text while it is edited: mistakes by line, keys that fit, help, and tables to insert."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from dataclasses import dataclass

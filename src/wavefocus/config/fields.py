@@ -1,7 +1,5 @@
 """Shared by the tables of all configuration files: strict numbers, closed tables, mistakes, explanations of keys."""
 
-from __future__ import annotations
-
 import json
 import re
 import textwrap

@@ -1,7 +1,5 @@
 """Which kind of file somebody has named: a rig file where a run file is needed, a bank where a scene is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Reads configuration files; a mistake is one line with file, key, value and what is allowed."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import re

@@ -1,7 +1,5 @@
 """Commands, options and keys of earlier versions that are gone, and what serves instead."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 _SHELL = "a shell carries out commands one after the other, see docs/how-to/several-runs.md"

@@ -5,8 +5,6 @@ next question. Therefore no question follows an unanswered one directly: in betw
 something that only it answers so (its identity, as a rule), and whatever arrives before that is dropped.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter

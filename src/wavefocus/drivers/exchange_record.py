@@ -3,8 +3,6 @@
 Serial lines note the bytes both ways; mirror, recorder and player note each call.
 """
 
-from __future__ import annotations
-
 import json
 import threading
 import time

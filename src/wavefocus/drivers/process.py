@@ -8,8 +8,6 @@ rest.
 Messages are frozen data classes, pickled: both ends are this package, started by one another.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import pickle

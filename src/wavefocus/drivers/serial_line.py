@@ -1,7 +1,5 @@
 """One serial line, by device path, network address or serial number: text out and in, each with a time limit."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import re

@@ -1,7 +1,5 @@
 """Vibrometer controllers on a serial line: opened, asked, checked, and released again."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar, TypeVar

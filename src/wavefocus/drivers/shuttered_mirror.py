@@ -1,7 +1,5 @@
 """A mirror with a shutter: open while the beam stands where it was sent, closed at rest and after every failure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 

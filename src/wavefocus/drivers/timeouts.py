@@ -1,7 +1,5 @@
 """The three roles with an end to every call: a driver that hangs counts as an instrument that is lost."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence

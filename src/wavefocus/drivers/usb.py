@@ -3,8 +3,6 @@
 A reset switches a device off and on by its port. It needs a person's explicit order.
 """
 
-from __future__ import annotations
-
 import errno
 import sys
 import time

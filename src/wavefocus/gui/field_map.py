@@ -1,7 +1,5 @@
 """The plot of all tabs; colours of fields: maps, units, the colour bar, and the map of a field at one instant."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

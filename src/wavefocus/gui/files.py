@@ -1,7 +1,5 @@
 """Settings kept between sessions, file dialogs that do not block, a field for a path, and kinds of TOML files."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from enum import StrEnum

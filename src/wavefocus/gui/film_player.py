@@ -1,7 +1,5 @@
 """The player of films: maps of fields on one surface over one time slider, and the response of a position."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

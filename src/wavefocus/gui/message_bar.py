@@ -1,7 +1,5 @@
 """Messages and questions inside the window, and uncaught errors as messages; Qt would abort the process."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import traceback

@@ -3,8 +3,6 @@
 Qt's own boxes read a text by the locale and drop what does not fit, key by key: "0,2" becomes 2, "1,5" 15.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from decimal import ROUND_HALF_UP, Decimal

@@ -1,7 +1,5 @@
 """Commands of wavefocus in child processes, and a thread for work that the window must not wait for."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """A slider over the samples of a field: chosen instants, play in a loop, pause, and the time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """Small widgets that all tabs use: actions, number boxes, tables, splitters, state badges."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime

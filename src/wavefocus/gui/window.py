@@ -1,7 +1,5 @@
 """The application and its window: tabs, menus, messages, closing."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Latencies counted in constant memory."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A live session from files: bank, rig and scene, checked together, and the instruments opened."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path

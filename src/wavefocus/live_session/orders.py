@@ -1,7 +1,5 @@
 """Orders to a live session: read from JSON objects, and kept, bounded, until the next block is computed."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future

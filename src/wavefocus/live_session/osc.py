@@ -5,8 +5,6 @@
 whose times are not waited for. Source: The Open Sound Control 1.0 specification.
 """
 
-from __future__ import annotations
-
 import json
 import select
 import socket

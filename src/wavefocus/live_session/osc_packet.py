@@ -6,8 +6,6 @@ Read here and not by python-osc (1.10): that package logs each unknown type tag 
 error; pads a number that was cut off; and reads all messages of a bundle before one can be left out.
 """
 
-from __future__ import annotations
-
 import struct
 
 BUNDLE = b"#bundle\0"

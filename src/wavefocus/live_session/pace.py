@@ -1,7 +1,5 @@
 """Pace of a live session: when the next block begins, and how many sources sound where computing falls behind."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Literal

@@ -1,7 +1,5 @@
 """Priority of a live session among the computer's other programs."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The loop of a live session: orders, blocks, the interface; figures and notices as it goes."""
 
-from __future__ import annotations
-
 import gc
 import sys
 import threading

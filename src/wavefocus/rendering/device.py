@@ -1,7 +1,5 @@
 """Where arrays are computed, only by names of the array API: this processor and its threads, or a GPU through CuPy."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Numbers as text: three digits, the unit, a dash where there is none."""
 
-from __future__ import annotations
-
 import math
 
 

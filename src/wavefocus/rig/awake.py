@@ -1,7 +1,5 @@
 """Keeps the operating system from sleeping while a run is on, and names the run as the reason."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Whether a rig's calibration still holds: its age, its devices, and that one bank has one calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime

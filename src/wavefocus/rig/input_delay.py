@@ -1,7 +1,5 @@
 """How much later the response input is sampled than the reference: which value counts, and one for a whole bank."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup

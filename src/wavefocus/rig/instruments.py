@@ -1,7 +1,5 @@
 """From a rig's configuration to its instruments: which driver opens each, and in what order."""
 
-from __future__ import annotations
-
 import atexit
 import re
 import socket
@@ -20,16 +18,7 @@ from wavefocus.config.run import Virtual
 from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
-from wavefocus.drivers.protocols import (
-    Clock,
-    Instruments,
-    Mirror,
-    Player,
-    Recorder,
-    Shutter,
-    WallClock,
-    with_defaults,
-)
+from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, Shutter, WallClock, with_defaults
 from wavefocus.drivers.registry import (
     MirrorDriver,
     MirrorSettings,

@@ -1,7 +1,5 @@
 """A rig operated by hand: orders are checked against the rig's limits and carried out one by one."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The person at the bench, at a terminal or behind another program that speaks JSON lines."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable

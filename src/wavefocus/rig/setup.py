@@ -1,7 +1,5 @@
 """From configuration to instruments that are open, watched, bounded in time, and put to rest at the end."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

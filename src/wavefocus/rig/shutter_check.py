@@ -1,7 +1,5 @@
 """The doctor's check of a shutter."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from wavefocus.config.messages.rig_checks import Act, Finding

@@ -1,7 +1,5 @@
 """The virtual bench that a rig file describes: what its tables believe, and what its emulation says is true."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Arguments of public functions: refused by name where they are not of the type that the signature states."""
 
-from __future__ import annotations
-
 import builtins
 import math
 import os

@@ -1,7 +1,5 @@
 """Names that one process of this computer holds at a time: an instrument, a rig."""
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 import time

@@ -6,8 +6,6 @@ that nothing in the file can change unseen; datasets that carry a checksum of th
 written later and are checked otherwise, stand in it without their values.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Collection, Iterator

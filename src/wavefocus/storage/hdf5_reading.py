@@ -1,7 +1,5 @@
 """Reading HDF5 files that others made: plain numbers and text, in this file and no other."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -4,8 +4,6 @@ An output is written under another name in a hidden folder next to it, synced an
 its name stays, whatever happens.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat

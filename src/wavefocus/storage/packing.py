@@ -1,7 +1,5 @@
 """Stored numbers that stand for values, as netCDF and its conventions pack them, and values that are missing."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass

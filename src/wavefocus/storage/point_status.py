@@ -1,7 +1,5 @@
 """Status bits of a position and their words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import IntFlag
 

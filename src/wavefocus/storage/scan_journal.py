@@ -4,8 +4,6 @@ A line of JSON, filled up to one page, then entries of one size, each with its c
 at the end is written over.
 """
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ The maker locks a file named `owner` in its folder for as long as it lives, make
 removes it after everything else. A folder whose `owner` nobody locks was left behind.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import glob

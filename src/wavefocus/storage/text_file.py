@@ -1,7 +1,5 @@
 """Regular files, and small text files that people write: read whole, with errors in one line."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -1,7 +1,5 @@
 """Units of drives and responses, as texts."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path

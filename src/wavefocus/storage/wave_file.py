@@ -5,8 +5,6 @@ bank than now is not used, and replaced; a file of another kind is left alone. S
 writes it whole.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path

@@ -5,8 +5,6 @@ file is opened again; the rows before it stay as they are. Line 1 names the colu
 here, and lack those that have a default, in any order.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

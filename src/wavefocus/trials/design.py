@@ -1,7 +1,5 @@
 """An experiment as its trials file describes it: stimuli, right answers, adaptive tracks; checked as a whole."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping

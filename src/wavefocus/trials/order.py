@@ -4,8 +4,6 @@ It follows only from the trials file and the participant's code, and from the an
 session that is resumed goes on in the same order.
 """
 
-from __future__ import annotations
-
 import hashlib
 import random
 from bisect import bisect

@@ -3,8 +3,6 @@
 The laser is parked meanwhile: nobody needs the vibrometer, and people touch the surface.
 """
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """The psychometric function, of which adaptive tracks, the analysis and simulated participants take one definition."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

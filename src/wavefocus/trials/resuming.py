@@ -1,7 +1,5 @@
 """Where a participant's trials go on: after the answers that are stored, if they are of this very experiment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """One participant's session: familiarisation, trials with their answers, breaks; goes on where the answers end."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Set
 from contextlib import suppress

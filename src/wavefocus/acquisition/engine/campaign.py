@@ -5,8 +5,6 @@ left. `_next_step` looks and changes nothing; a request of a person reaches it a
 (`wavefocus.acquisition.engine.session`).
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -37,13 +35,7 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup, names_of
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import Crosstalk
-from wavefocus.config.messages.campaign import (
-    PositionStarted,
-    RecordTaken,
-    SessionEnded,
-    State,
-    Subscriber,
-)
+from wavefocus.config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording
 from wavefocus.storage.bank.writer import BankWriter

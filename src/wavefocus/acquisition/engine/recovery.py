@@ -1,7 +1,5 @@
 """Interruptions of a session: a lost instrument is reconnected, a pause or unfit conditions are waited out."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -14,12 +12,7 @@ from wavefocus.acquisition.plays import Play
 from wavefocus.acquisition.setup import Setup, naming_role, silence, to_lost_error
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.campaign import ConditionsSeen, ReconnectTried, State
-from wavefocus.drivers.errors import (
-    InstrumentError,
-    InstrumentLostError,
-    TransientInstrumentError,
-    UnknownFaultError,
-)
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError, UnknownFaultError
 from wavefocus.drivers.protocols import Recording
 from wavefocus.storage.errors import WavefocusError
 

@@ -1,7 +1,5 @@
 """Events, counts and remaining time of one session of a campaign."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measures positions of a plan: points, plays, records and estimates, and waits for instruments that are lost."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

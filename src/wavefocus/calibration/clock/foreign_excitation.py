@@ -1,7 +1,5 @@
 """What another program played, and on which clock: sweeps of a stated law, each by itself or one that runs on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import suppress

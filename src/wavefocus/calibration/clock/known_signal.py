@@ -1,7 +1,5 @@
 """What all searches for a known base signal share: the bins that it fills, and when it counts as found."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wavefocus.calibration import Float32Array, Float64Array

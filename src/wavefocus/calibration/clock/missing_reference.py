@@ -1,7 +1,5 @@
 """Why a reference channel does not carry what was played: another rate, silence, another signal, or too much noise."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

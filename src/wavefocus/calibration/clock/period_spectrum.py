@@ -1,7 +1,5 @@
 """Spectra of periodic signals in a low band, and signals from them."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.fft
 

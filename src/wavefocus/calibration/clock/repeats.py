@@ -1,7 +1,5 @@
 """Where each sweep lies in a record, and its spectrum, from only the reference channel."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 

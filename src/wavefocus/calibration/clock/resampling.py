@@ -1,7 +1,5 @@
 """Recordings on another clock, and recordings of a low band at a lower rate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Errors and bounds of a model between positions, by positions that it was not fitted to."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 

@@ -22,8 +22,6 @@ N. Antonello et al., IEEE/ACM TASLP 25, 1929 (2017): equivalent sources for soun
 Learning (2006), sections 2.2, 5.4. A. Sundstroem et al., arXiv 2506.13279 (2025): priors from the boundary.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast

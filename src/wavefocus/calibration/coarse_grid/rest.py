@@ -1,7 +1,5 @@
 """What no wave of one wave number explains: a field whose wave numbers fill a disk, by Gaussian process regression."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
 

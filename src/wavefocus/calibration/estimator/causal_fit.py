@@ -1,7 +1,5 @@
 """Least squares for a causal FIR of L taps from a response spectrum in a band, with a matrix or without."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """What clipping leaves: flat tops, and harmonics at the loudest moment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

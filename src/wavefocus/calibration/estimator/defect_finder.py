@@ -1,7 +1,5 @@
 """What is wrong with a record, in figures: what its fit leaves, how its sweeps agree, one harmonic, its reference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

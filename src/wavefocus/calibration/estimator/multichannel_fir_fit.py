@@ -1,7 +1,5 @@
 """Least squares for the causal FIRs of all actuators that play in one record, each with its own delay."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

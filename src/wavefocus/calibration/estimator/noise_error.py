@@ -1,7 +1,5 @@
 """Error of Green's functions from white noise, as it follows from the signal-to-noise ratios of their records."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Raw recordings into Green's functions: what was played is found out once, positions are estimated in parallel."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterator

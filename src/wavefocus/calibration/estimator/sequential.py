@@ -1,7 +1,5 @@
 """From sequential records, sweeps with silence after each, to Green's functions and figures of their quality."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

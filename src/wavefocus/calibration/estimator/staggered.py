@@ -1,7 +1,5 @@
 """From records in which several actuators play at once, delayed, to their Green's functions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Green's functions from whole records of any excitation: hammer hits, noise, sweeps of any law, once or repeated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Import: responses measured elsewhere become a bank, with a report of what was read, assumed and left out."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tempfile

@@ -1,7 +1,5 @@
 """Frequency responses as causal FIRs, and conversion of displacement and acceleration to velocity."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

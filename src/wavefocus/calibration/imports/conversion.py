@@ -1,7 +1,5 @@
 """Rows of a file as Green's functions: unit, rate, taps, first sample and ends."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -12,12 +10,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavefocus.calibration.imports.causal_response import (
-    CausalConverter,
-    Motion,
-    TimeOfEnergy,
-    frequency_axis,
-)
+from wavefocus.calibration.imports.causal_response import CausalConverter, Motion, TimeOfEnergy, frequency_axis
 from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Measured, require_honest

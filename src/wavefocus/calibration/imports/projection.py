@@ -1,7 +1,5 @@
 """Places in space as places on a surface: a plane that they lie in, or two chosen coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

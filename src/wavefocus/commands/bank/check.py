@@ -1,7 +1,5 @@
 """``wavefocus check``: checksums and physical sanity of every row."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

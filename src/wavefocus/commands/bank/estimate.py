@@ -1,7 +1,5 @@
 """``wavefocus estimate``: Green's functions from kept recordings."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

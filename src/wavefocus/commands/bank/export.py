@@ -1,7 +1,5 @@
 """``wavefocus export``: a bank in the formats of other fields."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``wavefocus import``: banks measured elsewhere."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``wavefocus note``: a dated note in a bank."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``wavefocus calibrate``: measure what a rig file can only believe, into a calibration file."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """``wavefocus doctor``: every instrument and what it needs checked, and what to do about each fault."""
 
-from __future__ import annotations
-
 import dataclasses
 import platform
 import shutil

@@ -1,7 +1,5 @@
 """``wavefocus operate``: instruments operated by hand, by orders on standard input."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Events of a campaign or a scan: what command line, log, window and ``--json`` receive."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Orders to ``wavefocus live`` and its events, one JSON object per line."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Orders to ``wavefocus operate``, and the events of ``operate``, ``calibrate`` and ``play``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Messages of the commands that check a rig: ``calibrate --operator lines``, ``doctor`` and ``verify``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal
 

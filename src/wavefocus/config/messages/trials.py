@@ -1,7 +1,5 @@
 """Orders to ``wavefocus trials --lines`` and its events, one JSON object per line; the window uses them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal
 

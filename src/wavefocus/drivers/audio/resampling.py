@@ -1,7 +1,5 @@
 """Signals at another rate: band-limited, by an exact ratio of whole numbers, sample 0 staying sample 0."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from functools import lru_cache

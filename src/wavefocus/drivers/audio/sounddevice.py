@@ -1,7 +1,5 @@
 """The player driver ``sounddevice``: its keys."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from wavefocus.drivers.protocols import Player

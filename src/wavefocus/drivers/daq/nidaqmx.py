@@ -1,7 +1,5 @@
 """The recorder driver ``nidaqmx``: its keys, and which of two ways leads to the device."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal

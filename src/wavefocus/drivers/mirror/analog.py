@@ -5,8 +5,6 @@ GVS201): +-10 V, 0.5, 0.8 or 1.0 V per mechanical degree by jumper, a step of 0.
 twice the mirror's angle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -16,8 +16,6 @@ calls them "degree rotation for the micromirror", ASI's drive card guide gives 4
 states that as its mechanical tilt; so the beam is taken to turn `beam_per_mirror` = 2 times as far.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The generic mirror, defined in docs/reference/generic-mirror.md for a controller that one builds oneself."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -15,8 +15,6 @@ Bias, largest difference and filter (``MTI+VB``, ``MTI+VD``, ``MTI+BW``) belong 
 taken from the controller's memory, or sent as `setup` before the mirror is enabled.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

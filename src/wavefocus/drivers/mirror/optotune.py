@@ -13,8 +13,6 @@ number is known, so two devices of this kind cannot be distinguished: name the p
 (``serial-number:...``) where there are two. There is no read-back.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A shutter, or an interlock's input, on a digital output of an NI device, which may be the recorder's."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from wavefocus.drivers.protocols import DeviceIdentity, Shutter

@@ -12,8 +12,6 @@ Not confirmed: the largest signal level, 775 in two of the programs; what the co
 does not support (``Not Available`` for a decoder that is not installed); which byte a micro sign is (latin-1 here).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

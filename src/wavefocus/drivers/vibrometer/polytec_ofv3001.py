@@ -8,8 +8,6 @@ Not confirmed: whether it answers before ``REN`` has switched it to remote contr
 does not); other baud rates; how late the output is behind the surface, which it does not say.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The map of a campaign, coloured by status or by a quality figure, selected by mouse and keyboard; its legend."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Panels around the map: buttons, progress, events with a filter, and instruments."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

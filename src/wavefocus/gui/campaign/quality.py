@@ -1,7 +1,5 @@
 """Quality of positions: status bits with words and looks, and figures as one number per position."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

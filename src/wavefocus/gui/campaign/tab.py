@@ -1,7 +1,5 @@
 """The Campaign tab: map, details, lists, progress, and buttons that start commands."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

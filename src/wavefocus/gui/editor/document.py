@@ -1,7 +1,5 @@
 """The text of one file that is edited: undo, copies and comments are those of the text."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal

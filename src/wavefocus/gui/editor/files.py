@@ -1,7 +1,5 @@
 """Opens and saves the file of a text, asks about unsaved changes, keeps them across a crash, and sees foreign ones."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The menu that inserts a commented table of each kind into a text."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from PyQt5.QtWidgets import QMenu, QToolButton

@@ -1,7 +1,5 @@
 """What the text of a run or rig file means: the surface, and figures or channels; computed in a thread."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

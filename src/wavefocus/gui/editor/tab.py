@@ -1,7 +1,5 @@
 """The Files tab: the texts of run and rig file, and what they mean beside them."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The editor's text: completion of keys, their help, and mistakes at their lines."""
 
-from __future__ import annotations
-
 from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt, pyqtSignal
 from PyQt5.QtGui import (
     QColor,

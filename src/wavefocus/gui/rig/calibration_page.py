@@ -1,7 +1,5 @@
 """Calibration wizard: its options, its questions, the beam and the residuals of the mirror map."""
 
-from __future__ import annotations
-
 import math
 
 from PyQt5.QtCore import Qt, pyqtSignal

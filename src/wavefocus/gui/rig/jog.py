@@ -1,7 +1,5 @@
 """Moving the beam: the picture of the surface, arrow buttons and coordinates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

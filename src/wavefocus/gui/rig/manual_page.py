@@ -1,7 +1,5 @@
 """Page "By hand": moves the beam, shows levels, takes sweeps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Child processes that hold a rig's instruments: ``wavefocus operate`` and ``wavefocus calibrate``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The Rig tab: examine a rig, operate it by hand, calibrate it; each in a separate process of the command."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """The surface that scenes are seen on: their paths and foci; a drag or a click adds a source or a quiet place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The document of the Scene tab: the text of a scene file, the scene that it says, and its bank."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Saving a scene as drive or WAV, and playing it on the rig: commands in processes of their own."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable, Sequence

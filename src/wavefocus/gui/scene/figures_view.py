@@ -1,7 +1,5 @@
 """The figures of a scene with verdicts and definitions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Start, stop, latency and figures of live sources."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

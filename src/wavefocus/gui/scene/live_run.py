@@ -1,7 +1,5 @@
 """The ``wavefocus live`` process of the Scene tab, and the sources that pointers hold."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from datetime import datetime

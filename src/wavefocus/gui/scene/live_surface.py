@@ -1,7 +1,5 @@
 """The surface of live sources: mouse, fingers and keys hold sources on it; rings show where they sound."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

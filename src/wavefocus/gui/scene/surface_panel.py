@@ -1,7 +1,5 @@
 """The panel that scenes are seen and drawn on: tools, surface, colour bar, and a hint or the scene's problem."""
 
-from __future__ import annotations
-
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QWidget
 

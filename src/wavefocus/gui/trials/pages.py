@@ -1,7 +1,5 @@
 """Pages of the trials' window: the first page, a question, and a notice for all else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

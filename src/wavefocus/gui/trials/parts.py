@@ -1,7 +1,5 @@
 """Parts of the participant's pages: large texts, buttons that report their input."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Literal

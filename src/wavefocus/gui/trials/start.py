@@ -1,7 +1,5 @@
 """The dialog that starts a participant's trials, in a window and a process of their own."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The trials' window: pages by the session's state, answers by keyboard, mouse and touch, closing that mutes."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Sequence

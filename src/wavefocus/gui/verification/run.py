@@ -22,13 +22,7 @@ from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import ClosingQuestion, OwnCommand, TabContext
-from wavefocus.rendering.verify.record import (
-    LOG_NAME,
-    PREDICTION_NAME,
-    RECORD_NAME,
-    SCAN_NAME,
-    STOP_NAME,
-)
+from wavefocus.rendering.verify.record import LOG_NAME, PREDICTION_NAME, RECORD_NAME, SCAN_NAME, STOP_NAME
 from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:

@@ -1,7 +1,5 @@
 """The Verification tab: the choices of a verification, its progress, and what it found."""
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Callable
@@ -18,11 +16,7 @@ from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, VerdictPanel
-from wavefocus.gui.verification.run import (
-    Results,
-    VerificationRun,
-    read_results,
-)
+from wavefocus.gui.verification.run import Results, VerificationRun, read_results
 from wavefocus.rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 
 

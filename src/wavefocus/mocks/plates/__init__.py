@@ -1,7 +1,5 @@
 """Plates: responses from actuators to positions, by the plate's name; a new one is a module here."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A finger that rests on a plate: mass, spring and damper at one place."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

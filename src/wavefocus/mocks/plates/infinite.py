@@ -4,8 +4,6 @@ A response is a sum over kinds of waves (shear and pressure, say) and their kern
 times a weight of the direction.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Protocol
 

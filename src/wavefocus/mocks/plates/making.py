@@ -1,7 +1,5 @@
 """Plates made by name, at a temperature, with a finger on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Plates by their modes: a response is a sum over modes of a shape times a function of frequency."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache

@@ -11,8 +11,6 @@ The gel relaxes (Maxwell): every modulus is its instantaneous value times 1 / (1
 / c^2 for both waves, which is the damped wave of the scalar plate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

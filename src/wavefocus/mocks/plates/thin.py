@@ -5,8 +5,6 @@ same share per period, and the modes of a simply supported rectangle all have th
 w = kappa pi^2 (m^2/a^2 + n^2/b^2) (Kirchhoff-Love; Timoshenko and Woinowsky-Krieger 1959).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

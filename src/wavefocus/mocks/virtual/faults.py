@@ -1,7 +1,5 @@
 """Faults on order, and the virtual device that meets them: which instrument fails, when, and how."""
 
-from __future__ import annotations
-
 import threading
 from collections import Counter
 from dataclasses import dataclass

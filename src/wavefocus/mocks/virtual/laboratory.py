@@ -1,7 +1,5 @@
 """Clock, sensors, patch bay and chance of the virtual laboratory."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import struct

@@ -1,7 +1,5 @@
 """How a scanning mirror moves, and the virtual mirror that moves so."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """A player with a latency and a clock of its own."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

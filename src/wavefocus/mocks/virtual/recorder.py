@@ -1,7 +1,5 @@
 """A recorder of what the player puts out and of the point that the mirror points to."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass, replace
 from functools import lru_cache

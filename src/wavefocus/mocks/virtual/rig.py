@@ -1,7 +1,5 @@
 """A rig to practise on: three instruments, one plate and one clock, all virtual."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Settings of the virtual rig, and the laser in front of its plate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

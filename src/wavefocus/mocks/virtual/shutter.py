@@ -1,7 +1,5 @@
 """A virtual shutter."""
 
-from __future__ import annotations
-
 from wavefocus.drivers.protocols import Shutter
 from wavefocus.mocks.virtual.faults import VirtualDevice
 

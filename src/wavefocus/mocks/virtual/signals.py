@@ -1,7 +1,5 @@
 """Signals that were played, each kept once with its spectra."""
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from functools import lru_cache

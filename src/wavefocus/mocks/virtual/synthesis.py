@@ -1,7 +1,5 @@
 """Voltages at the recorder's inputs, exact in time and clock, from player volts through chain and plate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,14 +9,7 @@ import numpy as np
 import scipy
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
-from wavefocus.mocks.plates import (
-    MAX_RINGING_S,
-    REFERENCE_C,
-    Complex64Array,
-    Complex128Array,
-    Plate,
-    impulse_length,
-)
+from wavefocus.mocks.plates import MAX_RINGING_S, REFERENCE_C, Complex64Array, Complex128Array, Plate, impulse_length
 from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal, delay_factor

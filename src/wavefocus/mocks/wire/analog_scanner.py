@@ -1,7 +1,5 @@
 """A pair of galvanometers that follow two analog outputs of the emulated NI box."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The emulated instruments of a whole rig before one plate and one clock: what real drivers find without hardware."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

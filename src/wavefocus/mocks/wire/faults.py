@@ -1,7 +1,5 @@
 """Faults on the wire, on order: which emulated instrument, which call or time, which fault."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter

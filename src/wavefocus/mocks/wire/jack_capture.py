@@ -1,7 +1,5 @@
 """What an emulated audio interface has put out: in memory shared by two processes, and what has left its outputs."""
 
-from __future__ import annotations
-
 import mmap
 import os
 import sys

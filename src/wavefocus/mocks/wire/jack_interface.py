@@ -4,8 +4,6 @@ Run as ``python -m wavefocus.mocks.wire.jack_interface DESCRIPTOR`` by `wavefocu
 of JSON and then one word per line on standard input. It ends with its parent, and takes the server with it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

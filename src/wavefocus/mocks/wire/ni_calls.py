@@ -1,7 +1,5 @@
 """What each remote procedure of the emulated NI gRPC Device Server does."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -4,8 +4,6 @@ Sources: NI USB-621x user manual and specifications (one converter behind a mult
 converter for each input, 1.25 MS/s per channel).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

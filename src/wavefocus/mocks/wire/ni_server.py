@@ -1,7 +1,5 @@
 """An NI gRPC Device Server with one box on it; the real nidaqmx package is its client."""
 
-from __future__ import annotations
-
 import functools
 import threading
 import time

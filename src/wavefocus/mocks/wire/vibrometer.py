@@ -14,8 +14,6 @@ OFV-3001: its user manual, appendix E.2.4 and E.2.6 (``VELO?``, ``VELO1`` to ``V
 the echo; whether it answers without ``REN``; that a range of a decoder which is not installed is ignored.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 

@@ -7,8 +7,6 @@ row's, and a single inverse transform per block and actuator gives the drives (o
 (block, row) pairs.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence

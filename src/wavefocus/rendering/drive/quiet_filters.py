@@ -20,8 +20,6 @@ References: Lagrange duality, S. Boyd and L. Vandenberghe, Convex Optimization, 
 J.-W. Choi and Y.-H. Kim, J. Acoust. Soc. Am. 111 (2002) 1695.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

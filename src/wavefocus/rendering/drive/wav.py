@@ -1,7 +1,5 @@
 """Drives at an audio interface's rate, and as WAV files, piece by piece: the same numbers as in one piece."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

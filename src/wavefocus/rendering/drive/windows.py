@@ -1,7 +1,5 @@
 """Windows of bank rows within one block of a source, in time and as spectra, and the spectra of time-reversed rows."""
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Many rows of a bank convolved with one drive, block by block: a matrix product per frequency bin."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Crosstalk between the foci of a path: the paper's figure 4D, left."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Figures of a drive's foci, in the field that the bank predicts or in one that was measured; responses at the foci."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

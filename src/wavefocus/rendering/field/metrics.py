@@ -1,7 +1,5 @@
 """Figures of wave fields on a grid of positions, each with its definition."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Drives into fields: the response that the bank predicts (eqs. 4 and 17), row by row."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np

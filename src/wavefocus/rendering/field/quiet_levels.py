@@ -3,8 +3,6 @@
 A place or a source that moves is followed: what counts is the response where it is at each instant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Waves in a bank and in responses: correlation over distance, travel of impulses, spectra at path points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,20 +1,12 @@
 """Saturation (eq. 14) and gain normalisation (eq. 15) of the rows that a scene visits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
-from wavefocus.rendering.greens.source import (
-    GreenSource,
-    RealArray,
-    RowReader,
-    refusal,
-    usable,
-)
+from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader, refusal, usable
 from wavefocus.storage.errors import InputError
 
 RowWeights = tuple[Float64Array | None, float]

@@ -22,8 +22,6 @@ what the computation before gave for it, so that a prediction that did not come 
 changes, both are the same numbers, and the second and the third block are taken as they are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress

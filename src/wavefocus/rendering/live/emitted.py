@@ -1,7 +1,5 @@
 """Signals of live sources, as samples at the bank's rate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ A position becomes that of the source `look_ahead_samples` later. With at least 
 between positions nothing is predicted, and the drives are those of the recorded scene.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -19,8 +19,6 @@ Where places are so near to one another that |w|^2 would exceed E times |w0|^2, 
 allows: the response at the own place stays what it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Limits of live drives at the interface's rate: one gain for all outputs, found a look-ahead before it is due."""
 
-from __future__ import annotations
-
 import math
 from itertools import accumulate
 

@@ -1,7 +1,5 @@
 """The part of the surface that sources may be rendered on while they sound."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace

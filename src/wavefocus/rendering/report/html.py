@@ -1,7 +1,5 @@
 """Pages of HTML that hold all they show: no network, scripts or fonts of others."""
 
-from __future__ import annotations
-
 import base64
 from typing import Any
 

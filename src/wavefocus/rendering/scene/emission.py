@@ -1,7 +1,5 @@
 """Emissions: what a source emits in time, block by block, and from which rows (docs/reference/scene-file.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Where a scene is to be quiet: places and rows, instant by instant, and the sources that keep away from them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

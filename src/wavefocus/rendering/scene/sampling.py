@@ -1,7 +1,5 @@
 """A source sampled in time: path points, focus instants, emission (docs/reference/scene-file.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

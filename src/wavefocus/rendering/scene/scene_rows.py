@@ -1,7 +1,5 @@
 """The positions of a grid that a scene needs: those that it is rendered from, and those around its foci."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Size of a scene, found before anything of that size is made."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

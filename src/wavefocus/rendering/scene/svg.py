@@ -1,7 +1,5 @@
 """A path out of an SVG file, flattened to polylines: SVG 1.1, section 8.3, and `transform` attributes."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A source's course in time: places and amplitudes at samples, linear between them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

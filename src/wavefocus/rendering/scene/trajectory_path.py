@@ -1,7 +1,5 @@
 """A path in time: where a source is and how loud, instant by instant; from a CSV file or from arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

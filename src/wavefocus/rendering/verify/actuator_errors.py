@@ -1,7 +1,5 @@
 """Factor and delay of each actuator against the bank, by least squares over the responses of a verification."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Prediction and scan within the bank's band, at any instant or position."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

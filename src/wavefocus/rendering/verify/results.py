@@ -1,7 +1,5 @@
 """What a verification finds: figures, symptoms, drift. Plain data, which every other module here imports."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The symptoms of a verification in words: the only place where a code becomes a sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Banks that any program wrote: `/green`, `/position_mm` and `sample_rate_hz`, each fact held against sense."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The bank file as HDF5 has it, docs/reference/files.md: its header, and where everything lies."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The ledger row of a bank: status, quality and rms of a position, with the checksum of its Green's functions."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Banks that rows of a bank were taken over from."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 

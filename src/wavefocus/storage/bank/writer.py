@@ -3,8 +3,6 @@
 ``/status`` and ``/quality`` follow from the ledger and are rebuilt from it on opening.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A format is a module here. With `write` it has an entry of `EXPORTS` and a line 
 `read` an entry of `IMPORTS` and a line in tests/system/test_import.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 CSV_NOTES = "-metadata.json"

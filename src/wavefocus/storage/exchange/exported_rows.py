@@ -1,7 +1,5 @@
 """Rows of a bank that are exported, read one after the other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal

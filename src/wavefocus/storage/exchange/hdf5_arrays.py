@@ -1,7 +1,5 @@
 """Named arrays of HDF5 files: netCDF-4, and MATLAB's version 7.3."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path

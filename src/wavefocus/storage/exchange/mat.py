@@ -1,7 +1,5 @@
 """MATLAB files: a bank as one of level 5, with a struct that explains it; level 5 and version 7.3 are read."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Iterator

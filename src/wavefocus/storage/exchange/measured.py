@@ -1,7 +1,5 @@
 """Responses measured elsewhere, as a file holds them, before they become a bank."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence

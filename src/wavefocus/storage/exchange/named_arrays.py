@@ -1,7 +1,5 @@
 """Banks and frequency responses as arrays with names, as NumPy, MATLAB and netCDF files hold them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

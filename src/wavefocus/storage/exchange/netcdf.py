@@ -1,7 +1,5 @@
 """A bank as netCDF-4 with CF metadata, row by row; netCDF-4 as xarray and others write it, and netCDF-3, are read."""
 
-from __future__ import annotations
-
 import warnings
 from contextlib import ExitStack, suppress
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Arrays in NPY form (numpy.lib.format); pickled ones are never read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import IO, Any
 

@@ -1,7 +1,5 @@
 """A bank as a NumPy archive, and archives of arrays; pickled ones are never read."""
 
-from __future__ import annotations
-
 import zipfile
 from contextlib import ExitStack
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Opening files of other formats for import: which format it is, and what it holds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace

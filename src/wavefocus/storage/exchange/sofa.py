@@ -1,7 +1,5 @@
 """A bank as SOFA (AES69), convention GeneralFIR-E; conventions with responses or transfer functions are read."""
 
-from __future__ import annotations
-
 import re
 from contextlib import ExitStack
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ as the Structural Dynamics Research Laboratory of the University of Cincinnati d
 and others.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack

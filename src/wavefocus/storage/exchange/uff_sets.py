@@ -3,8 +3,6 @@
 Functions (58, text and binary), nodes (15, 781, 2411), their coordinate systems (18, 2420), units (164).
 """
 
-from __future__ import annotations
-
 import codecs
 import math
 import os

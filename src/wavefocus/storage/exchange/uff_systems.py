@@ -1,7 +1,5 @@
 """Coordinate systems of universal files (sets 18 and 2420), in which nodes give their places and directions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A bank as sound files, one multichannel WAV per position or actuator; exports and folders with a table are read."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Where in a ledger file everything lies: made once through HDF5, written and read by offsets from then on."""
 
-from __future__ import annotations
-
 import shutil
 import zlib
 from collections.abc import Callable, Collection, Iterator, Sequence

@@ -1,7 +1,5 @@
 """One writer per file: who owns it, and where its name is written."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

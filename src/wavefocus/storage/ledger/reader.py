@@ -1,7 +1,5 @@
 """Reading the rows of a ledger file straight from their offsets, without locks, also while it is written."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

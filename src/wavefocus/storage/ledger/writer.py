@@ -1,7 +1,5 @@
 """The one process that writes a ledger file: ownership, recovery, commits, and what becomes of a lost file."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import zlib

@@ -1,7 +1,5 @@
 """Header of a file of raw recordings, docs/reference/files.md, with the schedule of the records of a position."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The raw file as HDF5 sees it, docs/reference/files.md: laid out once, and where everything lies."""
 
-from __future__ import annotations
-
 import zlib
 from pathlib import Path
 

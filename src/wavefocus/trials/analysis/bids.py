@@ -4,8 +4,6 @@ Each participant has a table ``sub-LABEL/beh/sub-LABEL_task-NAME_beh.tsv`` and a
 Labels hold only letters and digits; ``participants.tsv`` has the code of each label.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

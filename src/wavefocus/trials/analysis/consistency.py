@@ -1,7 +1,5 @@
 """Answers held against the experiment that ``trials.json`` describes; statistics leave out the rows that do not fit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime

@@ -7,8 +7,6 @@ Psychophys. 63 (2001), 1293). An interval holds the values whose profile of the 
 95 % quantile of chi-square of its peak (Heinze and Schemper, Stat. Med. 21 (2002), 2409).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

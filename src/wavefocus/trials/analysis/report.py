@@ -1,7 +1,5 @@
 """The report of an experiment: one self-contained HTML file, and the pictures in it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 

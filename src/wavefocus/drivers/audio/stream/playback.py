@@ -1,7 +1,5 @@
 """The stream's callback: puts signals into periods, sees them out of the outputs, notices gaps."""
 
-from __future__ import annotations
-
 import queue
 import sys
 from collections.abc import Callable, Sequence

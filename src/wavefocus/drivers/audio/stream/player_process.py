@@ -1,7 +1,5 @@
 """The process that owns the audio stream: it can be killed when a driver hangs, and ends, muted, with its parent."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys
@@ -18,16 +16,7 @@ from wavefocus.drivers.audio.stream.portaudio import (
     WatchedStream,
     load_sounddevice,
 )
-from wavefocus.drivers.process import (
-    STOPPED,
-    Alive,
-    Ask,
-    Close,
-    Lost,
-    MessagePipe,
-    pipe_to_parent,
-    wait_for_silence,
-)
+from wavefocus.drivers.process import STOPPED, Alive, Ask, Close, Lost, MessagePipe, pipe_to_parent, wait_for_silence
 from wavefocus.drivers.protocols import Float32Array
 
 CLOSING_S = 3.0

@@ -1,7 +1,5 @@
 """PortAudio's outputs by host API and name, and the stream over one of them."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Voltages as the stream's process receives them: checked, and resampled to the interface's rate."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections import OrderedDict

@@ -1,16 +1,9 @@
 """Failures of NI-DAQmx and its server, in words for the person at the bench."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, NamedTuple
 
-from wavefocus.drivers.errors import (
-    InstrumentError,
-    InstrumentLostError,
-    TransientInstrumentError,
-    UnknownFaultError,
-)
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError, UnknownFaultError
 
 # Codes of nidaqmx.error_codes.DAQmxErrors and DAQmxWarnings.
 NO_SUCH_DEVICE = -200220

@@ -3,8 +3,6 @@
 An output keeps its level when its task ends, until it is written again, the device is reset or loses its power.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress

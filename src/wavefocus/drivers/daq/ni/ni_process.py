@@ -4,8 +4,6 @@ NI-DAQmx can stay broken after a replug until the process that has loaded it end
 So every connection starts a fresh one, and a call that hangs in the library is ended with it.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """National Instruments' data acquisition devices as recorders, through the nidaqmx package."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import suppress
 

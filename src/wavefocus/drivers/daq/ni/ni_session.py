@@ -1,7 +1,5 @@
 """A connection to one NI device, by the local driver or NI's gRPC Device Server."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

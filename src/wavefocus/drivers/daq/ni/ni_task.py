@@ -1,7 +1,5 @@
 """One finite two-channel task, kept from record to record: its converter's step, refusals before it is asked."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

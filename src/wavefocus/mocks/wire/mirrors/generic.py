@@ -1,7 +1,5 @@
 """A mirror controller as docs/reference/generic-mirror.md defines it."""
 
-from __future__ import annotations
-
 import re
 from functools import reduce
 

@@ -17,8 +17,6 @@ unknown command -> ``NO``          the same
 Not confirmed by a source: which of ``OU`` and ``OL`` answers a target beyond the circle but within each axis.
 """
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """The cheapest interpolation that serves: nearest on positions, else the kernel, else waves; and the public one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Weights are real and the same for all actuators and frequencies. A method whose 
 regression) adds rows of its own behind those of the bank.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

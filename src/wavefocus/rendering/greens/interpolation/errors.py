@@ -1,7 +1,5 @@
 """Error of the bank between its positions by frequency, and the warning that follows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Kernel interpolation: rows at further places, from the positions around them."""
 
-from __future__ import annotations
-
 from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Errors of an interpolation by leaving positions out of the kernel's patches."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Interpolation from the grid's positions only: nearest and bilinear."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array

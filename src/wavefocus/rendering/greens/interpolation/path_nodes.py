@@ -1,7 +1,5 @@
 """Interpolation along a path between nodes in arc length, for methods that add rows of their own to the bank."""
 
-from __future__ import annotations
-
 import itertools
 from abc import ABC, abstractmethod
 from collections import OrderedDict

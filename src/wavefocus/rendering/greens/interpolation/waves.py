@@ -4,8 +4,6 @@ It works on grids coarser than half a wavelength, where the kernel does not. The
 kept next to it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 from collections import OrderedDict
@@ -33,13 +31,7 @@ from wavefocus.rendering.greens.interpolation.path_nodes import (
     node_spacing_mm,
 )
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import (
-    GreenSource,
-    RowReader,
-    is_check,
-    usable_checks,
-    well_measured,
-)
+from wavefocus.rendering.greens.source import GreenSource, RowReader, is_check, usable_checks, well_measured
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
