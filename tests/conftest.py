@@ -1,7 +1,5 @@
 """Rules for every test: none is judged by the clock, and in CI one that skips has failed, unless it may."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Generator

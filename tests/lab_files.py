@@ -1,7 +1,5 @@
 """Files of a small campaign, written and changed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Simulated participants: answers follow a psychometric function that is known, through session, order and analysis."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 import time

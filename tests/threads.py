@@ -1,7 +1,5 @@
 """Instruments, emulated or not, have a thread each: what is left open is seen by it."""
 
-from __future__ import annotations
-
 import gc
 import threading
 import time

@@ -3,8 +3,6 @@
 The virtual rig, the production drivers on emulated wires, and with ``--hardware RIG.toml`` a real rig alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What every mirror must do."""
 
-from __future__ import annotations
-
 import pytest
 
 from wavefocus.drivers.errors import InstrumentError

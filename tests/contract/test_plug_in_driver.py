@@ -1,7 +1,5 @@
 """The example of docs/how-to/write-a-driver.md, installed as another distribution, and drivers that are broken."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What every recorder must do."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

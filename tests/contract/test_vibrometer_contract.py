@@ -1,7 +1,5 @@
 """What every vibrometer's controller must do, through its driver."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

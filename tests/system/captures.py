@@ -1,7 +1,5 @@
 """Captures in this process, the events they report, and a listener that reacts to them."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Callable

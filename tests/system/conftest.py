@@ -1,7 +1,5 @@
 """Small campaigns on the virtual rig, quick enough for a test, through the same commands as large ones."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

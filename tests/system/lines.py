@@ -1,7 +1,5 @@
 """A command that talks in JSON lines, driven as a script drives it."""
 
-from __future__ import annotations
-
 import json
 import queue
 import subprocess
@@ -78,7 +76,7 @@ class Lines:
         assert not any("Traceback" in line for line in self.said), self.said
         return code
 
-    def __enter__(self) -> Lines:
+    def __enter__(self) -> "Lines":
         return self
 
     def __exit__(

@@ -3,8 +3,6 @@
 What is played is a formula, so that both channels are computed at the DAQ's own instants without resampling.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import h5py

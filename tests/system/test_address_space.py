@@ -1,7 +1,5 @@
 """Processes whose address space is limited: refused before anything is opened, and silent whatever fails."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Simulated people answer: through the whole command on the virtual rig, and many through session and analysis."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmarks run in small, and the figures that do not depend on the machine hold."""
 
-from __future__ import annotations
-
 import pytest
 
 from wavefocus.benchmarks import bank, commands, interpolation, paper, plate

@@ -1,7 +1,5 @@
 """Calibration through the real command: a person's lines on standard input, a file, and what becomes of it."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

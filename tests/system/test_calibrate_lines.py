@@ -1,7 +1,5 @@
 """`wavefocus calibrate --operator lines`: a window or a script asks the person."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Campaigns through the command line, from the first position to the last, with all that can go wrong."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Fields and banks made on a cluster of processes: the same to the byte as those made here."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """Numbers on the command line that no computation can do with: one sentence and exit code 2, or a result."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Going on with a corrected rig file: what may change, what may not, and the command as it is printed."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the commands say of damaged files."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

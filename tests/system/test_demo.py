@@ -1,7 +1,5 @@
 """The errors that the demo states."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

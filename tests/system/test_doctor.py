@@ -1,7 +1,5 @@
 """The doctor through the real command: findings for people and programs, and exit codes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

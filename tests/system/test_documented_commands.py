@@ -9,8 +9,6 @@ with "$ " and shows some of what they print, numbers aside. Comments, which a re
     <!-- shell -->             before a block: it is carried out as a whole, sh by a POSIX shell, bat by Windows' own
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

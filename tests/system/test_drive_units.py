@@ -1,7 +1,5 @@
 """Units of drives: taken from the unit of the Green's functions, kept by exports, and played only in volts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Banks from raw recordings that an independent script wrote, of any rate, length and clock."""
 
-from __future__ import annotations
-
 import h5py
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Banks exported through the command line, and read back with the packages that the formats belong to."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

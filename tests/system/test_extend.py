@@ -1,7 +1,5 @@
 """Banks with more positions: what is taken over, what is measured, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

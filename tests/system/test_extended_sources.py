@@ -1,7 +1,5 @@
 """Several sources, moving and standing, and extended ones as sums: the example of the documentation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What only some commands need is an extra; where it is not installed, they say so in a line."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A bank written by a few lines of h5py renders and predicts as the contract's equations say."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Responses in other formats become banks through the command line: our own exports, and files as others make them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

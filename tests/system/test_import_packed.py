@@ -1,7 +1,5 @@
 """Packed, masked and unwritten values of netCDF files, as the netCDF library reads them itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

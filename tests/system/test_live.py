@@ -1,7 +1,5 @@
 """``wavefocus live`` on the virtual rig: orders on standard input and by OSC, wrong orders, and every way out."""
 
-from __future__ import annotations
-
 import math
 import signal
 import subprocess

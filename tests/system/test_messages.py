@@ -1,7 +1,5 @@
 """Messages about a campaign: real addresses of a real web server on this machine, through apprise."""
 
-from __future__ import annotations
-
 import http.server
 import json
 import threading

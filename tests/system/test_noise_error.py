@@ -1,7 +1,5 @@
 """The error that white noise leaves in the rows, as it is stated, against the virtual plate's truth."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

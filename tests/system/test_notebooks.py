@@ -1,7 +1,5 @@
 """The notebooks run as scripts, and draw what they explain."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

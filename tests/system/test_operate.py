@@ -1,7 +1,5 @@
 """`wavefocus operate` as a script drives it: orders in, events out, and every way it may end."""
 
-from __future__ import annotations
-
 import codecs
 import json
 import os

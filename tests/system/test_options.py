@@ -1,7 +1,5 @@
 """The size of the command line: a command or an option more needs a reason, and takes the place of another."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Outputs of every command: what they never replace, and what is there when disks fail or processes are killed."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """A user's own files of everyday names, and other packages, do not stand in the way of wavefocus, nor it in theirs."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

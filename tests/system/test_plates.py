@@ -1,7 +1,5 @@
 """Every virtual plate is captured, killed, resumed and verified like the first."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

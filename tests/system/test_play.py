@@ -1,7 +1,5 @@
 """Drives played on the virtual rig through the command line, and what is refused before anything sounds."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

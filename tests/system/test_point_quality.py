@@ -1,7 +1,5 @@
 """Point quality in a campaign: what is wrong is named, tried again in the right way, and never called valid."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

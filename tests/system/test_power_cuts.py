@@ -1,7 +1,5 @@
 """Power cuts replayed from a log of writes: what survives, and that the replay sees what lesser writers lose."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The process around a command: closed standard streams, Ctrl-C at any moment, errors and warnings in one line."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`import wavefocus as wf`: examples of the docstrings, and functions with paths, objects and wrong input."""
 
-from __future__ import annotations
-
 import doctest
 from pathlib import Path
 

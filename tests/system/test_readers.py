@@ -1,7 +1,5 @@
 """Readers of a bank in other languages: their page, the names that they read, and what Octave reads."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Rigs with real drivers, on the command line: dry runs need no instrument, and what is missing is named."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Instruments that go away in the middle of a campaign or a scan, through the commands on the virtual rig."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import signal

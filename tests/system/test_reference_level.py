@@ -1,7 +1,5 @@
 """The level of the reference: a record whose loopback is not as loud as it was is never wrong and valid."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

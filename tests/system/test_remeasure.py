@@ -1,7 +1,5 @@
 """Measuring again: a valid row is replaced by one that agrees with it, never by a wrong one."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

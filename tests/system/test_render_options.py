@@ -1,7 +1,5 @@
 """What ``render`` and ``movie`` do besides drives: limits, figures, pictures."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

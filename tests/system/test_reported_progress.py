@@ -1,7 +1,5 @@
 """Reports to people and programs: dry run, status, progress, error against the truth."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

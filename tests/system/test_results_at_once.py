@@ -1,7 +1,5 @@
 """Results of several files are replaced at once: killed at any moment, old and new are never read as one."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """A capture for one scene: what it needs and no more; the rest later, in the same bank."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

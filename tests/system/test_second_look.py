@@ -1,7 +1,5 @@
 """Grids too coarse for neighbours: waves judge each position, or a second measurement confirms it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

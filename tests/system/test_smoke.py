@@ -1,7 +1,5 @@
 """Every command once, on a small campaign: what `make test` runs of the command line."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys

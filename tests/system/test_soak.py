@@ -1,7 +1,5 @@
 """A few faults of every class that ``make soak`` tries by the thousand, in the same way."""
 
-from __future__ import annotations
-
 import random
 import sys
 from collections.abc import Iterator

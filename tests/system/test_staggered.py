@@ -1,7 +1,5 @@
 """Staggered campaigns through the command line, the trial before them, and recordings kept beside the bank."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Starting the command must not wait for libraries that only some commands need."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Scenes that are rendered into files of drives and sounds through the command line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

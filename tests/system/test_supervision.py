@@ -1,7 +1,5 @@
 """A campaign that nobody watches: paused, suspended, hung, and ended in every way there is."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

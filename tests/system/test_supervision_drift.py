@@ -1,7 +1,5 @@
 """Drift during a campaign, and going on with what is not the same any more."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta

@@ -1,7 +1,5 @@
 """A rig or a bank that is not as it was, verified: the symptom is named, and a sound one names none."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path

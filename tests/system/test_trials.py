@@ -1,7 +1,5 @@
 """Whole experiments through the command, answered by a program: what is stored, refused, repeated and muted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Trials whose process is killed: no answer that was acknowledged is lost, and the order stays as it was."""
 
-from __future__ import annotations
-
 import json
 import random
 import sys

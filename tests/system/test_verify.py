@@ -1,7 +1,5 @@
 """Rendering, playing and scanning on the virtual rig, through the commands."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """All commands that take a bank, on one of 402 positions whose waves are not fitted yet: long silences are named."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Wrong input through the command line: one sentence, exit 2, and the file untouched."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

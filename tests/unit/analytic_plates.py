@@ -5,8 +5,6 @@ clamped disk by Bessel series. `bending`: a simply supported rectangle of glass 
 Green's functions with noise at -55 dB, scans are responses of the changed rig with noise at -40 dB.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache

@@ -3,8 +3,6 @@
 Each gives mobilities (places, actuators, frequencies) at any frequencies, and with them FIRs.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

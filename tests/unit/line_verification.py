@@ -1,7 +1,5 @@
 """A source on a line over a small bank of pulses: bank, scene, drive and prediction, for reports and records."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

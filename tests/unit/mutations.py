@@ -1,7 +1,5 @@
 """Random single mutations of files, and whether one changes what h5py reads."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from pathlib import Path

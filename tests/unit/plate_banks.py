@@ -1,7 +1,5 @@
 """Small banks of the analytic soft plate, with the truth at any point."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Actuators against each other: sign, level, and words for what is wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Adaptive levels: staircases and QUEST+, and their order with several tracks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -1,7 +1,5 @@
 """The file of answers: what is stored stays, what was not is cut off, and what others wrote is refused."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Callable

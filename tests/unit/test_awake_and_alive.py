@@ -1,7 +1,5 @@
 """Signs of life to a file and a real web server; the request to the system to stay awake."""
 
-from __future__ import annotations
-
 import http.server
 import os
 import stat

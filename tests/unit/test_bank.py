@@ -1,7 +1,5 @@
 """Reading banks: measured by this program, or written by any other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

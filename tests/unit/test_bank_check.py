@@ -1,7 +1,5 @@
 """What a check of a bank finds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

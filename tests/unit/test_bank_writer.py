@@ -1,7 +1,5 @@
 """Measuring into a bank: order of writes, replacement, refusal, one owner, power cuts."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

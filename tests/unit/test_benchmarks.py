@@ -1,7 +1,5 @@
 """Benchmarks: harness, conditions of a run, and a registry of modules that exist."""
 
-from __future__ import annotations
-
 import json
 from importlib.util import find_spec
 from pathlib import Path

@@ -3,8 +3,6 @@
 `python -m pytest -s -m nightly tests/unit/test_bound_coverage.py` prints the table of docs/explanation/coarse-grids.md.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 

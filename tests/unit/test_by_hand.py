@@ -1,7 +1,5 @@
 """A rig operated by hand: levels, single sweeps, and a gate that silences whoever is waiting."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """When a calibration is warned of: too old, or made on another device."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import timedelta
 

@@ -1,7 +1,5 @@
 """A calibration file named in a rig file that a person wrote."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The procedures with a person at the bench: cables forgotten, outputs given up, marks that stick out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

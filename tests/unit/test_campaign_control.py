@@ -1,7 +1,5 @@
 """Heartbeat and orders: the files beside a bank by which processes talk."""
 
-from __future__ import annotations
-
 import threading
 import time
 from datetime import UTC, datetime, timedelta

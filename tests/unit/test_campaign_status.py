@@ -1,7 +1,5 @@
 """Status of a campaign by what its log says."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 

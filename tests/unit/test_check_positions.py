@@ -1,7 +1,5 @@
 """``[grid] check_positions``: in the plan, in a bank, in what a resume reads."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path

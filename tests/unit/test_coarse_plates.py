@@ -1,7 +1,5 @@
 """Waves of a coarse grid on plates of other shapes, and with a finger on them: small, and the stated errors say so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The page about the code names files and packages that exist, and leaves out no package."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Drives within what a coil may get: peak and rms over a second, scaled and never clipped."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Values of watched conditions, and their bands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The calibration file: written, read, taken into the rig, and refused where it contradicts it."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """What a rig file may say of watched conditions, and a run file of drift."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

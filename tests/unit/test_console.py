@@ -1,7 +1,5 @@
 """What people see while a command works: the progress line on a narrow terminal, steps of unknown length, pauses."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re

@@ -1,7 +1,5 @@
 """The page of constants that decide a verdict has the code's values, a source and both effects for each."""
 
-from __future__ import annotations
-
 from tools.constants_page import PAGE, page
 
 ROWS = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]

@@ -1,7 +1,5 @@
 """Corrections of drives by scans: how far, how loud, and when they stop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Crosstalk: what of the loopback leaks into the response input, on virtual rigs and in the estimator."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Damaged and hostile HDF5 files, fault x kind of file: what changes a value is found, and none ends in a traceback."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from pathlib import Path

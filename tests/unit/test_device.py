@@ -1,7 +1,5 @@
 """Drives and fields by the array API: on any namespace that follows the standard, and on a GPU where there is one."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import array_api_strict

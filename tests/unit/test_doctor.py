@@ -1,7 +1,5 @@
 """The doctor: every instrument is examined, whatever the others do."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The clock under the drift of a sentinel, as people read it."""
 
-from __future__ import annotations
-
 import re
 import time
 from datetime import UTC, datetime

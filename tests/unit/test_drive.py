@@ -1,7 +1,5 @@
 """Drives against a direct evaluation of docs/reference/files.md, one emitted sample after another."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The drive and field files of docs/reference/files.md."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Writing that survives a crash, by the platform's calls and by the portable ones."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

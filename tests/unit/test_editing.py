@@ -1,7 +1,5 @@
 """Help while a file's text is edited: mistakes by line, keys that fit, explanations, tables to insert."""
 
-from __future__ import annotations
-
 import pytest
 
 from wavefocus.config.editing import MODELS, commented_table, completions, help_at, mistakes_in

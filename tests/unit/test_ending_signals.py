@@ -1,7 +1,5 @@
 """Signals that end a campaign, here and where there are others."""
 
-from __future__ import annotations
-
 import os
 import signal
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Green's functions from records with a known truth."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

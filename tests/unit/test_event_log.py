@@ -1,7 +1,5 @@
 """The log beside a bank, read from its end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A subscriber that fails: reported once, and neither the others nor the campaign notice."""
 
-from __future__ import annotations
-
 from tests.lab_files import write_positions
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import StopRequest

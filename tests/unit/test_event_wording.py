@@ -1,7 +1,5 @@
 """Every event has one sentence, which the terminal and the window show alike."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import pytest

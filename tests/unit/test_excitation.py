@@ -1,7 +1,5 @@
 """The signal of a sequential record."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Predicted fields against plain convolution, eqs. (4) and (17)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """A file of the wrong kind, and a mistyped command: named at once, with what is meant."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures of a drive's foci."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

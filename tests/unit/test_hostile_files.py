@@ -1,7 +1,5 @@
 """Files that would block, never end or take minutes, next to a bank and as input: refused or passed over at once."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Hum below the sweep's band: a row is judged by what its estimate uses, and by nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

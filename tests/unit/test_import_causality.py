@@ -1,7 +1,5 @@
 """Frequency responses that no causal system has are named: conjugated or leading, aliased in time; others are not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

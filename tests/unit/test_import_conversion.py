@@ -1,7 +1,5 @@
 """Frequency responses, other units and places in space as an import turns them into Green's functions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Facts of foreign files are held against sense: units, rates, fill values, and what is left out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

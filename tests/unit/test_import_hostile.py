@@ -1,7 +1,5 @@
 """Files that are damaged, or made to do harm, end an import in one sentence, in little memory."""
 
-from __future__ import annotations
-
 import io
 import random
 import shutil

@@ -1,7 +1,5 @@
 """Real files with parts that nobody needs, and kinds that are not read: the one is read, the other is named."""
 
-from __future__ import annotations
-
 import io
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of places as spreadsheets write them, places stated twice, and actuators off the surface."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

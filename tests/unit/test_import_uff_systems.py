@@ -1,7 +1,5 @@
 """Coordinate systems, padded lines and function types of universal files that pyuff writes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The delay between the recorder's inputs: which value counts, and that all rows of a bank are corrected by one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

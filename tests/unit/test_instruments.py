@@ -1,7 +1,5 @@
 """Opening a rig: in order, and never half."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The bank between its positions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

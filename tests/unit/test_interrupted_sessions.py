@@ -1,7 +1,5 @@
 """A session that is asked to stop, to pause or to end at once, at every moment that it reports."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -81,7 +79,7 @@ def blueprint(tmp_path: Path) -> Blueprint:
 class TrialSession:
     """One session, in which something is done at one of the events that it publishes."""
 
-    def __init__(self, blueprint: Blueprint, bank: Path, at: int, act: Callable[[TrialSession], object]) -> None:
+    def __init__(self, blueprint: Blueprint, bank: Path, at: int, act: Callable[["TrialSession"], object]) -> None:
         self.stop, self.events = StopRequest(), list[Event]()
         self._at, self._act = at, act
         create_bank(bank, blueprint.bank_header())

@@ -1,7 +1,5 @@
 """The bank between its positions by kernel regression, against the analytic plate, and nodes along paths."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

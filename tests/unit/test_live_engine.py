@@ -1,7 +1,5 @@
 """Drives of sources whose positions arrive while they sound, against direct sums of eq. (9)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Independent live sources: filters against a direct minimum; levels and energies that the drives reach."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

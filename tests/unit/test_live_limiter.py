@@ -1,7 +1,5 @@
 """Limits of live drives: held at every sample, by one gain, which is 1 where nothing is near them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Records of live sessions: scenes that render to the drives of the engine, at every moment of the session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The loop of a live session on a player that keeps no time and follows a script; its orders, pace and messages."""
 
-from __future__ import annotations
-
 import math
 import os
 import threading

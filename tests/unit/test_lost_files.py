@@ -1,7 +1,5 @@
 """Banks and raw files that are deleted, renamed, replaced, truncated or overwritten while they are measured."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

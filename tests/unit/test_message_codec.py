@@ -1,7 +1,5 @@
 """Messages between processes are written and read by one codec."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

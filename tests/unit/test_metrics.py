@@ -1,7 +1,5 @@
 """Figures of wave fields against fields whose figures are known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A mirror that is off, by the sentinel position alone: a correction by control places would hide it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

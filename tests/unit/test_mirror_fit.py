@@ -1,7 +1,5 @@
 """The mirror map from marks: recovered, refined, and refused where it cannot be told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Movies and snapshots of fields: which instants they show, and what the files hold."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

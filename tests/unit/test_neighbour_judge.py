@@ -1,7 +1,5 @@
 """Rows judged against their neighbours: what is wrong is found and named, and nothing else is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Orders by OSC: packets of other programs, wrong ones, floods, and the end."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping
 from queue import Queue

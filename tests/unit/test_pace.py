@@ -1,7 +1,5 @@
 """Remaining time from the latest positions."""
 
-from __future__ import annotations
-
 import pytest
 
 from wavefocus.acquisition.plan import CampaignPace

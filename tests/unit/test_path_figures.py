@@ -1,7 +1,5 @@
 """Figures of paths and surfaces against cases that can be worked out: crosstalk, correlation, travel, spectrum."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import j0

@@ -1,7 +1,5 @@
 """Paths followed by their arc length."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

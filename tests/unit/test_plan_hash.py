@@ -1,7 +1,5 @@
 """The hash of a plan: equal to that of banks that are there, and closed to keys that nobody has thought of."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Plates that follow the room's temperature, and plates with a finger on them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

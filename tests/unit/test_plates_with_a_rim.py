@@ -1,7 +1,5 @@
 """Plates whose rim reflects waves, against closed forms of disk and rectangle, and against all their elements."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

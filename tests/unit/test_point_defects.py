@@ -1,7 +1,5 @@
 """What point quality sees in records of the virtual rig, with each defect put into one of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

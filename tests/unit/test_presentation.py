@@ -1,7 +1,5 @@
 """Stimuli on the virtual rig: their onsets against its true latency, masking on its output alone, faults repeated."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

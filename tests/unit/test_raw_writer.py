@@ -1,7 +1,5 @@
 """Keeping recordings: what is committed stays, whatever the disk does, and what is wrong is refused by a sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

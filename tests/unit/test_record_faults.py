@@ -3,8 +3,6 @@
 ``python -m pytest -s -m nightly tests/unit/test_record_faults.py`` prints the table of docs/reference/point-quality.md.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 

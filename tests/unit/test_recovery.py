@@ -1,7 +1,5 @@
 """Waiting for lost instruments: how long, how often, and who may end it."""
 
-from __future__ import annotations
-
 import dataclasses
 import signal
 import threading

@@ -1,7 +1,5 @@
 """Saturation and normalisation, eqs. (14) and (15)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scenes whose paths leave the positions: drives against the analytic plate, and what is said about the error."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

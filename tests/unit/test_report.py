@@ -1,7 +1,5 @@
 """The report holds all that it shows, and its text says what was found; names of users are escaped."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import io

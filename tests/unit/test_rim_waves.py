@@ -1,7 +1,5 @@
 """Waves between the positions of a coarse grid, against exact fields of sources and of a circular rim."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The journal of a scan: what was kept is there again, what is not whole does not count."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

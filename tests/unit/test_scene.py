@@ -1,7 +1,5 @@
 """Values that a scene may hold, and the positions that it needs: with them alone it renders as with all."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

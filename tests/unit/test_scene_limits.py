@@ -1,7 +1,5 @@
 """Scenes of extreme numbers and sizes: a finite drive or one sentence, and the size before anything is made."""
 
-from __future__ import annotations
-
 import tracemalloc
 import warnings
 from pathlib import Path

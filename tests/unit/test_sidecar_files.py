@@ -1,7 +1,5 @@
 """Files beside a bank are written neither through links nor over files of somebody else."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable

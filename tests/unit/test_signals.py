@@ -1,7 +1,5 @@
 """Signals that a source emits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import soundfile

@@ -1,7 +1,5 @@
 """The elastic solid against finite elements in plane strain, reciprocity and far fields."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.sparse import block_array

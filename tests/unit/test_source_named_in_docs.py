@@ -1,7 +1,5 @@
 """Pages name the modules and functions that do what they explain; these are where the pages say."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Joint estimation of actuators that sound together, against truth and against the noise's own limit."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The hidden folder where a file is made: gone afterwards, and what a killed maker left of it."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

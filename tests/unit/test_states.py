@@ -1,7 +1,5 @@
 """The states of a session: every change that the table has is made, and no other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from wavefocus.acquisition.engine.session import Session

@@ -1,7 +1,5 @@
 """Rows of the table of stiff and extreme cases that a bank can meet, from its estimate to its use."""
 
-from __future__ import annotations
-
 import functools
 import re
 

@@ -1,7 +1,5 @@
 """Rows of the table of stiff and extreme cases that the plates themselves can meet."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

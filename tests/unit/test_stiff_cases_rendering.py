@@ -1,7 +1,5 @@
 """Rows of the table of stiff and extreme cases that scenes, drives and fields can meet."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stimuli on disk: rendered once, verified after that, refused beyond limits."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Drives written block by block against the render in memory, limits and figures included."""
 
-from __future__ import annotations
-
 import itertools
 import tracemalloc
 from dataclasses import replace

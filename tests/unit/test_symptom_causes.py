@@ -1,7 +1,5 @@
 """Causes on plates by their own equations: each is named, or nothing is; never another."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Symptoms in words."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import pytest

@@ -1,7 +1,5 @@
 """A person at a terminal: what is typed, and what comes of it."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

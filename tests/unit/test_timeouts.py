@@ -1,7 +1,5 @@
 """Calls in a thread of their own: what they return, what they raise, and what becomes of those that hang."""
 
-from __future__ import annotations
-
 import _thread
 import signal
 import threading

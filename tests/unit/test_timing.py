@@ -1,7 +1,5 @@
 """Finding a known signal in a recording, and bringing recordings to its clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.fft

@@ -1,7 +1,5 @@
 """Scenes with trajectories: eq. (9) at the place of every sample, and each module that reads paths."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

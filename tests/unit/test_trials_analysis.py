@@ -1,7 +1,5 @@
 """Statistics of answers: against published values, other programs' fits and the paper's own numbers."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """Answers that do not fit the experiment are named by line and left out of its statistics; sound ones never are."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trials files: stimuli, right answers, and the order of each participant's trials."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 from collections import Counter

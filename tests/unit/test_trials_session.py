@@ -1,7 +1,5 @@
 """The session of one participant: its states, its answers, and where it goes on; stimuli are presented in memory."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Units of responses and drives."""
 
-from __future__ import annotations
-
 import pytest
 
 from wavefocus.storage.units import quantity, response_unit

@@ -1,7 +1,5 @@
 """Scans of a virtual rig and comparisons whose outcome is known."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from functools import cache

@@ -1,7 +1,5 @@
 """The record of a verification: what was found can be read again, and what was spoilt is a sentence."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Interpolation "waves" and "auto" on a coarse bank of a disk with a free rim, and the model kept next to it."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import h5py

@@ -1,7 +1,5 @@
 """Wrong types, words and shapes in Python: every parameter of every public function, one at a time."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable

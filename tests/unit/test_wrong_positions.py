@@ -1,7 +1,5 @@
 """Positions that are wrong, on plates that no constant was chosen on: all are found, and nothing else is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import cache
 

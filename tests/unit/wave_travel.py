@@ -1,7 +1,5 @@
 """What plates are held against: how an impulse travels on a wave, and the Green's function of a thin plate."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A rig whose mirror follows two outputs of the recorder's emulated box."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.wire.emulated import rig_text

@@ -1,7 +1,5 @@
 """Players on emulated interfaces, closed whatever happens."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What several suites on emulated wires share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A recorder on a server, and a player whose sound is on its inputs in real time."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

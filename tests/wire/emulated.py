@@ -1,7 +1,5 @@
 """A rig file whose instruments stand at the other ends of emulated wires, and the emulated instruments themselves."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

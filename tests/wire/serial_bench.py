@@ -1,7 +1,5 @@
 """A mirror driver and its emulated instrument on a real wire."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterator

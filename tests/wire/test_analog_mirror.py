@@ -1,7 +1,5 @@
 """A mirror on two analog outputs of the recorder's box, through the real nidaqmx package."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """An ASI Tiger with each kind of card: nothing moves that is no scanner, and nothing is set that is no input mode."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from importlib import resources

@@ -1,7 +1,5 @@
 """Signals at the interface's rate: to -100 dB, sample 0 in its place, and made once."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which output is meant, and a sentence for each way of not getting it."""
 
-from __future__ import annotations
-
 import sys
 import venv
 from contextlib import ExitStack

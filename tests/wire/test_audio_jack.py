@@ -1,7 +1,5 @@
 """Pacing, ends, mutes and underflows, by an audio server that keeps time."""
 
-from __future__ import annotations
-
 import threading
 import time
 from contextlib import ExitStack, suppress

@@ -1,7 +1,5 @@
 """Devices that vanish or hang, parents that die: every call comes back, every process ends, every output is silent."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """Periods as a stream asks for them: signals in their place, mutes that fade, gaps that are noticed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Doctor and calibrate through every wire at once: real drivers, emulated instruments, one plate behind them."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """A campaign whose mirror and shutter hang on outputs of the box that records: unplugged, and the program stopped."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A small campaign through every wire at once: serial mirror, gRPC recorder, JACK player, one plate behind them."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Counts: whatever a converter and its calibration are like, samples come out as whole steps within the range."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

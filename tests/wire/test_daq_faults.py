@@ -1,7 +1,5 @@
 """Every row of the fault table: what arrives over the wire becomes a sentence, and the next record is good."""
 
-from __future__ import annotations
-
 import re
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The NI recorder through the driver on this computer: the real package over a library that stands in for NI's."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

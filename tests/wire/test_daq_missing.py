@@ -1,7 +1,5 @@
 """What is not installed is a sentence of its own, and costs nothing until a recorder is opened."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from ctypes.util import find_library

@@ -1,7 +1,5 @@
 """The NI recorder through the real nidaqmx package, over gRPC, without faults."""
 
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,7 +1,5 @@
 """The emulated NI gRPC Device Server itself: its rules, and what other clients ask of it."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import grpc

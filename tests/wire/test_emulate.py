@@ -1,7 +1,5 @@
 """``wavefocus emulate``: what it refuses, and what can be typed while it runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

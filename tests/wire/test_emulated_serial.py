@@ -1,7 +1,5 @@
 """The emulated instruments by themselves, as a person at a terminal would meet them."""
 
-from __future__ import annotations
-
 import math
 import re
 import socket

@@ -1,7 +1,5 @@
 """``wavefocus doctor --record``: every exchange with the instruments is in the file."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A call that hangs in a port's driver: nobody waits for it, neither to close the mirror nor to connect it again."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

@@ -1,7 +1,5 @@
 """A program of others for the same device, as a client of the emulated one: how it reads the answers."""
 
-from __future__ import annotations
-
 import math
 import os
 

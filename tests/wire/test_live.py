@@ -1,7 +1,5 @@
 """``wavefocus live`` on an emulated audio interface: it sounds, outlives a lost server, and is silent in the end."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

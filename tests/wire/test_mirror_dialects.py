@@ -1,7 +1,5 @@
 """Each dialect over each wire, without faults: what every mirror must do, and what each one says on the line."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The serial faults, all of them on one dialect and some on the others, on either wire."""
 
-from __future__ import annotations
-
 import socket
 import threading
 

@@ -1,7 +1,5 @@
 """A rig operated by hand through every wire: the beam is where it was sent, and parked on every way out."""
 
-from __future__ import annotations
-
 import signal
 import time
 from pathlib import Path

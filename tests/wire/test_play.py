@@ -1,7 +1,5 @@
 """``wavefocus play`` on an emulated audio interface: what leaves its outputs, to the end and interrupted."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

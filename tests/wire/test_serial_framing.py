@@ -1,7 +1,5 @@
 """Whatever comes over a line, a position is right or it is an error; arbitrary bytes are never one."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import socket

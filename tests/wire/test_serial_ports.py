@@ -1,7 +1,5 @@
 """Ports by path, by address and by serial number; each way of not opening one has its own sentence."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

@@ -1,7 +1,5 @@
 """A shutter on a digital line: open while the beam is where it was sent, closed at rest and after every failure."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Trials on real drivers: onsets through the loopback of an emulated interface, and a player that goes away in one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """USB devices that are plugged in, and the reset of one, by the real pyusb on a backend of this file."""
 
-from __future__ import annotations
-
 import errno
 import re
 import time

@@ -1,7 +1,5 @@
 """What only an OFV-3001 has: range numbers, remote control, answers of one digit."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire

@@ -1,7 +1,5 @@
 """The vibrometer's sensitivity, read over both wires, with spot checks of the serial faults."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import pytest

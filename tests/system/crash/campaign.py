@@ -1,7 +1,5 @@
 """The small campaign that is killed again and again, what it ends as when nothing happens, and how that is compared."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterable

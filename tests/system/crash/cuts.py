@@ -1,7 +1,5 @@
 """Power cuts in a capture, in the repair of a crash and in the replacement of a position."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Generator, Iterator
 

@@ -1,7 +1,5 @@
 """Kills: at random moments, and at every call that changes a file, also while a crash is being repaired."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import time

@@ -1,7 +1,5 @@
 """Files that note what is written and synced, without a library that is loaded before the program."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Disks that fill or fail, bytes that flip, and second processes."""
 
-from __future__ import annotations
-
 import errno
 import os
 import random

@@ -4,8 +4,6 @@ What was synced is there. Of what was not, any part may be: each sector of each 
 where it was just being written, as garbage; each name of a file made, moved or removed, or not.
 """
 
-from __future__ import annotations
-
 import hashlib
 import struct
 from collections.abc import Iterable, Iterator, Mapping

@@ -4,8 +4,6 @@ What is forked runs the program as it is, from its entry point to the interprete
 sees its calls. Run as a script by :class:`tests.system.crash.processes.Processes`.
 """
 
-from __future__ import annotations
-
 import atexit
 import ctypes
 import gc

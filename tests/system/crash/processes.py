@@ -1,7 +1,5 @@
 """Processes that are killed, stopped or failed at a chosen call or moment."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -5,8 +5,6 @@ trials, _CALLS how many calls fail in each class, _JOBS how many processes are a
 lost.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """``hang://host:port``: a TCP port like ``socket://`` whose reads and writes hang while `hangs` is set."""
 
-from __future__ import annotations
-
 import threading
 
 from serial.urlhandler import protocol_socket
