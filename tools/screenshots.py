@@ -216,7 +216,7 @@ class Pictures:
         from PyQt5.QtCore import QEvent, QPointF, Qt
         from PyQt5.QtGui import QMouseEvent
 
-        from wavefocus.gui.scene.live_run import LIVE
+        from wavefocus.gui.scene.live_panel import LIVE
         from wavefocus.gui.scene.tab import LIVE as PAGE
         from wavefocus.gui.scene.tab import SceneTab
 

@@ -27,8 +27,7 @@ from wavefocus.__main__ import run
 from wavefocus.config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.files import Settings
-from wavefocus.gui.scene.document import SOURCE, SceneDocument
-from wavefocus.gui.scene.draft import build_draft, scene_toml
+from wavefocus.gui.scene.document import SOURCE, SceneDocument, build_draft, scene_toml
 from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.tab import Tab
 from wavefocus.gui.window import Window, require_fonts

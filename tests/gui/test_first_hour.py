@@ -16,7 +16,7 @@ from wavefocus.config.scene import LineTable
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.draft import new_source
+from wavefocus.gui.scene.document import new_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window

@@ -39,10 +39,10 @@ from wavefocus.gui.campaign.model import (
     ShownState,
     Weight,
     line_of,
+    per_position,
     read_record,
 )
 from wavefocus.gui.campaign.panels import Controls, pace_text
-from wavefocus.gui.campaign.quality import per_position
 from wavefocus.gui.surface import raster_of
 from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.ledger.owner import Owner

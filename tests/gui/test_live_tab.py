@@ -14,10 +14,9 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import NO_KEY, Opens, edit, line_scene, mouse, pixel, press, shown_tab, wait
 from wavefocus.config.messages.live import LiveReady, LiveState
-from wavefocus.gui.scene.draft import changed
+from wavefocus.gui.scene.document import changed
 from wavefocus.gui.scene.exports import IDLE
-from wavefocus.gui.scene.live_panel import figures_of
-from wavefocus.gui.scene.live_run import LIVE
+from wavefocus.gui.scene.live_panel import LIVE, figures_of
 from wavefocus.gui.scene.live_surface import KEYS, MOUSE, LiveSurface
 from wavefocus.gui.scene.tab import DRAW, SceneTab
 from wavefocus.gui.scene.tab import LIVE as LIVE_PAGE

@@ -29,7 +29,7 @@ from tests.gui.conftest import Opens, campaign_of, tab_of, wait
 from wavefocus.config.scene import LineTable, SceneConfig
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.draft import new_source, scene_toml
+from wavefocus.gui.scene.document import new_source, scene_toml
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.tab import Tab

@@ -12,9 +12,9 @@ from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWid
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, kept_window, tab_of
-from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.widgets import NumberBox, typed_number
 from wavefocus.gui.window import Window
 
 LOCALES = ("C", "en_US", "de_DE")

@@ -16,8 +16,7 @@ from tests.gui.conftest import LEFT, NO_KEY, Opens, click, drag, edit, pixel, sc
 from wavefocus.config.scene import LineTable, NoiseTable, PathTable, PointTable, SceneConfig, SceneTable, TextTable
 from wavefocus.gui.files import Settings, kind_of
 from wavefocus.gui.scene.canvas import SceneCanvas
-from wavefocus.gui.scene.document import NOTHING
-from wavefocus.gui.scene.draft import NEW_SCENE, changed, new_source
+from wavefocus.gui.scene.document import NEW_SCENE, NOTHING, changed, new_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.window import Window
 from wavefocus.rendering.scene import paths

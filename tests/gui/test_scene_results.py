@@ -19,10 +19,9 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import LEFT, Opens, click, edit, line_scene, pixel, wait
 from wavefocus.config.scene import Output, QuietTable, SceneConfig
 from wavefocus.gui.process import WAVEFOCUS
-from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import EMPTY
+from wavefocus.gui.scene.document import EMPTY, SceneDocument
 from wavefocus.gui.scene.exports import IDLE, OPENING, PLAYING, RENDERING
-from wavefocus.gui.scene.figures_view import GOOD, HELD, MISSED, figures_of
+from wavefocus.gui.scene.result_views import GOOD, HELD, MISSED, figures_of
 from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel
 from wavefocus.gui.window import Window
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
@@ -277,7 +276,7 @@ from PyQt5.QtWidgets import QApplication
 from tests.gui.conftest import line_scene
 from wavefocus.gui.scene.calculation import Calculation
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import scene_toml
+from wavefocus.gui.scene.document import scene_toml
 application = QApplication([])
 document = SceneDocument()
 document.use_bank(Path(sys.argv[1]))

@@ -20,7 +20,7 @@ from tests.gui.conftest import LEFT, Opens, pixel, shown_tab, wait
 from tests.lab_files import with_check_rows
 from wavefocus.__main__ import run
 from wavefocus.gui.files import FileKind, kind_of
-from wavefocus.gui.time_slider import TimeSlider
+from wavefocus.gui.film_player import TimeSlider
 from wavefocus.gui.verification.tab import VerificationTab, unused_folder
 from wavefocus.gui.window import Window
 

@@ -11,8 +11,8 @@ from PyQt5.QtWidgets import QCheckBox, QFileDialog, QLineEdit, QSplitter, QWidge
 from wavefocus.config.file_kinds import hdf5_kind, kind_of_tables
 from wavefocus.config.loading import read_toml
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.surface import VIRTUAL, is_virtual
+from wavefocus.gui.widgets import NumberBox, typed_number
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
 

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import log_path, read_drift
 from wavefocus.config.messages.campaign import Drift, Logged, PositionCommitted, SessionEnded
-from wavefocus.gui.campaign.model import CampaignModel, EventLine, read_record
-from wavefocus.gui.campaign.quality import DAMAGED, per_position
+from wavefocus.gui.campaign.model import DAMAGED, CampaignModel, EventLine, per_position, read_record
 from wavefocus.gui.surface import surface_of
 from wavefocus.storage.errors import WavefocusError
 from wavefocus.storage.text_file import open_regular

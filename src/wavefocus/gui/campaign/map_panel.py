@@ -10,8 +10,15 @@ from PyQt5.QtGui import QKeyEvent
 from PyQt5.QtWidgets import QGraphicsRectItem, QLabel, QSizePolicy, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.campaign.model import CampaignModel
-from wavefocus.gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, QualityMetric, look_index, status_text
+from wavefocus.gui.campaign.model import (
+    FIGURES,
+    LOOKS,
+    NOT_MEASURED,
+    CampaignModel,
+    QualityMetric,
+    look_index,
+    status_text,
+)
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, map_colours, rgba

@@ -16,10 +16,9 @@ from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
 from wavefocus.gui.campaign.map_panel import MapPanel
-from wavefocus.gui.campaign.model import CampaignModel, Extra
+from wavefocus.gui.campaign.model import NOT_GOOD, CampaignModel, Extra
 from wavefocus.gui.campaign.panels import PAUSED, Controls, EventList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
-from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, file_state, rig_of_run, runs_on_virtual_rig
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import PlotSurface, plan_surface

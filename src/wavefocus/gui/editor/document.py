@@ -1,15 +1,21 @@
-"""The text of one file that is edited: undo, copies and comments are those of the text."""
+"""The text of one file that is edited, and its file: saving, unsaved changes, changes by other programs."""
 
+import os
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtGui import QTextCursor, QTextDocument
-from PyQt5.QtWidgets import QPlainTextDocumentLayout
+from PyQt5.QtWidgets import QPlainTextDocumentLayout, QWidget
 
 from wavefocus.config.editing import MODELS, Mistake, mistakes_in
 from wavefocus.config.fields import Table
-from wavefocus.gui.files import FileState, file_state
-from wavefocus.storage.errors import InputError
+from wavefocus.gui.files import FileState, choose_place, file_state
+from wavefocus.gui.tab import Act, ClosingQuestion, TabContext
+from wavefocus.storage.errors import InputError, WavefocusError
 from wavefocus.storage.output_files import replacement
 from wavefocus.storage.text_file import read_text
 
@@ -145,3 +151,207 @@ class TextDocument(QObject):
 def _utf16(text: str) -> int:
     """Length as Qt counts it."""
     return len(text.encode("utf-16-le", "surrogatepass")) // 2
+
+
+Then = Callable[[], object]
+
+
+class TextFiles(QObject):
+    """Opens and saves; questions are asked in the message bar. Dialogs belong to `owner`."""
+
+    opened = pyqtSignal()
+
+    def __init__(self, context: TabContext, document: TextDocument, owner: QWidget) -> None:
+        super().__init__(owner)
+        self._context, self._document, self._owner = context, document, owner
+        self._text, self._place, self._owner_pid = (f"{document.kind}/unsaved{part}" for part in ("", "_file", "_by"))
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(1000)
+        self._soon.timeout.connect(self.save_settings)
+        document.changed.connect(self._soon.start)
+        self._looks = QTimer(self)
+        self._looks.timeout.connect(self.look)
+        self._looks.start(1000)
+
+    @property
+    def name(self) -> str:
+        return self._document.path.name if self._document.path else f"a new {self._document.kind}"
+
+    @property
+    def shown_name(self) -> str:
+        """The name with what a person should know: that it is not saved, or that its file has changed."""
+        document = self._document
+        return f"{self.name}{'' if document.saved else ' •'}{' (changed on disk)' if document.changed_outside else ''}"
+
+    def look(self) -> None:
+        """Read a file again that another program has written; with unsaved changes, say that it has changed."""
+        document = self._document
+        if not document.changed_outside or document.path is None:
+            return
+        if document.saved and document.path.is_file():
+            try:
+                document.reload()
+            except (WavefocusError, OSError) as failure:
+                self._context.report_failure(failure, f"{document.kind} text")
+            else:
+                self._context.messages.note(f"{document.path} was changed by another program and is read again")
+        document.file_changed.emit()
+
+    def new(self) -> None:
+        self._unless_unsaved(f"starting a new {self._document.kind}", self._document.clear)
+
+    def open(self, path: Path) -> None:
+        """Open a file, and remember it as one of the last."""
+
+        def show() -> None:
+            if self.show(path):
+                self._context.settings.opened(path)
+
+        self._unless_unsaved(f"opening {path.name}", show)
+
+    def save(self, then: Then | None = None) -> None:
+        """Save to the file, or ask for one; calls `then` when it is saved."""
+        path = self._document.path
+        if path is None:
+            self.save_as(then)
+        elif self._document.changed_outside and path.exists():
+            self._context.messages.ask(
+                f"{path} was changed by another program after it was opened here. Save anyway?",
+                ("Save over it", lambda: self._save(path, then)),
+                ("Save under another name", lambda: self.save_as(then)),
+                ("Do not save", lambda: None),
+            )
+        else:
+            self._save(path, then)
+
+    def save_as(self, then: Then | None = None) -> None:
+        """Ask for a file and save to it."""
+        kind = self._document.kind
+        file = self._document.path or self._context.settings.folder(".toml") / f"{kind}.toml"
+        kinds = {".toml": f"{kind} file"}
+        choose_place(self._owner, f"Save the {kind} file", file, kinds, lambda chosen: self._save(chosen, then))
+
+    def save_settings(self) -> None:
+        """Keep unsaved changes in the settings, for the next window."""
+        settings, document = self._context.settings, self._document
+        if not document.saved and document.worth_keeping:
+            settings.keep(self._text, document.toml())
+            settings.keep(self._place, str(document.path or ""))
+            settings.keep(self._owner_pid, os.getpid())
+        elif self._is_ours():
+            settings.keep(self._text, "")
+
+    def restore_unsaved(self) -> None:
+        """Restore the text that was not saved last time, unless another window that runs has it."""
+        settings = self._context.settings
+        text, place = settings.text(self._text), settings.text(self._place)
+        if not text or (not self._is_ours() and _lives(settings.whole(self._owner_pid, 0))):
+            return
+        path = Path(place) if place else None
+        self._document.restore(text, path)
+        self._context.messages.note(
+            f"{path.name} has unsaved changes of the last session; restored"
+            if path else f"the unsaved {self._document.kind} of the last session is restored"
+        )  # fmt: skip
+        self.save_settings()
+
+    @property
+    def nothing_to_lose(self) -> bool:
+        """Whether the text is saved, or nobody has made anything yet."""
+        document = self._document
+        return document.saved or not document.worth_keeping
+
+    def _unless_unsaved(self, doing: str, act: Then) -> None:
+        if self.nothing_to_lose:
+            act()
+        else:
+            self._context.messages.ask(
+                f"{self.name} has unsaved changes. Save them before {doing}?",
+                ("Save", lambda: self.save(act)),
+                ("Do not save", act),
+                ("Cancel", lambda: None),
+            )
+
+    def show(self, path: Path) -> bool:
+        """Show a file; returns whether it could be read. Unsaved changes are lost."""
+        try:
+            self._document.load(path)
+        except (WavefocusError, OSError) as failure:
+            self._context.report_failure(failure)
+            return False
+        self.save_settings()
+        self.opened.emit()
+        return True
+
+    def _save(self, path: Path, then: Then | None) -> None:
+        try:
+            self._document.save(path)
+        except (WavefocusError, OSError) as failure:
+            self._context.report_failure(failure)
+            return
+        self._context.settings.opened(path)
+        self.save_settings()
+        self._context.messages.note(f"{path} is saved")
+        if then is not None:
+            then()
+
+    def keep(self, close: Then) -> None:
+        """Keep the changes for the next window, and close only when they are on the disk."""
+        self.save_settings()
+        if self._context.settings.can_save():
+            close()
+        else:
+            self._context.messages.fault(
+                f"not closed: the changes cannot be kept, {self._context.settings.place} cannot be written; save them "
+                "to a file"
+            )
+
+    def drop(self, close: Then) -> None:
+        """Forget the changes."""
+        self._document.clear()
+        close()
+
+    def _is_ours(self) -> bool:
+        return self._context.settings.whole(self._owner_pid, 0) == os.getpid()
+
+
+def closing_question(context: TabContext, files: Sequence[TextFiles]) -> ClosingQuestion | None:
+    """What to ask about unsaved texts before the window closes."""
+    unsaved = [one for one in files if not one.nothing_to_lose]
+    if not unsaved:
+        return None
+    names = " and ".join(one.name for one in unsaved)
+    verb = "has" if len(unsaved) == 1 else "have"
+    answers: list[tuple[str, Act]] = [
+        ("Save and close", partial(_each, [one.save for one in unsaved])),
+        ("Close without saving", partial(_each, [one.drop for one in unsaved])),
+    ]
+    if context.settings.can_save():
+        answers.append(("Close and keep for next time", partial(_each, [one.keep for one in unsaved])))
+        return ClosingQuestion(f"{names} {verb} unsaved changes. Save them?", answers)
+    sentence = (
+        f"{names} {verb} unsaved changes. Save them to a file? They cannot be kept for next time: "
+        f"{context.settings.place} cannot be written"
+    )
+    return ClosingQuestion(sentence, answers)
+
+
+def _each(acts: Sequence[Act], then: Then) -> None:
+    """Do one act after the other, then the last thing."""
+    if acts:
+        acts[0](partial(_each, acts[1:], then))
+    else:
+        then()
+
+
+def _lives(pid: int) -> bool:
+    """Whether a process of this computer runs; on Windows always no."""
+    if pid <= 0 or sys.platform == "win32":
+        return False
+    with suppress(PermissionError):
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return False
+    return True

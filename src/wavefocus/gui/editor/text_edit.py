@@ -1,4 +1,6 @@
-"""The editor's text: completion of keys, their help, and mistakes at their lines."""
+"""The editor of a text: completion of keys, their help, mistakes at their lines, and the menu that inserts tables."""
+
+from functools import partial
 
 from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt, pyqtSignal
 from PyQt5.QtGui import (
@@ -11,11 +13,14 @@ from PyQt5.QtGui import (
     QTextCharFormat,
     QTextCursor,
 )
-from PyQt5.QtWidgets import QCompleter, QLineEdit, QPlainTextEdit, QTextEdit, QToolTip, QWidget
+from PyQt5.QtWidgets import QCompleter, QLineEdit, QMenu, QPlainTextEdit, QTextEdit, QToolButton, QToolTip, QWidget
 
-from wavefocus.config.editing import completions, help_at
+from wavefocus.config.editing import commented_table, completions, example, help_at
+from wavefocus.config.fields import tables_of
+from wavefocus.config.scene import PathTable, PointTable, SceneConfig, SignalTable, tables_by_kind
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.editor.document import TextDocument
+from wavefocus.gui.scene.document import changed, new_source
 from wavefocus.gui.theme import Theme, Themed
 
 _COMPLETER_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Tab, Qt.Key.Key_Escape)
@@ -221,3 +226,47 @@ _MISTAKES_SHOWN = 3
 
 def _escaped(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def insert_button(document: TextDocument) -> QToolButton:
+    """A button with a menu of the tables that a document's file can have."""
+    button = ui.tool_button("Insert", "Insert a table with a comment for each of its keys")
+    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+    button.setMenu(insert_menu(document))
+    return button
+
+
+def insert_menu(document: TextDocument) -> QMenu:
+    """A menu of the tables that a document's file can have."""
+    menu = QMenu("&Insert")
+    if document.model is SceneConfig:
+        for title, kinds, source in (
+            ("Source on a &path", tables_by_kind(PathTable), source_on_path),
+            ("Source with a &signal", tables_by_kind(SignalTable), source_with_signal),
+        ):
+            part = QMenu(title, menu)
+            for kind in kinds:
+                _add(part, document, kind, source(kind))
+            menu.addMenu(part)
+    for heading in document.model.model_fields:
+        if heading != "source" and tables_of(document.model, heading):
+            _add(menu, document, f"[{heading}]", commented_table(document.kind, heading))
+    return menu
+
+
+def source_on_path(kind: str) -> str:
+    """A commented source on a path of a kind, which emits noise."""
+    path = example(tables_by_kind(PathTable)[kind])
+    source = new_source(path)  # type: ignore[arg-type]
+    return commented_table("scene", "source", source, path=path, signal=source.signal)
+
+
+def source_with_signal(kind: str) -> str:
+    """A commented source with a signal of a kind, at rest."""
+    source = new_source(PointTable(at_mm=(0.0, 0.0)))
+    signal = example(tables_by_kind(SignalTable)[kind])
+    return commented_table("scene", "source", changed(source, signal=signal), path=source.path, signal=signal)
+
+
+def _add(menu: QMenu, document: TextDocument, words: str, text: str) -> None:
+    menu.addAction(ui.action(menu, words, partial(document.append, text)))

@@ -10,8 +10,7 @@ from wavefocus.config.messages.rig_checks import AskAgain, AskConnect, AskJog, M
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.rig.jog import Arrows, SurfacePicture
-from wavefocus.gui.rig.manual_page import LevelMeter
+from wavefocus.gui.rig.manual_page import Arrows, LevelMeter, SurfacePicture
 from wavefocus.gui.rig.session import Calibration
 from wavefocus.gui.theme import Themed
 

@@ -211,7 +211,7 @@ def _checks(number: int) -> Callable[[int, int], None]:
 
 def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) -> SceneResults:
     """The drives, as ``wavefocus render --tolerance-db=-60``."""
-    from wavefocus.gui.scene.draft import build_draft
+    from wavefocus.gui.scene.document import build_draft
     from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
     from wavefocus.rendering.drive.quiet_scene import MISSED_DB
     from wavefocus.rendering.drive.rendering import render_with_report

@@ -1,17 +1,184 @@
-"""The document of the Scene tab: the text of a scene file, the scene that it says, and its bank."""
+"""The document of the Scene tab: the text of a scene file, the scene that it says, its points, and its bank."""
 
+from __future__ import annotations
+
+import math
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.config.editing import lines_of, mistakes_in
-from wavefocus.config.fields import toml_table
+from wavefocus.config.fields import Table, toml_table
 from wavefocus.config.loading import parse_toml, validated
-from wavefocus.config.scene import PointTable, QuietTable, SceneConfig, SourceTable
+from wavefocus.config.scene import (
+    WITHOUT_SPEED,
+    CircleTable,
+    FileTable,
+    LineTable,
+    NoiseTable,
+    Output,
+    PathTable,
+    PointTable,
+    PolylineTable,
+    QuietTable,
+    SceneConfig,
+    SourceTable,
+    SvgTable,
+    TextTable,
+    TrajectoryTable,
+    regularisation_toml,
+)
 from wavefocus.gui.editor.document import TextDocument
-from wavefocus.gui.scene.draft import EMPTY, NEW_SCENE, changed, new_source, scene_toml
 from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.scene.model import Scene
+
+PointMm = tuple[float, float]
+AnyTable = TypeVar("AnyTable", bound=Table)
+FilesTable = TypeVar("FilesTable", SourceTable, QuietTable)
+
+
+DECIMALS = 2  # of millimetres that are drawn
+NEW_AMPLITUDE = 0.01
+"""Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""
+EMPTY = "the scene has no source yet: draw one on the surface, or write one"
+# A drive that no actuator could play is of no use: new scenes keep to the limit of the scenes of `init`.
+NEW_SCENE = SceneConfig.model_construct(source=(), output=Output(limit_v=1.0))
+
+
+def changed(table: AnyTable, **changes: object) -> AnyTable:
+    """Return a table with other values; they are checked when the scene is read."""
+    return table.model_copy(update=changes)
+
+
+def new_source(path: PathTable) -> SourceTable:
+    """A source on a path, to be edited."""
+    moves = path.kind not in WITHOUT_SPEED
+    return SourceTable(
+        path=path,
+        signal=NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
+        emission="continuous" if path.kind == "trajectory" else "per_point",
+        amplitude=NEW_AMPLITUDE,
+        speed_mm_s=80.0 if moves else None,
+        step_mm=4.0 if moves else None,
+    )
+
+
+Keys = tuple[str | int, ...]
+
+
+def handles(table: SourceTable | QuietTable) -> list[tuple[Keys, PointMm]]:
+    """The points of a source or a quiet place that can be moved, with their keys beneath its table."""
+    if isinstance(table, QuietTable) and table.at_mm is not None:
+        return [(("at_mm",), table.at_mm)]
+    match table.path:
+        case PointTable(at_mm=at_mm):
+            return [(("path", "at_mm"), at_mm)]
+        case LineTable(start_mm=start_mm, end_mm=end_mm):
+            return [(("path", "start_mm"), start_mm), (("path", "end_mm"), end_mm)]
+        case CircleTable(centre_mm=(x_mm, y_mm), radius_mm=radius_mm):
+            return [(("path", "centre_mm"), (x_mm, y_mm)), (("path", "radius_mm"), (x_mm + radius_mm, y_mm))]
+        case PolylineTable(points_mm=points_mm):
+            return [(("path", "points_mm", index), point) for index, point in enumerate(points_mm)]
+        case TextTable(centre_mm=centre_mm):
+            return [(("path", "centre_mm"), centre_mm)]
+        case SvgTable(origin_mm=origin_mm):
+            return [(("path", "origin_mm"), origin_mm)]
+    return []
+
+
+def with_handle(table: AnyTable, keys: Keys, at_mm: PointMm) -> AnyTable:
+    """A source or a quiet place with one of its points elsewhere."""
+    key, *rest = keys
+    held = getattr(table, str(key))
+    if isinstance(held, Table):
+        return changed(table, **{str(key): with_handle(held, tuple(rest), at_mm)})
+    if rest:
+        points = list(held)
+        points[int(rest[0])] = at_mm
+        return changed(table, **{str(key): tuple(points)})
+    if isinstance(table, CircleTable) and key == "radius_mm":
+        return changed(table, radius_mm=round(math.dist(table.centre_mm, at_mm), DECIMALS))
+    return changed(table, **{str(key): at_mm})
+
+
+def moved(text: str, place: Keys, keys: Keys, table: SourceTable | QuietTable) -> str:
+    """The text of a scene with the numbers of one point as a table has them; all else stays, comments too.
+
+    place: The list and the index of the table in the scene.
+    keys: Of the point, beneath the table.
+    table: The table with the point moved.
+
+    Raises InputError: The text cannot be changed in this way.
+    """
+    import tomlkit  # 0.1 s
+
+    value: Any = table
+    for key in keys:
+        value = value[key] if isinstance(key, int) else getattr(value, key)
+    try:
+        document: Any = tomlkit.parse(text)
+        held = document
+        for key in (*place, *keys[:-1]):
+            held = held[key]
+        if isinstance(value, tuple) and keys[-1] in held and len(held[keys[-1]]) == len(value):
+            for index, number in enumerate(value):
+                held[keys[-1]][index] = number
+        else:
+            held[keys[-1]] = list(value) if isinstance(value, tuple) else value
+        return str(tomlkit.dumps(document))
+    except (tomlkit.exceptions.TOMLKitError, LookupError, TypeError) as failure:
+        raise InputError(
+            f"this point cannot be moved by the mouse ({failure}): change its numbers in the text"
+        ) from None
+
+
+def scene_toml(scene: SceneConfig) -> str:
+    """Write a scene as a scene file, as docs/reference/scene-file.md says; nothing about it is checked here."""
+    return "\n".join(
+        [
+            toml_table("[scene]", scene.scene),
+            *(toml_table("[[source]]", source) for source in scene.source),
+            *(toml_table("[[quiet]]", place) for place in scene.quiet),
+            regularisation_toml(scene.regularisation),
+            toml_table("[output]", scene.output),
+        ]
+    )
+
+
+def with_absolute_files(scene: SceneConfig, folder: Path) -> SceneConfig:
+    """The scene with full names of the files that it names relative to a folder."""
+
+    def named(table: FilesTable) -> FilesTable:
+        if isinstance(table.path, SvgTable | TrajectoryTable):
+            table = changed(table, path=changed(table.path, file=str(folder / table.path.file)))
+        if isinstance(table, SourceTable) and isinstance(table.signal, FileTable):
+            table = changed(table, signal=changed(table.signal, path=str(folder / table.signal.path)))
+        return table
+
+    return changed(scene, source=tuple(map(named, scene.source)), quiet=tuple(map(named, scene.quiet)))
+
+
+def build_draft(draft: SceneConfig, place: Path) -> Scene:
+    """Build the scene that commands read from the draft's file.
+
+    place: The scene file; it need not exist.
+
+    Raises InputError: The scene is not finished, or a value or a file that it names is wrong; the message says which
+        key, without the scene file's name.
+    """
+    from wavefocus.rendering.scene.model import build_scene  # loads scipy, in a thread
+
+    if not draft.source:
+        raise InputError(EMPTY)
+    try:
+        return build_scene(draft, place)
+    except InputError as error:
+        raise InputError(str(error).removeprefix(f"{place}: ")) from None
+
 
 _ANY_SOURCE = toml_table("[[source]]", new_source(PointTable(at_mm=(0.0, 0.0))))
 _SOURCE = re.compile(r"^\s*\[\[source\]\]", re.MULTILINE)

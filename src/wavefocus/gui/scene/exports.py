@@ -12,8 +12,7 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import CommandProcess, Message
-from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import scene_toml, with_absolute_files
+from wavefocus.gui.scene.document import SceneDocument, scene_toml, with_absolute_files
 from wavefocus.gui.tab import OwnCommand, TabContext
 
 KINDS = {".h5": "drive file", ".wav": "sound file"}

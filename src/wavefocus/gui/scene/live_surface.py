@@ -10,7 +10,7 @@ from PyQt5.QtWidgets import QGraphicsPathItem
 
 from wavefocus.config.messages.live import PointMm, SoundingSource
 from wavefocus.gui.scene.canvas import show_backdrop
-from wavefocus.gui.scene.live_run import LIVE, LiveRun
+from wavefocus.gui.scene.live_panel import LIVE, LiveRun
 from wavefocus.gui.scene.preview import Backdrop, LivePreview
 from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView
 

@@ -18,8 +18,7 @@ from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.loading import read_toml
 from wavefocus.config.scene import SceneConfig
 from wavefocus.gui.process import Background
-from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import build_draft
+from wavefocus.gui.scene.document import SceneDocument, build_draft
 from wavefocus.gui.surface import PlotSurface, path_line, surface_from, surface_of
 from wavefocus.gui.tab import TabContext
 from wavefocus.rendering.arrays import Float64Array

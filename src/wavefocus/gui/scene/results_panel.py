@@ -13,11 +13,9 @@ from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import PathField, choose_place, file_state, names_virtual_rig
 from wavefocus.gui.scene.calculation import Calculation, SceneResults
-from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import EMPTY
+from wavefocus.gui.scene.document import EMPTY, SceneDocument
 from wavefocus.gui.scene.exports import IDLE, KINDS, PLAYING, STOPPING, PlayTask, Saving
-from wavefocus.gui.scene.figures_view import figures_table, fill_figures
-from wavefocus.gui.scene.result_views import DrivesView, FieldView
+from wavefocus.gui.scene.result_views import DrivesView, FieldView, figures_table, fill_figures
 from wavefocus.gui.surface import VIRTUAL, PlotSurface
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed

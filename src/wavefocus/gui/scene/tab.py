@@ -14,21 +14,18 @@ from wavefocus.config.editing import lines_of
 from wavefocus.config.fields import toml_table
 from wavefocus.config.scene import PathTable, PointTable, QuietTable, SourceTable, SvgTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.editor.files import TextFiles, closing_question
-from wavefocus.gui.editor.insert import insert_button
+from wavefocus.gui.editor.document import TextFiles, closing_question
 from wavefocus.gui.editor.tab import file_actions
-from wavefocus.gui.editor.text_edit import TextPanel
+from wavefocus.gui.editor.text_edit import TextPanel, insert_button
 from wavefocus.gui.files import FileKind, PathField
-from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, SceneDocument
-from wavefocus.gui.scene.draft import Keys, moved, new_source
+from wavefocus.gui.scene.canvas import SurfacePanel
+from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, Keys, SceneDocument, moved, new_source
 from wavefocus.gui.scene.exports import IDLE
-from wavefocus.gui.scene.live_panel import LivePanel
-from wavefocus.gui.scene.live_run import LiveRun
+from wavefocus.gui.scene.live_panel import LivePanel, LiveRun
 from wavefocus.gui.scene.live_surface import LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
 from wavefocus.gui.scene.result_views import read_field_on
 from wavefocus.gui.scene.results_panel import ResultsPanel
-from wavefocus.gui.scene.surface_panel import SurfacePanel
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.storage.errors import InputError

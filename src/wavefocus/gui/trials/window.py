@@ -24,8 +24,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.message_bar import ErrorHook
 from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.theme import use_desktop_theme
-from wavefocus.gui.trials.pages import REPLAY_KEY, NoticePage, QuestionPage, WelcomePage
-from wavefocus.gui.trials.parts import Input, counted, key_code
+from wavefocus.gui.trials.pages import REPLAY_KEY, Input, NoticePage, QuestionPage, WelcomePage, counted, key_code
 from wavefocus.gui.window import make_application
 
 _SIZE, _FRAME = QSize(1000, 700), QSize(16, 48)

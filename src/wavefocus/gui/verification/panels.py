@@ -1,24 +1,91 @@
-"""Maps and figures of a verification."""
+"""What a verification has left: its files, maps and figures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from PyQt5.QtWidgets import QToolButton, QWidget
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Real
 from wavefocus.gui.film_player import Film, FilmPlayer, Frame
+from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.theme import Themed
-from wavefocus.gui.verification.run import Results
 from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.verify.record import PREDICTION_NAME, SCAN_NAME
+from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
+    from wavefocus.rendering.verify.field_pair import FieldPair
     from wavefocus.rendering.verify.record import VerificationRecord
     from wavefocus.rendering.verify.results import Figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    """One verification.
+
+    folder: Folder of prediction, scan and report.
+    record: Figures, foci, sources, errors.
+    pair: Prediction and scan.
+    surface: What the maps are drawn over.
+    focus_sample, int64 (foci,): Samples of the fields at which foci were looked at.
+    loudest, loudest_difference: Ends of the scales for the whole scene, in response units.
+    """
+
+    folder: Path
+    record: VerificationRecord
+    pair: FieldPair
+    surface: PlotSurface
+    focus_sample: NDArray[np.int64]
+    loudest: float
+    loudest_difference: float
+
+
+def read_results(record_file: Path, on_progress: Callable[[int, int], object], wanted: Callable[[], bool]) -> Results:
+    """Read a verification; takes a second for some hundred megabytes.
+
+    Raises InputError: A file is missing, damaged or of another verification; the message names it.
+    Raises CancelledError: `wanted` returned False.
+    """
+    from wavefocus.rendering.verify.field_pair import read_pair  # the window starts without scipy
+    from wavefocus.rendering.verify.record import read_record
+
+    record = read_record(record_file)
+    folder = record_file.parent
+    pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz, on_progress, wanted)
+    if not np.array_equal(pair.position_index, record.position_index):
+        raise InputError(
+            f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"
+        )
+    focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
+    looked_at = focus if len(focus) else evenly_spread(pair.samples, 64)
+    loudest, difference = pair.loudest(looked_at, record.compared)
+    checks = _check_places(record)
+    surface = PlotSurface(
+        record.position_mm, record.actuator_places_mm,
+        None if record.outline_mm is None else np.array(record.outline_mm),
+        raster_of(record.position_mm, checks, gaps=False), [np.array(source.path_mm) for source in record.sources],
+        checks,
+    )  # fmt: skip
+    return Results(folder, record, pair, surface, focus, loudest, difference)
+
+
+def _check_places(record: VerificationRecord) -> NDArray[np.intp]:
+    """Which positions of a verification lie off its bank's grid; none where the bank is not there any more."""
+    from wavefocus.storage.bank.reading import open_bank
+
+    with suppress(WavefocusError, OSError), open_bank(Path(record.bank)) as bank:
+        return np.flatnonzero(np.isin(record.position_index, bank.check_rows))
+    return np.zeros(0, np.intp)
 
 
 _COLUMNS = ("Figure", "Predicted", "Scanned", "Between", "Tolerance", "Verdict")
