@@ -18,9 +18,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.estimator.estimate import PositionEstimator
 from wavefocus.calibration.estimator.raw_estimation import PositionResult, estimate_positions
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.campaign.blueprint import estimator_for, own_plan
 from wavefocus.console import say
 from wavefocus.rendering.field.prediction import Prediction

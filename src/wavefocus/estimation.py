@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
 from wavefocus.acquisition.leak import mark_leaks
-from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.estimator.estimate import bank_figures
 from wavefocus.calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.campaign.blueprint import carried_configuration, estimator_for, own_plan, require_same_plan
 from wavefocus.cluster import estimate_on_cluster
 from wavefocus.config.limits import QualityLimits

@@ -14,7 +14,7 @@ from wavefocus.acquisition.attempt import Attempt, AttemptResult, Recorded
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.session_files import opened_campaign, with_bank
 from wavefocus.config.loading import validated

@@ -5,7 +5,7 @@ import pytest
 
 from wavefocus.acquisition.grid import check_grid, surface_grid
 from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
-from wavefocus.calibration.neighbour_prediction import RowsPredicted
+from wavefocus.calibration.neighbour_judge import RowsPredicted
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates.making import make_plate
 

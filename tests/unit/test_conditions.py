@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.lab_files import setup_of
-from wavefocus.acquisition.conditions import Conditions
-from wavefocus.acquisition.plays import Play
-from wavefocus.acquisition.watch import AllowedRange, Watch
+from wavefocus.acquisition.attempt import Play
+from wavefocus.acquisition.engine.recovery import Conditions
+from wavefocus.acquisition.setup import AllowedRange, Watch
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Recording

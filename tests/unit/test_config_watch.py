@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from wavefocus.acquisition.watch import Watch
+from wavefocus.acquisition.setup import Watch
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.rig.instruments import openers_of

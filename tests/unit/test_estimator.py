@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import Excitation, PlayedExcitation, RecordedExcitation
+from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.config.limits import QualityLimits
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import Status

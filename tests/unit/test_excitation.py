@@ -9,8 +9,7 @@ import pytest
 
 import wavefocus as wf
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.calibration.waveforms import WAVEFORMS
+from wavefocus.calibration.excitation import WAVEFORMS, PlayedExcitation
 from wavefocus.storage.errors import InputError
 
 DEFAULT = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import setup_of
-from wavefocus.acquisition.defects import Cure
-from wavefocus.acquisition.judgement import Judgement, judge
+from wavefocus.acquisition.judgement import Cure, Judgement, judge
 from wavefocus.acquisition.setup import point_at, take_record
 from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator

@@ -12,9 +12,9 @@ import scipy.signal
 
 from tests.unit.independent_plates import places, responses
 from wavefocus.acquisition.judgement import Judgement, in_band, judge
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.config.limits import QualityLimits
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 4000.0, (40.0, 480.0), 800, 8

@@ -8,10 +8,10 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, Records
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
+from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Schedule
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.unit.test_estimator import played as played_signals
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.resampling import resampled
-from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
 from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.resampling import resampled
+from wavefocus.calibration.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
 from wavefocus.storage.errors import WavefocusError
 
 SAMPLES = 37_200

@@ -9,7 +9,7 @@ import pytest
 
 from tests.unit.line_verification import scan_of
 from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings

@@ -6,13 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import record_play
+from wavefocus.acquisition.attempt import Play, channels_of, record_play
 from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
 from wavefocus.acquisition.leak import BAND_HZ, SWEEP_S
-from wavefocus.acquisition.plays import Play, channels_of
 from wavefocus.acquisition.setup import Setup, point_at
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.comparison import (
     ActuatorComparison,
     ChannelComparer,
@@ -25,6 +23,7 @@ from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.evidence import HEARD_DB, SOUND, TOLERANCE
 from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.drivers.protocols import Recording, RecordLabel
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from wavefocus.acquisition.attempt import Attempt, AttemptResult
-from wavefocus.acquisition.defects import REFERENCE_LEVEL
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.station import Station
+from wavefocus.acquisition.judgement import REFERENCE_LEVEL
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
 from wavefocus.acquisition.plan import sentinel_of
 from wavefocus.acquisition.wording import row_ranges

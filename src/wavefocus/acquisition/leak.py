@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import AttemptResult, record_play
-from wavefocus.acquisition.defects import Cure, RecordDefect
+from wavefocus.acquisition.attempt import AttemptResult, Play, record_play
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session
-from wavefocus.acquisition.judgement import Judgement
+from wavefocus.acquisition.judgement import Cure, Judgement, RecordDefect
 from wavefocus.acquisition.plan import Plan
-from wavefocus.acquisition.plays import Play
 from wavefocus.acquisition.setup import Setup, point_at
 from wavefocus.calibration.crosstalk import (
     MAX_DELAY_S,

@@ -5,15 +5,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.acquisition.attempt import channels_of
 from wavefocus.acquisition.judgement import judge
 from wavefocus.acquisition.leak import BAND_HZ
-from wavefocus.acquisition.plays import channels_of
 from wavefocus.acquisition.setup import Setup, record_samples, record_silence, take_record
 from wavefocus.calibration import Float32Array, Float64Array
-from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.limits import QualityLimits
 from wavefocus.config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
 from wavefocus.drivers.protocols import Recording, RecordLabel

@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import AttemptResult
-from wavefocus.acquisition.defects import Cure, RecordDefect
-from wavefocus.acquisition.judgement import Judgement, PositionRow, difference, differing, in_band
+from wavefocus.acquisition.attempt import MEASURED, AttemptResult
+from wavefocus.acquisition.judgement import Cure, Judgement, PositionRow, RecordDefect, difference, differing, in_band
 from wavefocus.acquisition.plan import Plan
-from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
 from wavefocus.calibration.evidence import CERTAIN_SHARE

@@ -33,7 +33,7 @@ from wavefocus.benchmarks.commands import write_bank
 from wavefocus.benchmarks.harness import Entry, Findings, Mark
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, true_bank
-from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.scene import Regularisation
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.arrays import Float64Array

@@ -21,9 +21,9 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup, record_samples, take_record
 from wavefocus.benchmarks.harness import Entry, Findings, Mark
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, measure
-from wavefocus.calibration.clock.timing import ClockFitter
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.messages.campaign import Event, Fault, PositionStarted
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream.player import StreamPlayer

@@ -1,16 +1,15 @@
 """From recordings to Green's functions.
 
-=============================  ==================================================================
-`excitation`                   `PlayedExcitation`, `StaggeredSignal`: what plays; `waveforms`
-`clock.timing`                 `ClockFitter`, `to_playback_clock`: start offset and clock ratio
-`clock.foreign_excitation`                 what another program played, from only its reference channel
-`estimator.sequential`         `SequentialEstimator`; `estimator.staggered` has `StaggeredEstimator`
-`estimator.raw_estimation`     `estimate_positions`: kept recordings of any program into responses
-`estimator.defect_finder`      `DefectFinder`: what a fit leaves unexplained
-`neighbour_judge`              `judge_rows`: positions against all others
-`mirror_map`                   `MirrorMap`, `fit_mirror_map`
-`check`                        `check_bank`
-=============================  ==================================================================
+============================  ==================================================================
+`excitation`                  `PlayedExcitation`, `StaggeredSignal`: what plays
+`timing`                      `ClockFitter`, `to_playback_clock`: start offset and clock ratio
+`estimator.sequential`        `SequentialEstimator`; `estimator.staggered` has `StaggeredEstimator`
+`estimator.raw_estimation`    `estimate_positions`: kept recordings of any program into responses
+`estimator.defect_finder`     `DefectFinder`: what a fit leaves unexplained
+`neighbour_judge`             `judge_rows`: positions against all others
+`mirror_map`                  `MirrorMap`, `fit_mirror_map`
+`check`                       `check_bank`
+============================  ==================================================================
 """
 
 import numpy as np

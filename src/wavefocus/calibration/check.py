@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array
-from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, SPARE, response_per_volt, share_of_median_row
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.evidence import SILENT, SOUND
 from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank

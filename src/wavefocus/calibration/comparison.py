@@ -8,9 +8,9 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.timing import ClockFit, ClockFitter
 from wavefocus.calibration.evidence import HEARD_DB, MOST, ROW_CHANGE, SILENT
+from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.timing import ClockFit, ClockFitter
 
 Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
 

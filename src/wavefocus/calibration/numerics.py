@@ -1,10 +1,14 @@
-"""Small numerical tools: vertex of a parabola, evenly spread indices, Fourier transforms."""
+"""Small numerical tools: vertex of a parabola, evenly spread indices, Fourier transforms, one thread for BLAS."""
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 
@@ -60,6 +64,22 @@ def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int,
     return np.asarray(product * chirp[:bins].conj(), dtype=np.complex128)
 
 
+def periodic_signal(spectrum: Complex128Array, turn: float, first: int, samples: int) -> Float64Array:
+    """Real signals made of evenly spaced frequencies: what `fourier_sum` is the adjoint of.
+
+    ``real part of sum over m of spectrum[..., m] * exp(j * n * turn * (first + m))`` for n = 0 ... samples - 1.
+
+    spectrum, complex128 (..., bins): Their amplitudes.
+    turn: Spacing of the frequencies in radians per sample.
+    first: The first frequency is ``first * turn``.
+    samples: How many samples.
+
+    Returns float64 (..., samples).
+    """
+    summed = fourier_sum(spectrum.conj(), turn, 0, samples)
+    return np.asarray((summed * np.exp(-1j * turn * first * np.arange(samples))).real)
+
+
 def transform_at(rows: NDArray[np.floating], frequency_hz: Float64Array, rate_hz: float) -> NDArray[np.complexfloating]:
     """Fourier transform of real rows at any frequencies.
 
@@ -86,3 +106,37 @@ def on_a_line(points: Float64Array, share: float = 1e-3) -> bool:
     """Whether points (n, 2) extend across a line by less than `share` of their extent along it."""
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(len(extent) < 2 or extent[1] <= share * extent[0])
+
+
+class _OneThread:
+    """A limit held by several threads: set by the first, put back by the last, in whatever order they end."""
+
+    def __init__(self) -> None:
+        self._lock, self._holders = threading.Lock(), 0
+        self._libraries: Any = None
+        self._limits: Any = None
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold BLAS to one thread while the context lasts.
+
+        Our matrices are small and our own threads use the cores: idle BLAS threads, which wait by spinning, would
+        take them away. The order of sums, so the last bits of every estimate, would also depend on how many
+        there are, and a resumed bank must be byte-identical.
+        """
+        with self._lock:
+            if self._holders == 0:
+                # Looking for the libraries takes some milliseconds, which are spent once.
+                self._libraries = self._libraries or ThreadpoolController()
+                self._limits = self._libraries.limit(limits=1, user_api="blas")
+            self._holders += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._holders -= 1
+                if self._holders == 0:
+                    self._limits.restore_original_limits()
+
+
+one_blas_thread = _OneThread().held

@@ -207,7 +207,7 @@ def estimator_for(
     recordings: RawFile, plan: Plan | None, report: Callable[[str], None] = lambda line: None
 ) -> PositionEstimator:
     """The campaign's own estimator, which gives its bank again; else one that is found from the reference channels."""
-    from wavefocus.acquisition.plays import position_estimator  # of kept recordings alone
+    from wavefocus.acquisition.attempt import position_estimator  # of kept recordings alone
     from wavefocus.calibration.estimator.raw_estimation import estimator_of, records_of
 
     if plan is None:

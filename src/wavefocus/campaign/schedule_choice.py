@@ -18,7 +18,7 @@ def compared_schedules(blueprint: Blueprint, source: str) -> tuple[ScheduleSettl
     """
     if blueprint.plan.staggered is None:
         return ()
-    from wavefocus.acquisition.trial import compare_schedules  # slow to load, and most runs are sequential
+    from wavefocus.acquisition.engine.station import compare_schedules  # slow to load, and most runs are sequential
 
     say("one position is measured by both schedules first, to state what staggered capture loses")
     try:

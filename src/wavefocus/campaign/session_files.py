@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefocus.acquisition.attempt import raw_header, require_same
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import LOG, EventPublisher, StopRequest
-from wavefocus.acquisition.plays import raw_header, require_same
 from wavefocus.acquisition.setup import Setup
 from wavefocus.campaign.blueprint import (
     Blueprint,

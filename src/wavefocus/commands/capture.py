@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefocus.acquisition.attempt import without_recordings
 from wavefocus.acquisition.drift_watch import DriftError, SentinelUnusableError
 from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.acquisition.plays import without_recordings
 from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration.crosstalk import REMEDY
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files

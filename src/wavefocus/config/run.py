@@ -30,7 +30,7 @@ STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""
 
 Waveform = Literal["linear", "multisine"]
-"""See `wavefocus.calibration.waveforms`."""
+"""See `wavefocus.calibration.excitation`."""
 
 
 class Grid(Table):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefocus.acquisition.engine.recovery import back_off_s
-from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.messages.codec import Message, Refused
 from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveState, MoveSource, NoticeCode
 from wavefocus.config.messages.live import SoundingSource as Sounding

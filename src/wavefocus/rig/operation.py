@@ -8,8 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from wavefocus.acquisition.manual import ManualMeasurements, excitation_of
-from wavefocus.acquisition.setup import Setup, names_of, naming_role, silence
-from wavefocus.acquisition.watch import Sensor
+from wavefocus.acquisition.setup import Sensor, Setup, names_of, naming_role, silence
 from wavefocus.config.messages.codec import Message, MessageError, Refused, tag
 from wavefocus.config.messages.operate import (
     ORDERS,

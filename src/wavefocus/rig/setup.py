@@ -7,8 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from wavefocus.acquisition.setup import Openers, Setup, identities_of, try_all, wired
-from wavefocus.acquisition.watch import AllowedRange, Sensor, Watch
+from wavefocus.acquisition.setup import AllowedRange, Openers, Sensor, Setup, Watch, identities_of, try_all, wired
 from wavefocus.config.calibration import calibrated
 from wavefocus.config.rig import BandSection, RigConfig, RoomSection
 from wavefocus.config.rig_instruments import VibrometerSection

@@ -14,8 +14,8 @@ import scipy.fft
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import Setup, Step, naming_role, silence, take_record
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.timing import ClockFitter
+from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, State
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel

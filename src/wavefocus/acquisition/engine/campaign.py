@@ -22,19 +22,18 @@ from wavefocus.acquisition.attempt import (
     is_futile,
     next_attempt,
 )
-from wavefocus.acquisition.conditions import Conditions
-from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.drift_watch import DriftError, DriftWatch
-from wavefocus.acquisition.engine.recovery import Suspension
+from wavefocus.acquisition.engine.recovery import Conditions, Suspension
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from wavefocus.acquisition.engine.station import Station
+from wavefocus.acquisition.judgement import Cure
 from wavefocus.acquisition.leak import LeakWatch, judgement_of
 from wavefocus.acquisition.neighbour_watch import NeighbourWatch, mark_suspects
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup, names_of
-from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import Crosstalk
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording

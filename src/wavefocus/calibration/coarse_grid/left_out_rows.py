@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
-from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.numerics import on_a_line
+from wavefocus.calibration.numerics import on_a_line, one_blas_thread
 
 if TYPE_CHECKING:
     from wavefocus.calibration.coarse_grid.rim_waves import WavesFound

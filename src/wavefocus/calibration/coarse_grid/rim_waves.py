@@ -24,10 +24,15 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
-from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.bounds import MIN_CHECKS, between, judged, judged_frequencies, typical
-from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
-from wavefocus.calibration.coarse_grid.rest import REST_JUDGED, REST_POSITIONS, choose_rest, left_out_rest
+from wavefocus.calibration.coarse_grid.posterior import (
+    FIRST_SHARES,
+    REST_JUDGED,
+    REST_POSITIONS,
+    FrequencyWaves,
+    choose_rest,
+    left_out_rest,
+)
 from wavefocus.calibration.coarse_grid.waves import (
     Dispersion,
     dispersion_of_own_waves,
@@ -37,7 +42,7 @@ from wavefocus.calibration.coarse_grid.waves import (
     rim_ring,
     waves_of_actuators_at_all,
 )
-from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.calibration.wave_model import disk_kernel
 
 Result = TypeVar("Result")

@@ -9,8 +9,7 @@ import scipy.fft
 import scipy.linalg
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.period_spectrum import periodic_signal
-from wavefocus.calibration.numerics import fourier_sum
+from wavefocus.calibration.numerics import fourier_sum, periodic_signal
 
 Operator = Callable[[Float64Array], Float64Array]
 Real = TypeVar("Real", Float32Array, Float64Array)

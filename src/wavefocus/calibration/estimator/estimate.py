@@ -49,7 +49,7 @@ class Estimate:
     noise_v, float32 (records,): Rms in DAQ volts of the white noise on one response recording (0 to half the sample
         rate) that would leave this residual.
     clip_count, int32 (records,): Samples of either channel that are clipped: at 0.999 of its range or beyond, or on a
-        flat top below it, which an amplifier or the vibrometer left (see `wavefocus.calibration.estimator.clipping`).
+        flat top below it, which an amplifier or the vibrometer left (see `defect_finder`).
     offset_samples, float64 (records,): DAQ sample at which the first sweep starts.
     clock_ratio, float64 (records,): DAQ rate over playback rate.
     defects, structured (records,): What stands out of the residuals beyond chance, as

@@ -7,11 +7,11 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.resampling import resampled
 from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, RIDGE, circulant_inverse, conjugate_gradients
-from wavefocus.calibration.estimator.clipping import measure_levels
+from wavefocus.calibration.estimator.defect_finder import measure_levels
 from wavefocus.calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
+from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.resampling import resampled
 from wavefocus.storage.errors import InputError
 
 # Penalty outside of the band, as `RIDGE`.

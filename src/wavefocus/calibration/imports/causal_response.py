@@ -9,11 +9,10 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
+from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, RIDGE, ToeplitzFit
 from wavefocus.storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 MAX_DENSE_TAPS = 4096

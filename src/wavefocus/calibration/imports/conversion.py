@@ -10,13 +10,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from wavefocus.calibration import Float64Array
 from wavefocus.calibration.imports.causal_response import CausalConverter, Motion, TimeOfEnergy, frequency_axis
 from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Measured, require_honest
 from wavefocus.storage.units import MOTIONS, require_meant_rate, split_unit
-
-Float64Array = NDArray[np.float64]
 
 NOTICED_DB = -40.0
 """What is left out and holds more of the energy than this is a warning: it moves a response by 1 %."""

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import DTypeLike
 
-from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.device import WORKERS, Device, host_device, threaded_map
 from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation

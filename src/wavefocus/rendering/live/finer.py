@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.calibration.wave_model import PatchKernel
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.auto import choose_interpolation

@@ -15,9 +15,8 @@ from wavefocus.acquisition.attempt import Attempt
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import Setup, point_at, take_record
-from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.config.messages.campaign import State, Subscriber
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel

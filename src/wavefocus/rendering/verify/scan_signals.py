@@ -11,7 +11,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.clock.timing import ClockFitter, to_playback_clock
+from wavefocus.calibration.timing import ClockFitter, to_playback_clock
 from wavefocus.drivers.protocols import Recording
 from wavefocus.rendering.arrays import Float32Array, Float64Array
 from wavefocus.storage.errors import InputError

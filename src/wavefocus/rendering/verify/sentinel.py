@@ -13,7 +13,7 @@ from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.limits import compare_sentinel
 from wavefocus.acquisition.plan import Plan, sentinel_of
 from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.limits import DriftLimits
 from wavefocus.config.messages.campaign import State, Subscriber
 from wavefocus.rendering.number_text import number

@@ -8,8 +8,7 @@ from typing import Self
 import numpy as np
 from scipy import fft as scipy_fft
 
-from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import (

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.bounds import MIN_CHECKS
 from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.evidence import MOST
-from wavefocus.calibration.numerics import on_a_line
+from wavefocus.calibration.numerics import on_a_line, one_blas_thread
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import Estimate, near
 from wavefocus.rendering.greens.interpolation.path_nodes import (

@@ -13,11 +13,15 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.known_signal import REFERENCE_LIMIT
-from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock, NearClock
-from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
-from wavefocus.calibration.clock.resampling import decimation_step, resampled
+from wavefocus.calibration.known_signal import (
+    REFERENCE_LIMIT,
+    KnownSignalClock,
+    NearClock,
+    ReferenceMissingError,
+    missing_reference,
+)
 from wavefocus.calibration.numerics import parabola_vertex, periodic_top
+from wavefocus.calibration.resampling import decimation_step, resampled
 from wavefocus.storage.errors import InputError
 
 # Share of the known signal's energy that may lie outside the bins that are looked at.
