@@ -2,7 +2,6 @@
 
 import os
 import shutil
-from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -30,12 +29,12 @@ for name, seeded, examples in (("wavefocus", True, 25), ("nightly", False, 100))
 settings.load_profile("wavefocus")
 
 
-def pytest_xdist_auto_num_workers() -> int:
+def pytest_xdist_auto_num_workers():
     """One more than there are cores: many tests wait for an emulated instrument's time to pass."""
     return (os.cpu_count() or 1) + 1
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     parser.addoption(
         "--hardware", metavar="RIG.toml", type=Path, help="run the contract suites on this rig's instruments instead"
     )
@@ -52,7 +51,7 @@ def failed_for_skipping(report: pytest.TestReport | pytest.CollectReport) -> Non
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+def pytest_runtest_makereport(item):
     report = yield
     expected_failure = hasattr(report, "wasxfail")
     if CI and report.skipped and not expected_failure and item.get_closest_marker("may_skip") is None:
@@ -61,7 +60,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+def pytest_make_collect_report():
     report = yield
     if CI and report.skipped:  # a whole module skipped itself; it holds no marker to look at
         failed_for_skipping(report)
@@ -72,7 +71,7 @@ LONGEST_NAME = 80
 WHOLE = tuple(Path(__file__).parent / folder for folder in ("system", "gui"))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     for item in items:
         if len(item.name.split("[")[0]) > LONGEST_NAME:
             raise pytest.UsageError(f"{item.nodeid}: a name of a test has at most {LONGEST_NAME} characters")

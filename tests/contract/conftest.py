@@ -4,10 +4,9 @@ The virtual rig, the production drivers on emulated wires, and with ``--hardware
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TypeVar
 
 import pytest
@@ -119,13 +118,13 @@ def bench_of(rig: RigConfig, latency_s: float) -> Bench:
 
 
 @pytest.fixture(scope="package", autouse=True)
-def nothing_is_left_open() -> Iterator[None]:
+def nothing_is_left_open():
     """Tests that leave an instrument open fail."""
     yield from threads_end()
 
 
 @pytest.fixture(scope="package")
-def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], RigConfig]]:
+def emulated(tmp_path_factory):
     """A rig on emulated wires, started when a test first needs it, and ended early: its sound never rests."""
     started: list[tuple[EmulatedRig, RigConfig]] = []
     with pytest.MonkeyPatch.context() as environment:
@@ -148,7 +147,7 @@ def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], 
 
 
 @pytest.fixture(scope="package")
-def wire(emulated: Callable[[], RigConfig]) -> Iterator[Callable[[], Bench]]:
+def wire(emulated):
     """The bench on the emulated rig; to open an audio stream takes a second."""
     made: list[Bench] = []
 
@@ -163,7 +162,7 @@ def wire(emulated: Callable[[], RigConfig]) -> Iterator[Callable[[], Bench]]:
 
 
 @pytest.fixture
-def mirror_side(tmp_path: Path) -> Iterator[Callable[[str], RigConfig]]:
+def mirror_side(tmp_path):
     """A rig of which only the mirror is there, in the dialect that is asked for."""
     started: list[EmulatedSerial | NiServer] = []
 
@@ -184,7 +183,7 @@ def mirror_side(tmp_path: Path) -> Iterator[Callable[[str], RigConfig]]:
         side.stop() if isinstance(side, NiServer) else side.close()
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+def pytest_generate_tests(metafunc):
     if "bench" not in metafunc.fixturenames:
         return
     hardware = metafunc.config.getoption("--hardware")
@@ -197,7 +196,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.fixture
-def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+def bench(request):
     kind = request.param
     if kind == "virtual":
         bench = bench_of(default_rig(), latency_s=0.05)

@@ -45,7 +45,7 @@ class Controller:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(tmp_path_factory):
     """A folder in which pip has installed the example's distribution."""
     source, target = tmp_path_factory.mktemp("wavefocus-acme"), tmp_path_factory.mktemp("installed")
     for step in steps(PAGE):
@@ -64,7 +64,7 @@ def python(*arguments: object, paths: tuple[Path, ...], cwd: Path = ROOT) -> sub
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
+def rig(tmp_path):
     text = RIG.format(
         actuators=[[0.0, 0.0]], dialect="acme-gs", mirror="", keys=KEYS, recorder="localhost:1", period_frames=4096
     )

@@ -27,7 +27,7 @@ ECHOING: dict[str, Callable[[], VibrometerDevice]] = {
 
 
 @pytest.fixture(params=VIBROMETER_DRIVERS)
-def driver(request: pytest.FixtureRequest) -> str:
+def driver(request):
     return str(request.param)
 
 
@@ -54,13 +54,11 @@ def fault(kind: str, count: int = 1) -> WireFault:
     return WireFault("vibrometer", kind, "range", at_call=1, count=count)
 
 
-def test_given_the_driver_then_it_is_registered_and_can_be_emulated() -> None:
+def test_given_the_driver_then_it_is_registered_and_can_be_emulated():
     assert set(VIBROMETER_DRIVERS) <= set(VIBROMETERS.all())
 
 
-def test_controller_then_range_and_level_are_read_echo_or_not_and_port_is_free_again(
-    driver: str, tmp_path: Path
-) -> None:
+def test_controller_then_range_and_level_are_read_echo_or_not_and_port_is_free_again(driver, tmp_path):
     with controller(ECHOING[driver](), tmp_path) as emulated:
         readings = [read(driver, emulated) for _ in range(2)]
     assert readings[0] == readings[1]
@@ -71,7 +69,7 @@ def test_controller_then_range_and_level_are_read_echo_or_not_and_port_is_free_a
     assert NAMES[driver] in readings[0].identity
 
 
-def test_given_another_range_set_at_the_controller_then_it_is_read(driver: str, tmp_path: Path) -> None:
+def test_given_another_range_set_at_the_controller_then_it_is_read(driver, tmp_path):
     device = ECHOING[driver]()
     with controller(device, tmp_path) as emulated:
         device.answer(SET_25_MM[driver])
@@ -79,7 +77,7 @@ def test_given_another_range_set_at_the_controller_then_it_is_read(driver: str, 
     assert device.sensitivity_m_s_per_v == pytest.approx(0.025)
 
 
-def test_given_too_little_light_or_another_identity_then_it_is_refused(driver: str, tmp_path: Path) -> None:
+def test_given_too_little_light_or_another_identity_then_it_is_refused(driver, tmp_path):
     with controller(WEAK[driver](), tmp_path) as emulated:
         assert read(driver, emulated).signal_level == pytest.approx(0.2)
         with pytest.raises(InstrumentError, match="20% of full, at least 50% is wanted"):
@@ -88,7 +86,7 @@ def test_given_too_little_light_or_another_identity_then_it_is_refused(driver: s
             read(driver, emulated, identity="OFV-2500")
 
 
-def test_given_one_lost_garbled_or_broken_off_answer_then_the_range_is_still_right(driver: str, tmp_path: Path) -> None:
+def test_given_one_lost_garbled_or_broken_off_answer_then_the_range_is_still_right(driver, tmp_path):
     for number, kind in enumerate(("silent", "garbled", "truncated", "late")):
         late = WireFault("vibrometer", kind, "range", at_call=1, count=1, seconds=0.3 if kind == "late" else 0.0)
         folder = tmp_path / str(number)
@@ -97,7 +95,7 @@ def test_given_one_lost_garbled_or_broken_off_answer_then_the_range_is_still_rig
             assert read(driver, emulated).sensitivity_m_s_per_v == pytest.approx(0.125)
 
 
-def test_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range(driver: str, tmp_path: Path) -> None:
+def test_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range(driver, tmp_path):
     with (
         controller(ECHOING[driver](), tmp_path, fault("garbled", count=100_000)) as emulated,
         pytest.raises((TransientInstrumentError, InstrumentLostError)),
@@ -105,7 +103,7 @@ def test_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range
         read(driver, emulated, clock=HurriedClock)
 
 
-def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back(driver: str, tmp_path: Path) -> None:
+def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back(driver, tmp_path):
     with controller(ECHOING[driver](), tmp_path, fault("unplugged")) as emulated:
         for _ in range(2):
             with pytest.raises(InstrumentLostError):

@@ -34,13 +34,13 @@ def write_lab(folder: Path) -> Path:
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     """A folder with rig.toml, run.toml, scene.toml and positions.csv of a small campaign."""
     return write_lab(tmp_path)
 
 
 @pytest.fixture(scope="session")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def measured(tmp_path_factory):
     """The bank of an undisturbed capture of a lab; to be copied, with what lies beside it."""
     lab = write_lab(tmp_path_factory.mktemp("measured"))
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
@@ -48,7 +48,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def bank(lab: Path, measured: Path) -> Path:
+def bank(lab, measured):
     """The measured bank of six positions, in the lab."""
     for beside in measured.parent.glob("plate.*"):
         shutil.copy2(beside, lab / beside.name)

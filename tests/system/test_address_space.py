@@ -28,7 +28,7 @@ def _limited(code: str, spare: int, *arguments: str, folder: Path) -> subprocess
     )  # fmt: skip
 
 
-def test_given_too_little_address_space_then_capture_ends_at_once_with_one_line(lab: Path) -> None:
+def test_given_too_little_address_space_then_capture_ends_at_once_with_one_line(lab):
     code = "from wavefocus.__main__ import main\nmain()"
     for spare in (40 << 20, 100 << 20):
         done = _limited(code, spare, "capture", "run.toml", "--bank", "plate.h5", folder=lab)
@@ -37,7 +37,7 @@ def test_given_too_little_address_space_then_capture_ends_at_once_with_one_line(
         assert "Traceback" not in done.stderr
 
 
-def test_without_a_new_thread_instruments_fall_silent_and_nothing_else_is_done(tmp_path: Path) -> None:
+def test_without_a_new_thread_instruments_fall_silent_and_nothing_else_is_done(tmp_path):
     code = """
 from wavefocus.drivers.timeouts import bounded
 from wavefocus.drivers.errors import InstrumentError

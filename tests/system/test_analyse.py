@@ -2,7 +2,6 @@
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,9 +31,7 @@ trials = 12
 """
 
 
-def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, bank, capsys):
     (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
     out = lab / "out"
     design = load_trials(lab / "trials.toml")
@@ -94,7 +91,7 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(
 
 
 @pytest.mark.smoke
-def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(tmp_path: Path) -> None:
+def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(tmp_path):
     people = 5
     found = coverage(designs(tmp_path)[CONSTANT], people, 0.02, tmp_path)
     # One sound analysis in 10,000 would fail here.
@@ -106,7 +103,7 @@ def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(t
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
-def test_200_simulated_people_of_each_design_then_intervals_hold_truth_in_95_of_100(tmp_path: Path) -> None:
+def test_200_simulated_people_of_each_design_then_intervals_hold_truth_in_95_of_100(tmp_path):
     for name, design in designs(tmp_path).items():
         found = coverage(design, PEOPLE, 0.02, tmp_path)
         least = 190 if name == CONSTANT else binom.ppf(0.01, PEOPLE, 0.95)

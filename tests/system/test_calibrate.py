@@ -47,7 +47,7 @@ TRUE_LATE_S, TRUE_GAIN = output_errors(OUTPUTS, SPREAD_S, SPREAD_DB, SEED)
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
+def rig(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     return tmp_path / "rig.toml"
 
@@ -94,7 +94,7 @@ def name_in(rig: Path, file: Path) -> None:
     rig.write_text(f'{RIG}\n[calibration]\nfile = "{file.name}"\n', encoding="utf-8")
 
 
-def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig: Path) -> None:
+def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig):
     told, people = calibrate(rig, "--fiducials", marks_file(rig.parent))
     file = rig.parent / f"calibration-{date.today().isoformat()}.toml"
     assert told["file"] == str(file)
@@ -119,7 +119,7 @@ def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig: Path) -> N
     assert {one.verdict for one in record.actuators.actuator} == {"good"}
 
 
-def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig: Path) -> None:
+def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig):
     marks = [(-80, -40), (80, -40), (80, 40), (-80, 40), (0, 0)]
     file = rig.parent / "marks.csv"
     file.write_text("# corners\nx_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in marks), encoding="utf-8")
@@ -143,7 +143,7 @@ def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig: Path)
 
 
 @pytest.mark.parametrize("moved", [0, 3])
-def test_given_enter_at_the_marks_then_no_map_is_taken_and_nothing_is_written(rig: Path, moved: int) -> None:
+def test_given_enter_at_the_marks_then_no_map_is_taken_and_nothing_is_written(rig, moved):
     lines = ["0 0", ""] + moved * ["0.5 -0.25", ""] + (6 - moved) * [""]
     told, people = calibrate(rig, "--only", "mirror", lines=lines, code=1)
     assert "mark 7 of 7 at (-100, 0) mm" in people
@@ -152,7 +152,7 @@ def test_given_enter_at_the_marks_then_no_map_is_taken_and_nothing_is_written(ri
     assert list(rig.parent.iterdir()) == [rig]
 
 
-def test_given_four_marks_then_they_are_too_few_to_show_a_wrong_one(rig: Path) -> None:
+def test_given_four_marks_then_they_are_too_few_to_show_a_wrong_one(rig):
     file = marks_file(rig.parent)
     header, _, *rest = file.read_text(encoding="utf-8").splitlines()
     file.write_text("\n".join([header, *rest[:4]]), encoding="utf-8")
@@ -162,7 +162,7 @@ def test_given_four_marks_then_they_are_too_few_to_show_a_wrong_one(rig: Path) -
 
 @pytest.mark.may_skip("a terminal of POSIX")
 @pytest.mark.skipif(os.name != "posix", reason="a terminal of POSIX")
-def test_given_keys_pressed_before_a_question_then_they_are_no_answer_to_it(rig: Path) -> None:
+def test_given_keys_pressed_before_a_question_then_they_are_no_answer_to_it(rig):
     import pty
 
     ours, theirs = pty.openpty()
@@ -181,7 +181,7 @@ def test_given_keys_pressed_before_a_question_then_they_are_no_answer_to_it(rig:
     assert list(rig.parent.iterdir()) == [rig]
 
 
-def test_given_flaws_then_each_is_named_with_what_to_do(rig: Path) -> None:
+def test_given_flaws_then_each_is_named_with_what_to_do(rig):
     flaws = "dead_actuators = [1]\nweak_actuators = [2]\nreversed_actuators = [3]\nreversed_outputs = [5]\n"
     rig.write_text(RIG + flaws, encoding="utf-8")
     told, _ = calibrate(rig, "--only", "outputs,mirror,actuators", "--fiducials", marks_file(rig.parent), code=1)
@@ -197,7 +197,7 @@ def test_given_flaws_then_each_is_named_with_what_to_do(rig: Path) -> None:
     assert [one.polarity for one in record.actuators.actuator] == [1, 1, 1, -1, 1, -1]
 
 
-def test_given_a_calibration_then_its_values_win_and_another_one_finds_nothing_more(rig: Path) -> None:
+def test_given_a_calibration_then_its_values_win_and_another_one_finds_nothing_more(rig):
     told, _ = calibrate(rig, "--fiducials", marks_file(rig.parent))
     name_in(rig, Path(str(told["file"])))
     first = record_of(told)
@@ -225,9 +225,7 @@ class SomebodyWhoTakesTheName(io.StringIO):
         return super().readline()
 
 
-def test_a_name_that_is_taken_meanwhile_then_what_was_measured_has_the_next_one(
-    rig: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_that_is_taken_meanwhile_then_what_was_measured_has_the_next_one(rig, monkeypatch):
     out = rig.with_name("c.toml")
     monkeypatch.setattr(sys, "stdin", SomebodyWhoTakesTheName(out))
     assert run(["calibrate", str(rig), "--only", "inputs", "--out", str(out)]) == 0
@@ -245,14 +243,14 @@ def test_a_name_that_is_taken_meanwhile_then_what_was_measured_has_the_next_one(
         (["--only", "inputs", "--out", "rig.toml"], "rig.toml: is there already and is not overwritten"),
     ],
 )
-def test_given_a_wrong_option_then_it_is_one_line_and_exit_2(rig: Path, options: list[str], told: str) -> None:
+def test_given_a_wrong_option_then_it_is_one_line_and_exit_2(rig, options, told):
     options = [str(rig) if option == "rig.toml" else option for option in options]
     _, people = calibrate(rig, *options, code=2)
     assert told in people
     assert people.count("\n") == 1
 
 
-def test_given_a_person_who_leaves_half_way_then_what_was_measured_is_kept(rig: Path) -> None:
+def test_given_a_person_who_leaves_half_way_then_what_was_measured_is_kept(rig):
     _, people = calibrate(rig, lines=[""] * (1 + OUTPUTS - 1), code=2)
     assert "standard input: ended before a cable was plugged" in people
     (file,) = rig.parent.glob("calibration-*.toml")
@@ -262,7 +260,7 @@ def test_given_a_person_who_leaves_half_way_then_what_was_measured_is_kept(rig: 
     assert record.mirror is None
 
 
-def test_given_a_probe_too_loud_for_an_input_then_it_says_which_and_what_to_do(rig: Path) -> None:
+def test_given_a_probe_too_loud_for_an_input_then_it_says_which_and_what_to_do(rig):
     rig.write_text(f"{RIG}\n[recorder]\nresponse_range_v = 0.5\n", encoding="utf-8")
     told, _ = calibrate(rig, "--only", "inputs", "--amplitude-v", "2", code=1)
     assert "reaches the end of the response input's range of 0.5 V" in str(told["problems"])
@@ -283,9 +281,7 @@ taps = 1000
 """
 
 
-def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
-    rig: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(rig, capsys):
     told, _ = calibrate(rig, "--only", "inputs,outputs,mirror", "--fiducials", marks_file(rig.parent, 0.01))
     file = Path(str(told["file"]))
     name_in(rig, file)

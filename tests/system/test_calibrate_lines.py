@@ -1,7 +1,6 @@
 """`wavefocus calibrate --operator lines`: a window or a script asks the person."""
 
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +24,13 @@ mirror_map = {[list(row) for row in MAP]}
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
+def rig(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     return tmp_path / "rig.toml"
 
 
 @pytest.fixture
-def asked(rig: Path) -> Iterator[Lines]:
+def asked(rig):
     with Lines("calibrate", rig, "--only", "mirror", "--operator", "lines", "--use") as lines:
         yield lines
 
@@ -46,7 +45,7 @@ def meet(lines: Lines, ask: dict[str, Any], off_mm: float = 0.0) -> None:
     lines.send(answer="here")
 
 
-def test_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_named(asked: Lines, rig: Path) -> None:
+def test_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_named(asked, rig):
     begin = asked.hear("begin")
     assert len(begin["marks_mm"]) == 7
     level = asked.hear("level")  # while a person jogs, both inputs are heard
@@ -78,7 +77,7 @@ def test_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_name
     assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == Path(done["file"]).name
 
 
-def test_answers_that_are_not_understood_then_each_is_sentence_and_question_stays(asked: Lines) -> None:
+def test_answers_that_are_not_understood_then_each_is_sentence_and_question_stays(asked):
     asked.hear("ask")
     for answer, why in (
         ({"answer": "yes"}, "allowed: here, by, to, cancel"),
@@ -93,7 +92,7 @@ def test_answers_that_are_not_understood_then_each_is_sentence_and_question_stay
     assert asked.end() == 130
 
 
-def test_given_a_person_who_leaves_the_map_then_nothing_is_written(asked: Lines, rig: Path) -> None:
+def test_given_a_person_who_leaves_the_map_then_nothing_is_written(asked, rig):
     for _ in range(7):
         asked.hear("ask")
         asked.send(answer="here")
@@ -109,7 +108,7 @@ def test_given_a_person_who_leaves_the_map_then_nothing_is_written(asked: Lines,
     assert rig.read_text(encoding="utf-8") == RIG
 
 
-def test_given_cables_to_plug_then_the_person_is_asked_for_each(rig: Path) -> None:
+def test_given_cables_to_plug_then_the_person_is_asked_for_each(rig):
     with Lines("calibrate", rig, "--only", "inputs", "--operator", "lines") as lines:
         ask = lines.hear("ask")
         assert (ask["what"], ask["source"]) == ("connect", "both")

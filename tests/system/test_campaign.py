@@ -28,9 +28,7 @@ def _take_longer(lab: Path) -> None:
     change_text(lab / "run.toml", "averages = 2", "averages = 12")
 
 
-def test_given_a_run_then_every_position_is_valid_and_events_tell_it(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_run_then_every_position_is_valid_and_events_tell_it(lab, capsys):
     bank = lab / "plate.h5"
     assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
     events = events_of(capsys.readouterr().out)
@@ -56,14 +54,14 @@ def test_given_a_run_then_every_position_is_valid_and_events_tell_it(
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def reference(tmp_path_factory):
     """The bank of an undisturbed capture that takes longer."""
     lab = write_lab(tmp_path_factory.mktemp("reference"))
     _take_longer(lab)
     return _capture(lab).read_bytes()
 
 
-def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab: Path, reference: bytes) -> None:
+def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab, reference):
     _take_longer(lab)
     bank = lab / "plate.h5"
     with capture_process(lab, bank) as child:
@@ -74,7 +72,7 @@ def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab: Path, 
     assert bank.read_bytes() == reference
 
 
-def test_a_bank_deleted_while_it_is_measured_exits_3_and_its_rescue_is_identical(lab: Path, reference: bytes) -> None:
+def test_a_bank_deleted_while_it_is_measured_exits_3_and_its_rescue_is_identical(lab, reference):
     _take_longer(lab)
     bank = lab / "plate.h5"
     with capture_process(lab, bank) as child:
@@ -89,7 +87,7 @@ def test_a_bank_deleted_while_it_is_measured_exits_3_and_its_rescue_is_identical
     assert rescue.read_bytes() == reference
 
 
-def test_given_hdf5_is_asked_for_locks_then_a_capture_is_as_ever(lab: Path) -> None:
+def test_given_hdf5_is_asked_for_locks_then_a_capture_is_as_ever(lab):
     environment = {**os.environ, "HDF5_USE_FILE_LOCKING": "TRUE"}
     command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]
     assert subprocess.run(command, env=environment, check=False, capture_output=True).returncode == 0
@@ -97,9 +95,7 @@ def test_given_hdf5_is_asked_for_locks_then_a_capture_is_as_ever(lab: Path) -> N
 
 @pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGINT for one process alone")
 @pytest.mark.parametrize("interrupts", [1, 2])
-def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(
-    lab: Path, reference: bytes, interrupts: int
-) -> None:
+def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(lab, reference, interrupts):
     _take_longer(lab)
     bank = lab / "plate.h5"
     with capture_process(lab, bank) as child:
@@ -116,9 +112,7 @@ def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(
 
 
 @pytest.mark.parametrize("kind", ["short_read", "missing_reference", "over_range"])
-def test_given_a_passing_fault_then_the_position_is_repeated_and_valid(
-    lab: Path, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_passing_fault_then_the_position_is_repeated_and_valid(lab, kind, capsys):
     with_faults(lab, f'role = "recorder"\noperation = "read"\nkind = "{kind}"\nposition = 2\nattempt = 1')
     bank = lab / "plate.h5"
     assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
@@ -131,7 +125,7 @@ def test_given_a_passing_fault_then_the_position_is_repeated_and_valid(
 
 
 @pytest.mark.parametrize(("kind", "bit"), [("timeout", 8), ("missing_reference", 8), ("over_range", 2)])
-def test_given_a_fault_that_stays_then_the_position_is_not_called_valid(lab: Path, kind: str, bit: int) -> None:
+def test_given_a_fault_that_stays_then_the_position_is_not_called_valid(lab, kind, bit):
     with_faults(lab, f'role = "recorder"\noperation = "read"\nkind = "{kind}"\nposition = 2\ncount = 6')
     bank = _capture(lab)
     with h5py.File(bank, "r") as file:
@@ -142,7 +136,7 @@ def test_given_a_fault_that_stays_then_the_position_is_not_called_valid(lab: Pat
         assert file["quality/attempts"][2] == 6  # three, and three more in the pass at the end
 
 
-def test_given_remeasure_of_what_stayed_poor_then_it_becomes_valid(lab: Path) -> None:
+def test_given_remeasure_of_what_stayed_poor_then_it_becomes_valid(lab):
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "dropout"\nposition = 2\ncount = 6')
     bank = _capture(lab)
     with h5py.File(bank, "r") as file:
@@ -155,17 +149,13 @@ def test_given_remeasure_of_what_stayed_poor_then_it_becomes_valid(lab: Path) ->
         assert list(np.flatnonzero(changed)) == [2]
 
 
-def test_given_three_positions_in_a_row_without_a_record_then_exit_3(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_three_positions_in_a_row_without_a_record_then_exit_3(lab, capsys):
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "missing_reference"\nrecord = 0\ncount = 3')
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 3
     assert "3 positions in a row" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_given_another_run_file_then_the_bank_is_refused_and_untouched(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_another_run_file_then_the_bank_is_refused_and_untouched(lab, bank, capsys):
     before = bank.read_bytes()
     change_text(lab / "run.toml", "duration_s = 0.3", "duration_s = 0.4")
     capsys.readouterr()
@@ -176,9 +166,7 @@ def test_given_another_run_file_then_the_bank_is_refused_and_untouched(
     assert bank.read_bytes() == before
 
 
-def test_given_a_copied_bank_then_it_resumes_from_the_copy_alone(
-    lab: Path, bank: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_given_a_copied_bank_then_it_resumes_from_the_copy_alone(lab, bank, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "copy.h5"
     shutil.copyfile(bank, elsewhere)
     shutil.rmtree(lab)

@@ -3,8 +3,6 @@
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -29,7 +27,7 @@ if __name__ == "__main__":
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def address(tmp_path_factory):
     """A scheduler with two worker processes, as on other machines."""
     script = tmp_path_factory.mktemp("cluster") / "cluster.py"
     script.write_text(SCHEDULER, encoding="utf-8")
@@ -43,7 +41,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     """A bank of 60 positions, one not measured, and a drive."""
     random = np.random.default_rng(3)
     green = (random.standard_normal((60, 4, 200)) * np.exp(-np.arange(200) / 40)).astype(np.float32)
@@ -67,7 +65,7 @@ def wavefocus(*arguments: object) -> str:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("rate", [(), ("--rate", "500")])
-def test_given_a_cluster_then_the_field_is_the_same_to_the_byte(lab: Path, address: str, rate: tuple[str, ...]) -> None:
+def test_given_a_cluster_then_the_field_is_the_same_to_the_byte(lab, address, rate):
     predict = ["predict", lab / "drive.h5", "--bank", lab / "bank.h5", *rate, "--out"]
     assert "2 workers" in wavefocus(*predict, lab / "there.h5", "--cluster", address)
     wavefocus(*predict, lab / "here.h5")
@@ -78,9 +76,7 @@ def test_given_a_cluster_then_the_field_is_the_same_to_the_byte(lab: Path, addre
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("where", ["address", "local"])
-def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(
-    tmp_path: Path, request: pytest.FixtureRequest, where: str
-) -> None:
+def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(tmp_path, request, where):
     band_hz = (50.0, 1000.0)
     records = [swept(Sweep(band_hz, 0.8), row[None], 5000.0, 40.0) for row in echoes(2, 200)]
     raw = write(tmp_path / "a.raw.h5", records, 200, 5000.0, band_hz, positions=2)
@@ -91,9 +87,7 @@ def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(
 
 
 @pytest.mark.nightly
-def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(lab, capsys):
     predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
     assert run([*predict, "--cluster", "nonsense://here:1"]) == 2
     assert "--cluster nonsense://here:1" in capsys.readouterr().err.splitlines()[-1]
@@ -101,15 +95,13 @@ def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(
 
 
 @pytest.mark.parametrize("address", ["local:0", "local:two"])
-def test_a_local_cluster_of_no_sensible_size_then_one_sentence_says_what_is_allowed(
-    lab: Path, capsys: pytest.CaptureFixture[str], address: str
-) -> None:
+def test_a_local_cluster_of_no_sensible_size_then_one_sentence_says_what_is_allowed(lab, capsys, address):
     predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
     assert run([*predict, "--cluster", address]) == 2
     assert f"--cluster {address}: local:N starts N processes here, 1 to 256" in capsys.readouterr().err
 
 
-def test_given_no_dask_then_a_sentence_says_what_to_install(lab: Path) -> None:
+def test_given_no_dask_then_a_sentence_says_what_to_install(lab):
     without = "import sys; sys.modules['distributed'] = None; from wavefocus.__main__ import main; main()"
     predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
     command = [sys.executable, "-c", without, *predict, "--cluster", "local"]
@@ -118,7 +110,7 @@ def test_given_no_dask_then_a_sentence_says_what_to_install(lab: Path) -> None:
     assert done.stderr.strip().endswith("pip install 'dask[distributed]'")
 
 
-def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab: Path) -> None:
+def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab):
     drive, bank = identity_of(lab / "drive.h5"), identity_of(lab / "bank.h5")
     assert [one.shape for one in field_parts(drive, bank, None, [[3, 1], [2]])] == [(2, 3199), (1, 3199)]
     with pytest.raises(InputError, match="another file there"):
@@ -132,9 +124,7 @@ LONE_SCHEDULER = SCHEDULER.replace("n_workers=2, threads_per_worker=1", "n_worke
 
 
 @pytest.mark.parametrize("lost", ["scheduler", pytest.param("worker", marks=pytest.mark.nightly)])
-def test_given_a_cluster_that_dies_then_one_sentence_says_so(
-    tmp_path: Path, lost: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_cluster_that_dies_then_one_sentence_says_so(tmp_path, lost, capfd, monkeypatch):
     monkeypatch.setattr(cluster, "GIVES_UP_S", 1.0)  # a constant, so that the test need not wait for a minute
     script = tmp_path / "cluster.py"
     script.write_text(LONE_SCHEDULER, encoding="utf-8")

@@ -32,7 +32,7 @@ REFUSED = [*((CALIBRATE, option) for option in ("--amplitude-v", "--limit-mm", "
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("numbers")
     write_foreign(folder / "bank.h5")
     assert run(["init", str(folder)]) == 0
@@ -56,25 +56,19 @@ def told(lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(("command", "option"), OPTIONS)
-def test_given_an_extreme_number_then_a_result_or_one_sentence(
-    lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str], option: str
-) -> None:
+def test_given_an_extreme_number_then_a_result_or_one_sentence(lab, capsys, monkeypatch, command, option):
     for text in EXTREMES:
         code = told(lab, capsys, monkeypatch, [*command, f"{option}={text}"])
         assert code == 2 if text in ("nan", "inf", "-inf") else code in (0, 1, 2)
 
 
 @pytest.mark.parametrize(("command", "option"), REFUSED)
-def test_given_an_extreme_number_then_no_calibration_begins(
-    lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str], option: str
-) -> None:
+def test_given_an_extreme_number_then_no_calibration_begins(lab, capsys, monkeypatch, command, option):
     for text in EXTREMES:
         assert told(lab, capsys, monkeypatch, [*command, f"{option}={text}"]) == 2
 
 
-def test_given_a_step_of_positions_without_end_then_one_sentence(
-    lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_step_of_positions_without_end_then_one_sentence(lab, capsys, monkeypatch):
     verify = ["verify", "scene.toml", "--bank", "bank.h5", "--rig", "virtual", "--out", "verify", "--positions"]
     for positions in (f"every:000000001{9 * 600}", "every:" + "9" * 5000, "0-" + "9" * 5000):
         assert told(lab, capsys, monkeypatch, [*verify, positions]) == 2

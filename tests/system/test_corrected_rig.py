@@ -1,7 +1,6 @@
 """Going on with a corrected rig file: what may change, what may not, and the command as it is printed."""
 
 import shlex
-from pathlib import Path
 
 import pytest
 
@@ -33,9 +32,7 @@ def _printed(told: str) -> list[str]:
     return words[1:]
 
 
-def test_given_a_wrong_port_then_the_printed_command_opens_the_corrected_one(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_wrong_port_then_the_printed_command_opens_the_corrected_one(lab, capsys):
     place = lab / "my lab"
     place.mkdir()
     bank, rig = place / "plate.h5", lab / "rig.toml"
@@ -66,9 +63,7 @@ def test_given_a_wrong_port_then_the_printed_command_opens_the_corrected_one(
         ("[player]\nchannels = [2, 1, 0]\n", "player.channels"),
     ],
 )
-def test_given_a_rig_that_measures_other_rows_then_it_is_refused_by_its_keys(
-    lab: Path, capsys: pytest.CaptureFixture[str], text: str, key: str
-) -> None:
+def test_given_a_rig_that_measures_other_rows_then_it_is_refused_by_its_keys(lab, capsys, text, key):
     bank = empty_bank(lab, "plate.h5")
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
         rig.write(text)
@@ -78,7 +73,7 @@ def test_given_a_rig_that_measures_other_rows_then_it_is_refused_by_its_keys(
     assert key in line
 
 
-def test_other_names_and_limits_then_the_campaign_goes_on_and_its_rig_file_counts(lab: Path) -> None:
+def test_other_names_and_limits_then_the_campaign_goes_on_and_its_rig_file_counts(lab):
     bank = empty_bank(lab, "plate.h5")
     change_text(lab / "rig.toml", "three coils", "three other coils")
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:

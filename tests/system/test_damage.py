@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import h5py
-import pytest
 
 from tests.system.captures import wavefocus
 
@@ -18,9 +17,7 @@ def _zero_ledger_page(bank: Path, position: int) -> None:
         raw.write(bytes(4096))
 
 
-def test_given_a_zeroed_ledger_page_then_every_command_names_the_position(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_zeroed_ledger_page_then_every_command_names_the_position(lab, bank, capsys):
     sound = shutil.copy(bank, lab / "sound.h5")
     assert wavefocus("render", lab / "scene.toml", "--bank", sound, "--out", lab / "drive.h5") == 0
     _zero_ledger_page(bank, 2)

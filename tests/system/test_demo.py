@@ -9,7 +9,7 @@ from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rendering.greens.source import GreenArray
 
 
-def test_given_a_known_error_of_some_places_then_it_is_stated() -> None:
+def test_given_a_known_error_of_some_places_then_it_is_stated():
     rig = VirtualRig(VirtualSettings())
     places_mm = np.array([[3.0, 4.0], [-21.0, 7.5], [40.0, -12.0]])
     true = np.stack([rig.truth(x_mm, y_mm, 2000) for x_mm, y_mm in places_mm])

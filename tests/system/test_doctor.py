@@ -30,7 +30,7 @@ def written(folder: Path, text: str) -> Path:
     return folder / "rig.toml"
 
 
-def test_given_a_sound_rig_then_exit_0_and_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_sound_rig_then_exit_0_and_one_object(tmp_path, capsys):
     code, told, _ = doctor(written(tmp_path, RIG), "--json", capsys=capsys)
     assert code == 0
     assert set(told) == KEYS
@@ -46,9 +46,7 @@ def test_given_a_sound_rig_then_exit_0_and_one_object(tmp_path: Path, capsys: py
     assert {"python", "numpy", "pyserial", "nidaqmx", "sounddevice"} <= set(told["versions"])
 
 
-def test_given_people_then_they_get_a_table_on_standard_output(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_people_then_they_get_a_table_on_standard_output(tmp_path, capsys):
     folder = tmp_path / "lab [red]"
     folder.mkdir()
     code, told, people = doctor(written(folder, RIG), "--no-play", capsys=capsys)
@@ -67,9 +65,7 @@ def test_given_people_then_they_get_a_table_on_standard_output(
         ("dead_actuators = [1]", "actuator"),
     ],
 )
-def test_given_something_not_good_enough_then_exit_1_and_what_to_do(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], flaw: str, failing: str
-) -> None:
+def test_given_something_not_good_enough_then_exit_1_and_what_to_do(tmp_path, capsys, flaw, failing):
     code, told, people = doctor(written(tmp_path, f"{RIG}[emulation]\n{flaw}\n"), "--json", capsys=capsys)
     assert code == 1
     assert told["good"] is False
@@ -79,9 +75,7 @@ def test_given_something_not_good_enough_then_exit_1_and_what_to_do(
     assert "1 not good enough" in people
 
 
-def test_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(tmp_path, capsys):
     code, told, _ = doctor(written(tmp_path, ABSENT_RIG.format(folder=tmp_path)), "--json", capsys=capsys)
     assert code == 1
     bad = {one["instrument"]: one for one in told["findings"] if one["verdict"] == "fail"}
@@ -92,9 +86,7 @@ def test_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to
     assert {one["instrument"] for one in told["findings"] if one["verdict"] == "skipped"} >= {"mirror", "player"}
 
 
-def test_given_a_usb_device_that_is_not_plugged_in_then_it_is_missed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_usb_device_that_is_not_plugged_in_then_it_is_missed(tmp_path, capsys):
     usb = '[[usb]]\nrole = "recorder"\nvendor_id = 0x3923\nproduct_id = 0x7179\nserial_number = "none has this"\n'
     code, told, _ = doctor(written(tmp_path, RIG + usb), "--json", "--no-play", capsys=capsys)
     assert code == 1
@@ -103,18 +95,14 @@ def test_given_a_usb_device_that_is_not_plugged_in_then_it_is_missed(
     assert bad["remedy"]
 
 
-def test_reset_of_device_that_rig_does_not_expect_then_exit_2_and_what_it_expects(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reset_of_device_that_rig_does_not_expect_then_exit_2_and_what_it_expects(tmp_path, capsys):
     assert run(["init", str(tmp_path / "lab")]) == 0
     capsys.readouterr()
     assert run(["doctor", str(tmp_path / "lab" / "rig.toml"), "--reset-usb", "recorder"]) == 2
     assert "[[usb]]" in capsys.readouterr().err
 
 
-def test_given_a_reset_of_a_device_that_is_not_plugged_in_then_exit_3_and_what_to_do(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_reset_of_a_device_that_is_not_plugged_in_then_exit_3_and_what_to_do(tmp_path, capsys):
     rig = tmp_path / "rig.toml"
     rig.write_text('[[usb]]\nrole = "recorder"\nvendor_id = 0x3923\nproduct_id = 0x7179\n', encoding="utf-8")
     assert run(["doctor", str(rig), "--reset-usb", "recorder"]) == 3
@@ -123,7 +111,7 @@ def test_given_a_reset_of_a_device_that_is_not_plugged_in_then_exit_3_and_what_t
     assert error.count("\n") == 1
 
 
-def test_given_a_wrong_rig_file_then_exit_2_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_wrong_rig_file_then_exit_2_and_one_line(tmp_path, capsys):
     code, _, people = doctor(written(tmp_path, "[mirror]\nlimit_deg = 3\n"), capsys=capsys)
     assert code == 2
     assert people.count("\n") == 1

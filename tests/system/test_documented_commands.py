@@ -100,7 +100,7 @@ def words_of(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", EVERY, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_of_a_page_is_one_of_the_program(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_of_a_page_is_one_of_the_program(page, capsys):
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     for step in steps(page):
         words = words_of(step.text.partition(" | ")[0]) if step.kind in ("command", "mention") else [""]
@@ -121,9 +121,7 @@ def fault_of(words: list[str], *, whole: bool) -> str:
     return ""
 
 
-def test_the_tutorials_positions_and_hours_are_those_of_its_plan(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tutorials_positions_and_hours_are_those_of_its_plan(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = ROOT / "docs" / "tutorial" / "the-first-hour.md"
     assert run(["init", "lab"]) == 0
@@ -142,9 +140,7 @@ def test_the_tutorials_positions_and_hours_are_those_of_its_plan(
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
-def test_the_tutorials_figures_are_those_of_its_commands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tutorials_figures_are_those_of_its_commands(tmp_path, monkeypatch, capfd):
     """At full size, within 5 %; how far an interrupted capture is, is by chance."""
     monkeypatch.chdir(tmp_path)
     shown = 0
@@ -170,7 +166,7 @@ def test_the_tutorials_figures_are_those_of_its_commands(
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small(tmp_path_factory):
     """A measured lab: what pages presuppose that do not begin with an empty folder."""
     folder = tmp_path_factory.mktemp("small")
     assert run(["init", str(folder)]) == 0
@@ -193,9 +189,7 @@ def make_small(folder: Path) -> None:
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
 @BY_PAGE
-def test_every_command_of_a_page_does_what_the_page_shows(
-    page: Path, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_of_a_page_does_what_the_page_shows(page, small, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     todo = [step for step in steps(page) if step.kind != "mention" and not step.note.startswith("not run")]
     if not any(words_of(step.text)[:2] == ["wavefocus", "init"] for step in todo if step.kind == "command"):

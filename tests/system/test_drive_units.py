@@ -52,18 +52,14 @@ def foreign(path: Path, **attributes: str) -> Path:
         ("m/s/volt", "V", "V"), ("m/s per millivolt", "mV", "mV"),
     ],
 )  # fmt: skip
-def test_a_bank_then_takes_drives_in_the_unit_that_its_green_functions_name(
-    tmp_path: Path, unit: str, stated: str, drive: str
-) -> None:
+def test_a_bank_then_takes_drives_in_the_unit_that_its_green_functions_name(tmp_path, unit, stated, drive):
     words = {"drive_unit": stated} if stated else {}
     with wf.open_bank(foreign(tmp_path / "b.h5", response_unit=unit, **words)) as bank:
         assert bank.drive_unit == drive == drive_of(unit, stated)
 
 
 @pytest.mark.parametrize(("unit", "stated"), [("m/s/N", "V"), ("m/s per mV", "V"), ("m/s/V", "N"), ("g/V", "mV")])
-def test_a_bank_that_names_two_drives_then_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], unit: str, stated: str
-) -> None:
+def test_a_bank_that_names_two_drives_then_is_refused(tmp_path, capsys, unit, stated):
     bank = foreign(tmp_path / "b.h5", response_unit=unit, drive_unit=stated)
     assert run(["status", str(bank)]) == 2
     told = capsys.readouterr().err
@@ -74,9 +70,7 @@ def test_a_bank_that_names_two_drives_then_is_refused(
 
 
 @pytest.mark.parametrize("unit", ["m/s/N", "m/s per mV"])
-def test_drives_that_are_not_in_volts_then_are_not_played(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], unit: str
-) -> None:
+def test_drives_that_are_not_in_volts_then_are_not_played(tmp_path, capsys, unit):
     bank = str(foreign(tmp_path / "b.h5", response_unit=unit))
     scene, rig, drive = tmp_path / "scene.toml", tmp_path / "rig.toml", str(tmp_path / "drive.h5")
     scene.write_text(SCENE, encoding="utf-8")
@@ -99,7 +93,7 @@ def test_drives_that_are_not_in_volts_then_are_not_played(
 
 @pytest.mark.parametrize("kind", ["sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf"])
 @pytest.mark.parametrize("unit", ["m/s per mV", "mm/s²/kN"])
-def test_an_export_then_names_units_that_the_import_reads_back(tmp_path: Path, kind: str, unit: str) -> None:
+def test_an_export_then_names_units_that_the_import_reads_back(tmp_path, kind, unit):
     bank, out, back = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "out", tmp_path / "back.h5"
     assert run(["export", str(bank), str(out), "--to", *kind.split()]) == 0
     assert run(["import", str(out), "--bank", str(back)]) == 0
@@ -112,9 +106,7 @@ def test_an_export_then_names_units_that_the_import_reads_back(tmp_path: Path, k
 @pytest.mark.parametrize(
     ("unit", "over", "under", "codes"), [("m/s/V", "m/s", "V", (11, 0)), ("g/N", "g", "N", (0, 13))]
 )
-def test_a_universal_export_then_divides_by_the_drive_once(
-    tmp_path: Path, unit: str, over: str, under: str, codes: tuple[int, int]
-) -> None:
+def test_a_universal_export_then_divides_by_the_drive_once(tmp_path, unit, over, under, codes):
     bank, out = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "out.uff"
     assert run(["export", str(bank), str(out), "--to", "uff"]) == 0
     found: dict[str, Any] = next(one for one in pyuff.UFF(str(out)).read_sets() if one["type"] == 58)
@@ -122,7 +114,7 @@ def test_a_universal_export_then_divides_by_the_drive_once(
     assert (found["ordinate_spec_data_type"], found["orddenom_spec_data_type"]) == codes
 
 
-def test_a_drive_and_a_bank_that_state_units_at_their_values_then_keep_them(tmp_path: Path) -> None:
+def test_a_drive_and_a_bank_that_state_units_at_their_values_then_keep_them(tmp_path):
     path = foreign(tmp_path / "b.h5")
     with h5py.File(path, "r+") as file:
         file["green"].attrs["units"] = "Pa/N"

@@ -26,7 +26,7 @@ ACTUATORS_MM = np.array([[50.0, 0.0], [np.nan, np.nan], [-50.0, 10.0]])
 
 
 @pytest.fixture
-def bank(tmp_path: Path) -> Path:
+def bank(tmp_path):
     """A bank of another program: partly measured, one row failed, one actuator at an unknown place."""
     green = np.random.default_rng(7).standard_normal((POSITIONS, ACTUATORS, TAPS)).astype(np.float32) * 3e-3
     green[2] = 0.0
@@ -60,15 +60,13 @@ people = [{ name = "Jane D\u00f6e", orcid = "0000-0002-1825-0097" }, { name = "J
 
 
 @pytest.fixture
-def publication(tmp_path: Path) -> Path:
+def publication(tmp_path):
     path = tmp_path / "publication.toml"
     path.write_text(PUBLICATION, encoding="utf-8")
     return path
 
 
-def test_given_a_bank_then_sofar_reads_what_acoustics_needs(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_bank_then_sofar_reads_what_acoustics_needs(bank, tmp_path, capsys):
     told = export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa")
     assert (told["positions"], told["left_out"]) == (4, 2)
     sofa = sofar.read_sofa(str(tmp_path / "bank.sofa"), verify=True, verbose=False)
@@ -83,9 +81,7 @@ def test_given_a_bank_then_sofar_reads_what_acoustics_needs(
     assert (sofa.GLOBAL_License, sofa.GLOBAL_RoomType) == ("not stated", "free field")
 
 
-def test_given_the_convention_of_rooms_then_sofar_verifies_it_and_it_comes_back(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_the_convention_of_rooms_then_sofar_verifies_it_and_it_comes_back(bank, tmp_path, capsys):
     out = tmp_path / "bank.sofa"
     export(capsys, bank, out, "--to", "sofa-room")
     sofa = sofar.read_sofa(str(out), verify=True, verbose=False)
@@ -97,9 +93,7 @@ def test_given_the_convention_of_rooms_then_sofar_verifies_it_and_it_comes_back(
         assert np.array_equal(again.green(0), green_of(bank)[KEPT[0]])
 
 
-def test_given_a_publication_then_the_sofa_file_states_it(
-    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_publication_then_the_sofa_file_states_it(bank, tmp_path, publication, capsys):
     export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa", "--publication", publication)
     sofa = sofar.read_sofa(str(tmp_path / "bank.sofa"), verify=True, verbose=False)
     sofa.verify(issue_handling="raise")
@@ -109,9 +103,7 @@ def test_given_a_publication_then_the_sofa_file_states_it(
     assert sofa.GLOBAL_AuthorContact == "Jane D\u00f6e (https://orcid.org/0000-0002-1825-0097); John Roe"
 
 
-def test_given_a_sofa_file_then_it_keeps_to_the_hdf5_that_libmysofa_reads(
-    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_sofa_file_then_it_keeps_to_the_hdf5_that_libmysofa_reads(bank, tmp_path, publication, capsys):
     export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa", "--publication", publication)
     with h5py.File(tmp_path / "bank.sofa") as file:
         names: list[bytes] = []
@@ -125,9 +117,7 @@ def test_given_a_sofa_file_then_it_keeps_to_the_hdf5_that_libmysofa_reads(
 
 
 @pytest.mark.parametrize("form", ["uff", "uff-binary"])
-def test_given_a_bank_then_pyuff_reads_nodes_and_functions(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str
-) -> None:
+def test_given_a_bank_then_pyuff_reads_nodes_and_functions(bank, tmp_path, capsys, form):
     export(capsys, bank, tmp_path / "bank.uff", "--to", form)
     sets = pyuff.UFF(str(tmp_path / "bank.uff")).read_sets()
     assert [int(one["type"]) for one in sets] == [164, 2411] + [58] * (len(KEPT) * ACTUATORS)
@@ -142,9 +132,7 @@ def test_given_a_bank_then_pyuff_reads_nodes_and_functions(
 
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
-def test_given_a_bank_then_xarray_reads_its_rows_one_by_one_with_labels(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], engine: Any
-) -> None:
+def test_given_a_bank_then_xarray_reads_its_rows_one_by_one_with_labels(bank, tmp_path, capsys, engine):
     export(capsys, bank, tmp_path / "bank.nc", "--to", "netcdf")
     with xarray.open_dataset(tmp_path / "bank.nc", engine=engine, chunks={}) as data:
         assert data.green.dims == ("position", "actuator", "time_s")
@@ -161,9 +149,7 @@ def test_given_a_bank_then_xarray_reads_its_rows_one_by_one_with_labels(
         assert data.attrs["Conventions"].startswith("CF-")
 
 
-def test_given_a_netcdf_file_then_it_is_read_as_a_bank_and_may_be_replaced(
-    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_netcdf_file_then_it_is_read_as_a_bank_and_may_be_replaced(bank, tmp_path, publication, capsys):
     out = tmp_path / "bank.nc"
     export(capsys, bank, out, "--to", "netcdf")
     export(capsys, bank, out, "--to", "netcdf", "--publication", publication, "--force")
@@ -175,9 +161,7 @@ def test_given_a_netcdf_file_then_it_is_read_as_a_bank_and_may_be_replaced(
         assert (file.attrs["license"], file.attrs["title"]) == ("CC-BY-4.0", "Plate \u00e4")
 
 
-def test_given_a_bank_then_a_table_lists_its_positions(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_bank_then_a_table_lists_its_positions(bank, tmp_path, capsys):
     export(capsys, bank, tmp_path / "places.csv", "--to", "csv", "--missing", "nan")
     with (tmp_path / "places.csv").open(encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
@@ -188,9 +172,7 @@ def test_given_a_bank_then_a_table_lists_its_positions(
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_given_a_bank_of_any_name_then_every_format_holds_it(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
-) -> None:
+def test_given_a_bank_of_any_name_then_every_format_holds_it(bank, tmp_path, capsys, kind):
     odd = bank.rename(tmp_path / "a\nb \u00e4.h5")
     assert export(capsys, odd, tmp_path / "out", "--to", kind)["positions"] == len(KEPT)
     if kind == "uff":
@@ -200,9 +182,7 @@ def test_given_a_bank_of_any_name_then_every_format_holds_it(
 
 
 @pytest.mark.parametrize("per", ["position", "actuator"])
-def test_given_a_bank_then_its_sound_files_hold_its_numbers_exactly(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], per: str
-) -> None:
+def test_given_a_bank_then_its_sound_files_hold_its_numbers_exactly(bank, tmp_path, capsys, per):
     export(capsys, bank, tmp_path / "sounds", "--to", "wav-actuator" if per == "actuator" else "wav")
     facts = json.loads((tmp_path / "sounds" / "bank.json").read_text(encoding="utf-8"))
     green = green_of(bank)[KEPT]
@@ -223,9 +203,7 @@ def test_given_a_bank_then_its_sound_files_hold_its_numbers_exactly(
 
 
 @pytest.mark.parametrize("kind", ["mat", "npz"])
-def test_given_nan_for_what_is_missing_then_arrays_hold_every_row(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
-) -> None:
+def test_given_nan_for_what_is_missing_then_arrays_hold_every_row(bank, tmp_path, capsys, kind):
     out = tmp_path / f"bank.{kind}"
     told = export(capsys, bank, out, "--to", kind, "--missing", "nan")
     assert (told["positions"], told["nan"]) == (POSITIONS, 2)
@@ -241,9 +219,7 @@ def test_given_nan_for_what_is_missing_then_arrays_hold_every_row(
     assert arrays["quality_snr_db"].shape == (POSITIONS, ACTUATORS)
 
 
-def test_given_a_mat_file_then_a_struct_in_it_explains_the_variables(
-    bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_mat_file_then_a_struct_in_it_explains_the_variables(bank, tmp_path, publication, capsys):
     export(capsys, bank, tmp_path / "bank.mat", "--to", "mat", "--publication", publication)
     content = scipy.io.loadmat(tmp_path / "bank.mat", simplify_cells=True)
     about = content["about"]
@@ -262,18 +238,14 @@ def test_given_a_mat_file_then_a_struct_in_it_explains_the_variables(
         ("[publication]\npeople = [{ name = 'A', orcid = '1' }]", "publication.people[0].orcid"),
     ],
 )
-def test_given_a_wrong_publication_then_its_key_is_named(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str, told: str
-) -> None:
+def test_given_a_wrong_publication_then_its_key_is_named(bank, tmp_path, capsys, table, told):
     (tmp_path / "wrong.toml").write_text(table, encoding="utf-8")
     arguments = ["export", bank, tmp_path / "bank.npz", "--to", "npz", "--publication", tmp_path / "wrong.toml"]
     assert run([str(one) for one in arguments]) == 2
     assert told in capsys.readouterr().err
 
 
-def test_given_rows_then_those_alone_are_exported_in_their_order(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_rows_then_those_alone_are_exported_in_their_order(bank, tmp_path, capsys):
     export(capsys, bank, tmp_path / "some.npz", "--to", "npz", "--positions", "5,0-1")
     arrays = np.load(tmp_path / "some.npz", allow_pickle=False)
     assert arrays["position"].tolist() == [5, 0, 1]
@@ -293,9 +265,7 @@ def test_given_rows_then_those_alone_are_exported_in_their_order(
         (["bank.npz", "--to", "npz", "--publication", "nowhere.toml"], "nowhere.toml: no such file"),
     ],
 )
-def test_given_what_cannot_be_exported_then_one_sentence_says_why(
-    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
-) -> None:
+def test_given_what_cannot_be_exported_then_one_sentence_says_why(bank, tmp_path, capsys, arguments, told):
     before = bank.read_bytes()
     assert run(["export", str(bank), str(tmp_path / arguments[0]), *arguments[1:]]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("wavefocus:")]

@@ -36,9 +36,7 @@ def _extend(lab: Path, *banks: Path, new: str = "new.h5", runs: bool = True) -> 
     return run(["extend", *map(str, banks), *named, "--bank", str(lab / new), "--json"])
 
 
-def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measured(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measured(lab, bank, capsys):
     assert run(["note", str(bank), "gel of Monday"]) == 0
     write_positions(lab, MORE)
     assert _extend(lab, bank) == 0
@@ -68,9 +66,7 @@ def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measure
     assert origins == {"plate.h5": "1-4,7-8", "new.h5": "0,5"}
 
 
-def test_given_the_plate_has_changed_then_nothing_is_added(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_the_plate_has_changed_then_nothing_is_added(lab, bank, capsys):
     write_positions(lab, MORE)
     _scale_rows(bank, len(POSITIONS), 2.0)
     assert _extend(lab, bank) == 3
@@ -87,9 +83,7 @@ def test_given_the_plate_has_changed_then_nothing_is_added(
         ("[virtual]\nseed = 3", "[virtual]\nseed = 4", "seed"),
     ],
 )
-def test_given_another_kind_of_rows_then_it_is_refused_by_its_key(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, named: str
-) -> None:
+def test_given_another_kind_of_rows_then_it_is_refused_by_its_key(lab, bank, capsys, old, new, named):
     change_text(lab / "run.toml", old, new)
     assert _extend(lab, bank) == 2
     told = capsys.readouterr().err
@@ -97,7 +91,7 @@ def test_given_another_kind_of_rows_then_it_is_refused_by_its_key(
     assert not (lab / "new.h5").exists()
 
 
-def test_given_a_damaged_row_then_it_is_refused(lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_damaged_row_then_it_is_refused(lab, bank, capsys):
     with h5py.File(bank, "r+") as file:
         file["green"][2, 0, 5] += 1
     write_positions(lab, MORE)
@@ -106,7 +100,7 @@ def test_given_a_damaged_row_then_it_is_refused(lab: Path, bank: Path, capsys: p
     assert not (lab / "new.h5").exists()
 
 
-def test_given_the_new_bank_is_there_or_an_input_then_it_stays(lab: Path, bank: Path) -> None:
+def test_given_the_new_bank_is_there_or_an_input_then_it_stays(lab, bank):
     before = bank.read_bytes()
     assert _extend(lab, bank, new="plate.h5") == 2
     shutil.copy2(bank, lab / "new.h5")
@@ -114,9 +108,7 @@ def test_given_the_new_bank_is_there_or_an_input_then_it_stays(lab: Path, bank: 
     assert bank.read_bytes() == before == (lab / "new.h5").read_bytes()
 
 
-def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(lab, bank, capsys):
     write_positions(lab, [[8.0, 0.0], [12.0, 0.0], [12.0, 4.0]])
     other = lab / "other.h5"
     assert run(["capture", str(lab / "run.toml"), "--bank", str(other)]) == 0
@@ -135,7 +127,7 @@ def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(
     assert "shares no valid position" in capsys.readouterr().err
 
 
-def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(lab: Path, bank: Path) -> None:
+def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(lab, bank):
     coarse = with_check_rows(bank, lab / "coarse.h5", 4, 5)
     assert _extend(lab, coarse, new="same.h5", runs=False) == 0
     write_positions(lab, [*MORE, POSITIONS[4]])
@@ -146,9 +138,7 @@ def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(
 
 
 @pytest.mark.parametrize("begun_with", [0, 12])
-def test_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extended(
-    tmp_path: Path, begun_with: int
-) -> None:
+def test_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extended(tmp_path, begun_with):
     assert run(["init", str(tmp_path / "lab")]) == 0
     run_file, old = tmp_path / "lab" / "run.toml", tmp_path / "old.h5"
     change_text(run_file, "spacing_mm = 4.0", "spacing_mm = 24.0")
@@ -168,7 +158,7 @@ def test_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extend
         assert np.count_nonzero(new.check) >= 24
 
 
-def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_kept_recordings_then_they_are_taken_over_too(lab, capsys):
     change_text(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
     bank = lab / "plate.h5"
     write_positions(lab, POSITIONS[:3])

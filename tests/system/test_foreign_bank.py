@@ -1,7 +1,6 @@
 """A bank written by a few lines of h5py renders and predicts as the contract's equations say."""
 
 import json
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -31,7 +30,7 @@ saturation = 0.7
 
 
 @pytest.fixture
-def bank(tmp_path: Path) -> Path:
+def bank(tmp_path):
     return write_foreign(tmp_path / "foreign.h5")
 
 
@@ -75,9 +74,7 @@ def _direct_drive(green: np.ndarray, position_mm: np.ndarray, emission: str) -> 
 
 
 @pytest.mark.parametrize("emission", ["per_point", "continuous"])
-def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(
-    bank: Path, tmp_path: Path, emission: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(bank, tmp_path, emission, capsys):
     scene, drive_file, field_file = tmp_path / "scene.toml", tmp_path / "drive.h5", tmp_path / "field.h5"
     scene.write_text(SCENE.format(emission=emission), encoding="utf-8")
     assert run(["render", str(scene), "--bank", str(bank), "--out", str(drive_file), "--json"]) == 0
@@ -103,9 +100,7 @@ def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(
 
 
 @pytest.mark.parametrize("command", ["resume", "remeasure", "verify"])
-def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(
-    bank: Path, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(bank, tmp_path, command, capsys):
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
     arguments = {
@@ -127,8 +122,8 @@ def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(
     [("Pa/mV", "mV", "Pa", " mV"), ("1", "1", "1", ""), ("m s-1 V-1", "V", "m/s", " V")],
 )
 def test_a_bank_of_other_units_then_gives_drives_and_fields_their_units(
-    tmp_path: Path, bank: Path, capsys: pytest.CaptureFixture[str], green: str, drive: str, response: str, peak: str
-) -> None:
+    tmp_path, bank, capsys, green, drive, response, peak
+):
     with h5py.File(bank, "r+") as file:
         file.attrs.update(response_unit=green, drive_unit=drive)
     scene = tmp_path / "scene.toml"
@@ -147,9 +142,7 @@ def test_a_bank_of_other_units_then_gives_drives_and_fields_their_units(
 
 
 @pytest.mark.parametrize("name", ["sample_rate_hz", "start_s", "scale", "method", "drive"])
-def test_a_changed_drive_is_refused_and_one_without_checksums_is_unverified(
-    tmp_path: Path, bank: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_changed_drive_is_refused_and_one_without_checksums_is_unverified(tmp_path, bank, capsys, name):
     scene, played = tmp_path / "scene.toml", tmp_path / "drive.h5"
     scene.write_text(SCENE.format(emission="per_point"), encoding="utf-8")
     assert run(["render", str(scene), "--bank", str(bank), "--out", str(played)]) == 0

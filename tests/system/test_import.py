@@ -25,7 +25,7 @@ GREEN = (
 
 
 @pytest.fixture
-def bank(tmp_path: Path) -> Path:
+def bank(tmp_path):
     """A bank of another program, with a status and one actuator's place."""
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
         file["green"], file["position_mm"], file["actuator_mm"] = GREEN, PLACES_MM, ACTUATORS_MM
@@ -35,7 +35,7 @@ def bank(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Any:
+def imported(tmp_path, capsys):
     """Import a file with options; returns the bank and the report."""
 
     def do(source: Path, *options: str) -> tuple[Path, dict[str, Any]]:
@@ -48,7 +48,7 @@ def imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Any:
 
 
 @pytest.fixture
-def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Any:
+def refused(tmp_path, capsys):
     """Import a file that cannot be; returns the one sentence."""
 
     def do(source: Path, *options: str) -> str:
@@ -68,9 +68,7 @@ def green_of(bank: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf"])
-def test_given_our_own_export_then_the_bank_comes_back(
-    bank: Path, tmp_path: Path, imported: Any, capsys: pytest.CaptureFixture[str], kind: str
-) -> None:
+def test_given_our_own_export_then_the_bank_comes_back(bank, tmp_path, imported, capsys, kind):
     assert run(["export", str(bank), str(tmp_path / "there"), "--to", kind]) == 0
     back, told = imported(tmp_path / "there")
     assert told["format"] == kind.partition("-")[0]
@@ -86,7 +84,7 @@ def test_given_our_own_export_then_the_bank_comes_back(
     assert told["paragraph"] in capsys.readouterr().out
 
 
-def test_given_options_that_a_file_lacks_then_each_is_asked_for_by_its_name(tmp_path: Path, refused: Any) -> None:
+def test_given_options_that_a_file_lacks_then_each_is_asked_for_by_its_name(tmp_path, refused):
     responses = tmp_path / "frf.npy"
     np.save(responses, np.fft.rfft(GREEN, 128))
     (tmp_path / "places.csv").write_text(table(PLACES_MM), encoding="utf-8")
@@ -100,7 +98,7 @@ def test_given_options_that_a_file_lacks_then_each_is_asked_for_by_its_name(tmp_
     assert "--length-unit" in refused(responses, *places)
 
 
-def test_given_an_older_bank_then_it_is_never_written_over(bank: Path, tmp_path: Path, imported: Any) -> None:
+def test_given_an_older_bank_then_it_is_never_written_over(bank, tmp_path, imported):
     assert run(["export", str(bank), str(tmp_path / "b.npz"), "--to", "npz"]) == 0
     older, _ = imported(tmp_path / "b.npz")
     content = older.read_bytes()
@@ -110,9 +108,7 @@ def test_given_an_older_bank_then_it_is_never_written_over(bank: Path, tmp_path:
     assert older.read_bytes() == content
 
 
-def test_given_an_imported_bank_then_it_renders_with_a_sound_file_and_is_not_resumed(
-    bank: Path, tmp_path: Path, imported: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_an_imported_bank_then_it_renders_with_a_sound_file_and_is_not_resumed(bank, tmp_path, imported, capsys):
     assert run(["export", str(bank), str(tmp_path / "b.npz"), "--to", "npz"]) == 0
     back, _ = imported(tmp_path / "b.npz")
     (tmp_path / "scene.toml").write_text(SCENE.format(kind="nearest"), encoding="utf-8")
@@ -125,9 +121,7 @@ def test_given_an_imported_bank_then_it_renders_with_a_sound_file_and_is_not_res
     assert "other means" in capsys.readouterr().err
 
 
-def test_for_places_in_space_two_columns_are_chosen_and_the_rest_is_named(
-    tmp_path: Path, imported: Any, refused: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_for_places_in_space_two_columns_are_chosen_and_the_rest_is_named(tmp_path, imported, refused, capsys):
     np.save(tmp_path / "g.npy", GREEN)
     places_mm = np.column_stack([PLACES_MM, 30.0 * np.arange(POSITIONS) % 50.0])
     (tmp_path / "places.csv").write_text(table(places_mm), encoding="utf-8")
@@ -144,7 +138,7 @@ def test_for_places_in_space_two_columns_are_chosen_and_the_rest_is_named(
     assert told["caution"] in json.loads(capsys.readouterr().out)["warnings"]
 
 
-def test_given_sound_files_and_a_table_then_each_pair_is_found(tmp_path: Path, imported: Any, refused: Any) -> None:
+def test_given_sound_files_and_a_table_then_each_pair_is_found(tmp_path, imported, refused):
     folder = tmp_path / "rooms"
     folder.mkdir()
     sound = np.random.default_rng(3).standard_normal((4, 2, 300)).astype(np.float32) * 0.1
@@ -168,9 +162,7 @@ def test_given_sound_files_and_a_table_then_each_pair_is_found(tmp_path: Path, i
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves binary files open
-def test_given_frequency_responses_of_a_modal_test_then_they_become_causal_responses(
-    tmp_path: Path, imported: Any, refused: Any
-) -> None:
+def test_given_frequency_responses_of_a_modal_test_then_they_become_causal_responses(tmp_path, imported, refused):
     period, step_hz = 256, RATE_HZ / 256
     spectra = np.fft.rfft(GREEN.astype(float), period)
     sets: list[dict[str, Any]] = [units_of("mm", 1e3), nodes_of(PLACES_MM, 1), nodes_of(ACTUATORS_MM, 101)]
@@ -197,7 +189,7 @@ def test_given_frequency_responses_of_a_modal_test_then_they_become_causal_respo
     assert (told["positions"], told["actuators"]) == (ACTUATORS, POSITIONS)
 
 
-def test_a_moving_listener_or_source_makes_positions_or_actuators_measurements(tmp_path: Path, imported: Any) -> None:
+def test_a_moving_listener_or_source_makes_positions_or_actuators_measurements(tmp_path, imported):
     responses = np.random.default_rng(2).standard_normal((8, 2, 50))
     head = sofar.Sofa("SimpleFreeFieldHRIR")
     head.Data_IR, head.Data_SamplingRate, head.Data_Delay = responses, 48_000.0, np.array([[3.0, 0.0]])
@@ -224,9 +216,7 @@ def test_a_moving_listener_or_source_makes_positions_or_actuators_measurements(t
     assert np.allclose(green_of(back)[2, 1], responses[5, 0], atol=1e-6)
 
 
-def test_given_arrays_under_other_names_and_in_another_order_then_they_are_mapped(
-    tmp_path: Path, imported: Any
-) -> None:
+def test_given_arrays_under_other_names_and_in_another_order_then_they_are_mapped(tmp_path, imported):
     names = ["--names", "green=h", "--names", "position_m=xyz", "--names", "sample_rate_hz=fs", "--unit", "m/s/V"]
     arrays = {"h": GREEN.transpose(2, 0, 1), "xyz": PLACES_MM / 1e3, "fs": RATE_HZ, "note": "of a gel"}
     scipy.io.savemat(tmp_path / "a.mat", arrays, do_compression=True)

@@ -76,7 +76,7 @@ OUTSIDE = {"valid_range": -30, "valid_max": 2e4, "valid_min": -1e3, "_FillValue 
 
 @pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF4"])
 @pytest.mark.parametrize("case", ATTRIBUTES)
-def test_packed_values_then_are_those_that_the_netcdf_library_reads(tmp_path: Path, case: str, form: str) -> None:
+def test_packed_values_then_are_those_that_the_netcdf_library_reads(tmp_path, case, form):
     kind, attributes = ATTRIBUTES[case]
     write(tmp_path / "a.nc", kind, form, attributes)
     found, status = imported(tmp_path / "a.nc", tmp_path)
@@ -88,7 +88,7 @@ def test_packed_values_then_are_those_that_the_netcdf_library_reads(tmp_path: Pa
 
 @pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF4"])
 @pytest.mark.parametrize("case", MASKS)
-def test_masked_rows_then_are_not_measured(tmp_path: Path, case: str, form: str) -> None:
+def test_masked_rows_then_are_not_measured(tmp_path, case, form):
     kind, attributes = MASKS[case]
     write(tmp_path / "a.nc", kind, form, attributes)
     with netCDF4.Dataset(tmp_path / "a.nc", "r+") as file:
@@ -109,7 +109,7 @@ def test_masked_rows_then_are_not_measured(tmp_path: Path, case: str, form: str)
 
 @pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF4", "NETCDF4_CLASSIC"])
 @pytest.mark.parametrize("kind", ["f4", "f8", "i2", "i4"])
-def test_rows_that_were_never_written_then_are_not_measured(tmp_path: Path, kind: str, form: str) -> None:
+def test_rows_that_were_never_written_then_are_not_measured(tmp_path, kind, form):
     write(tmp_path / "a.nc", kind, form, {}, rows=(0, 3))
     assert np.ma.getmaskarray(as_netcdf4_reads(tmp_path / "a.nc")).all(axis=(1, 2)).tolist() == [0, 1, 1, 0, 1]
     found, status = imported(tmp_path / "a.nc", tmp_path)
@@ -120,7 +120,7 @@ def test_rows_that_were_never_written_then_are_not_measured(tmp_path: Path, kind
             assert bank.status.tolist() == [1, 0, 0, 1, 0]
 
 
-def test_rows_that_are_zero_or_not_measured_by_their_status_then_are_not_valid(tmp_path: Path) -> None:
+def test_rows_that_are_zero_or_not_measured_by_their_status_then_are_not_valid(tmp_path):
     green = VALUES.astype(float)
     green[1] = 0.0
     np.savez(tmp_path / "a.npz", green=green, position_mm=PLACES_MM, sample_rate_hz=1000.0, response_unit="m/s",
@@ -129,7 +129,7 @@ def test_rows_that_are_zero_or_not_measured_by_their_status_then_are_not_valid(t
         assert bank.status.tolist() == [1, 0, 0, 4, 16]
 
 
-def test_a_file_that_xarray_packs_then_comes_back(tmp_path: Path) -> None:
+def test_a_file_that_xarray_packs_then_comes_back(tmp_path):
     dims = ("position", "actuator", "tap")
     values = VALUES * 1e-3
     values[4] = np.nan
@@ -143,7 +143,7 @@ def test_a_file_that_xarray_packs_then_comes_back(tmp_path: Path) -> None:
         assert status.tolist() == [1, 1, 1, 1, 0]
 
 
-def test_measurements_of_a_sofa_file_that_were_never_written_then_are_not_measured(tmp_path: Path) -> None:
+def test_measurements_of_a_sofa_file_that_were_never_written_then_are_not_measured(tmp_path):
     sofa = sofar.Sofa("GeneralFIR")
     sofa.Data_IR, sofa.Data_SamplingRate = VALUES[:, :1].astype(float), 1000.0
     sofa.ListenerPosition = np.column_stack([PLACES_MM / 1e3, np.zeros(POSITIONS)])
@@ -156,7 +156,7 @@ def test_measurements_of_a_sofa_file_that_were_never_written_then_are_not_measur
         assert bank.status.tolist() == [1, 1, 1, 0, 1]
 
 
-def test_a_kind_of_netcdf_that_is_not_read_then_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_kind_of_netcdf_that_is_not_read_then_is_named(tmp_path, capsys):
     write(tmp_path / "a.nc", "i8", "NETCDF3_64BIT_DATA", {})
     assert run(["import", str(tmp_path / "a.nc"), "--bank", str(tmp_path / "a.h5")]) == 2
     assert "CDF-5" in capsys.readouterr().err

@@ -40,7 +40,7 @@ def move_until_heard(running: Lines, *names: str, x_mm: float = 4.0) -> dict:
 
 
 @pytest.mark.smoke
-def test_positions_on_standard_input_then_sources_sound_there_until_the_order_to_end(bank: Path) -> None:
+def test_positions_on_standard_input_then_sources_sound_there_until_the_order_to_end(bank):
     scene = bank.parent / "scene.toml"
     text = scene.read_text(encoding="utf-8").replace("limit_v = 1.0", "limit_v = 1e-6")
     scene.write_text(text, encoding="utf-8")
@@ -90,7 +90,7 @@ def message(address: str, *values: object) -> OscMessage:
     return builder.build()
 
 
-def test_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(bank: Path) -> None:
+def test_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(bank):
     coarse = with_check_rows(bank, bank.with_name("coarse.h5"), 5)
     arguments = ("--rig", bank.parent / "rig.toml", "--scene", bank.parent / "scene.toml", "--json")
     with Lines("live", coarse, *arguments) as running:
@@ -103,7 +103,7 @@ def test_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong
         assert running.end() == 0
 
 
-def test_given_osc_messages_then_they_are_orders_and_wrong_ones_end_nothing(bank: Path) -> None:
+def test_given_osc_messages_then_they_are_orders_and_wrong_ones_end_nothing(bank):
     with live(bank.parent, "--osc", "127.0.0.1:0") as running, socket(AF_INET, SOCK_DGRAM) as sender:
         host, _, port = running.hear("ready")["osc"].rpartition(":")
         sender.connect((host, int(port)))
@@ -139,7 +139,7 @@ def test_given_osc_messages_then_they_are_orders_and_wrong_ones_end_nothing(bank
 
 
 @pytest.mark.parametrize("way", ["input ends", "Ctrl-C"])
-def test_given_an_end_from_outside_then_it_is_muted_and_says_so(bank: Path, way: str) -> None:
+def test_given_an_end_from_outside_then_it_is_muted_and_says_so(bank, way):
     with live(bank.parent) as running:
         running.hear("ready")
         move_until_heard(running, "finger")
@@ -164,9 +164,7 @@ def test_given_an_end_from_outside_then_it_is_muted_and_says_so(bank: Path, way:
         (("--rig", "none.toml"), "none.toml"),
     ],
 )
-def test_given_wrong_options_then_a_sentence_names_them_before_anything_sounds(
-    bank: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str
-) -> None:
+def test_given_wrong_options_then_a_sentence_names_them_before_anything_sounds(bank, capsys, options, named):
     assert run(["live", str(bank), "--rig", str(bank.parent / "rig.toml"), *options]) == 2
     told = capsys.readouterr()
     assert told.out == ""
@@ -176,7 +174,7 @@ def test_given_wrong_options_then_a_sentence_names_them_before_anything_sounds(
 
 @pytest.mark.may_skip("a closed pipe is another thing on Windows")
 @pytest.mark.skipif(sys.platform == "win32", reason="a closed pipe is another thing on Windows")
-def test_given_a_listener_that_goes_away_then_orders_are_carried_out_to_their_end(bank: Path) -> None:
+def test_given_a_listener_that_goes_away_then_orders_are_carried_out_to_their_end(bank):
     words = ["live", bank, "--rig", bank.parent / "rig.toml", "--json", "--record", bank.parent / "felt"]
     command = [sys.executable, "-m", "wavefocus", *map(str, words)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:

@@ -4,7 +4,6 @@ import http.server
 import json
 import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -55,7 +54,7 @@ class Office:
 
 
 @pytest.fixture
-def office() -> Iterator[Office]:
+def office():
     office = Office()
     yield office
     office.server.shutdown()

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,9 +29,7 @@ STAGGERED = 'taps = 1000\nexcitation = "staggered"\nstagger_s = 0.15'
     ],
     ids=["short periods", "long silence", "narrow band", "staggered"],
 )
-def test_given_white_noise_then_the_error_of_the_rows_is_stated_within_1_db(
-    lab: Path, capsys: pytest.CaptureFixture[str], before: str, after: str
-) -> None:
+def test_given_white_noise_then_the_error_of_the_rows_is_stated_within_1_db(lab, capsys, before, after):
     file, bank = lab / "run.toml", lab / "plate.h5"
     text = file.read_text(encoding="utf-8").replace("noise_v = 1e-4", "noise_v = 1e-3")
     file.write_text(text.replace(before, after), encoding="utf-8")
@@ -52,7 +49,7 @@ def test_given_white_noise_then_the_error_of_the_rows_is_stated_within_1_db(
     assert any(f"{median_db:.1f} dB" in found.message for found in check_bank(bank) if found.severity == "note")
 
 
-def test_rows_that_noise_hides_then_they_are_counted_and_worst_is_one_that_is_heard(bank: Path) -> None:
+def test_rows_that_noise_hides_then_they_are_counted_and_worst_is_one_that_is_heard(bank):
     with open_bank(bank) as view:
         plan = view.plan_sha256
     with BankWriter.open(bank, plan_sha256=plan) as writer:

@@ -13,13 +13,13 @@ NOTEBOOKS = sorted(FOLDER.glob("*.py"))
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_every_notebook_is_in_the_table_of_its_folder(notebook: Path) -> None:
+def test_every_notebook_is_in_the_table_of_its_folder(notebook):
     assert f"]({notebook.name})" in (FOLDER / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_twice_without_a_warning_and_saves_its_pictures(notebook: Path, tmp_path: Path) -> None:
+def test_a_notebook_runs_twice_without_a_warning_and_saves_its_pictures(notebook, tmp_path):
     environment = os.environ | {"FOLDER": str(tmp_path / "out"), "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
     for _ in range(2):
         done = subprocess.run(

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +31,18 @@ limit_rms_v = 1.0
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
+def rig(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     return tmp_path / "rig.toml"
 
 
 @pytest.fixture
-def operated(rig: Path) -> Iterator[Lines]:
+def operated(rig):
     with Lines("operate", rig) as lines:
         yield lines
 
 
-def test_given_orders_then_each_is_carried_out_and_answered_in_turn(operated: Lines) -> None:
+def test_given_orders_then_each_is_carried_out_and_answered_in_turn(operated):
     ready = operated.hear("ready")
     assert ready["name"] == "by hand"
     assert ready["largest_level_v"] == pytest.approx(2**0.5)
@@ -85,7 +84,7 @@ def test_given_orders_then_each_is_carried_out_and_answered_in_turn(operated: Li
     assert operated.end() == 0
 
 
-def test_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried_out(operated: Lines) -> None:
+def test_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried_out(operated):
     operated.send(order="jog", x_mm=900, y_mm=0, id=7)
     assert "mirror.limit_mrad" in operated.hear("refused")["sentence"]
     assert operated.hear("done") == {"event": "done", "order": "jog", "id": 7, "ok": False}
@@ -108,7 +107,7 @@ def _piped(rig: Path, text: bytes) -> tuple[list[dict[str, Any]], subprocess.Com
     return [json.loads(line) for line in done.stdout.splitlines()], done
 
 
-def test_orders_after_byte_order_marks_and_extreme_numbers_are_carried_out(rig: Path) -> None:
+def test_orders_after_byte_order_marks_and_extreme_numbers_are_carried_out(rig):
     wrong = (
         '{"order": "mute", "now": true}',  # first: a mute drops the orders that wait
         '{"order": "state", "id": 1e400}',
@@ -146,23 +145,21 @@ def test_orders_after_byte_order_marks_and_extreme_numbers_are_carried_out(rig: 
         ({"step": 1}, "order None is not known"),
     ],
 )
-def test_given_an_order_that_cannot_be_then_one_sentence_says_what_is_allowed(
-    rig: Path, order: dict[str, object], why: str
-) -> None:
+def test_given_an_order_that_cannot_be_then_one_sentence_says_what_is_allowed(rig, order, why):
     with pytest.raises(InputError, match=re.escape(why)):
         order_of(order, load_rig(rig))
 
 
 @pytest.mark.may_skip("a shell that closes standard streams")
 @pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
-def test_given_a_closed_standard_input_then_it_ends_muted_and_parked(rig: Path) -> None:
+def test_given_a_closed_standard_input_then_it_ends_muted_and_parked(rig):
     command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "wavefocus", "operate", str(rig)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert json.loads(done.stdout.splitlines()[-1]) == {"event": "ended", "muted": True, "parked": True}
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_reported() -> None:
+def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_reported():
     code = (
         "from wavefocus.json_lines import LinesIn, ReadingFailedError\n"
         "def fail(content): raise KeyError(content['order'])\n"
@@ -178,7 +175,7 @@ def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_repor
 
 
 @pytest.mark.parametrize("name", [name for name in ("SIGTERM", "SIGQUIT") if hasattr(signal, name)])
-def test_given_a_signal_then_it_ends_in_130(operated: Lines, name: str) -> None:
+def test_given_a_signal_then_it_ends_in_130(operated, name):
     operated.send(order="level", every_s=0.1, actuator=0)
     operated.hear("level")
     operated.process.send_signal(getattr(signal, name))
@@ -187,7 +184,7 @@ def test_given_a_signal_then_it_ends_in_130(operated: Lines, name: str) -> None:
     assert operated.said == ["stopped by the user; the outputs are muted, the mirror is parked"]
 
 
-def test_given_nobody_who_reads_then_it_ends_with_its_orders(rig: Path) -> None:
+def test_given_nobody_who_reads_then_it_ends_with_its_orders(rig):
     command = [sys.executable, "-m", "wavefocus", "operate", str(rig)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
@@ -202,7 +199,7 @@ def test_given_nobody_who_reads_then_it_ends_with_its_orders(rig: Path) -> None:
         assert b"Traceback" not in process.stderr.read()
 
 
-def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig: Path) -> None:
+def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig):
     rig.write_text(RIG + "loud = true\n", encoding="utf-8")
     with Lines("operate", rig) as lines:
         assert lines.end() == 2
@@ -210,7 +207,7 @@ def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig
         assert "player.loud" in lines.said[0]
 
 
-def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(tmp_path: Path) -> None:
+def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(tmp_path):
     file = tmp_path / "rig.toml"
     file.write_text(
         '[actuators]\nposition_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]\n[mirror]\ndriver = "asi-tiger"\n'

@@ -2,13 +2,11 @@
 
 import re
 
-import pytest
-
 from wavefocus.__main__ import run
 from wavefocus.commands.table import COMMANDS
 
 
-def test_given_all_helps_then_there_are_at_most_29_commands_and_120_options(capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_all_helps_then_there_are_at_most_29_commands_and_120_options(capsys):
     listed = set()
     for command in COMMANDS:
         assert run([command.name, "--help"]) == 0
@@ -21,7 +19,7 @@ def test_given_all_helps_then_there_are_at_most_29_commands_and_120_options(caps
     assert len(listed) <= 120, sorted(listed)
 
 
-def test_given_the_help_then_each_command_stands_in_one_of_three_groups(capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_the_help_then_each_command_stands_in_one_of_three_groups(capsys):
     assert run(["--help"]) == 0
     help = capsys.readouterr().out
     for command in COMMANDS:

@@ -35,7 +35,7 @@ OLD = b"precious results of an earlier day"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A folder with a bank, a scene with its sound, a drive and a field of them."""
     folder = tmp_path_factory.mktemp("made")
     with contextlib.chdir(folder):
@@ -44,7 +44,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def lab(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def lab(made, tmp_path, monkeypatch):
     """The same, as the working folder of a test."""
     monkeypatch.chdir(tmp_path)
     return Path(shutil.copytree(made, tmp_path, dirs_exist_ok=True))
@@ -81,7 +81,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_given_what_must_stay_then_no_command_replaces_it(lab: Path, name: str) -> None:
+def test_given_what_must_stay_then_no_command_replaces_it(lab, name):
     os.link("bank.h5", "hard.h5")
     Path("soft.h5").symlink_to("other.h5")
     os.mkfifo("pipe")
@@ -113,14 +113,14 @@ def test_given_what_must_stay_then_no_command_replaces_it(lab: Path, name: str) 
         (["movie", "field.h5", "--bank", "bank.h5", "--force", "--out"], "field.h5"),
     ],
 )
-def test_given_an_input_or_another_output_then_it_is_not_replaced(lab: Path, command: list[str], victim: str) -> None:
+def test_given_an_input_or_another_output_then_it_is_not_replaced(lab, command, victim):
     before = (lab / victim).read_bytes() if (lab / victim).exists() else None
     assert run([*command, victim]) == 2
     assert ((lab / victim).read_bytes() if (lab / victim).exists() else None) == before
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_given_force_then_an_older_output_is_replaced(lab: Path, name: str) -> None:
+def test_given_force_then_an_older_output_is_replaced(lab, name):
     Path("old").write_bytes(OLD)
     Path("old").chmod(0o640)
     assert run([*COMMANDS[name], "old", "--force"]) == 0
@@ -129,7 +129,7 @@ def test_given_force_then_an_older_output_is_replaced(lab: Path, name: str) -> N
     assert not list(lab.glob(".*"))
 
 
-def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_it(lab: Path) -> None:
+def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_it(lab):
     verify = ["verify", "scene.toml", "--bank", "bank.h5", "--rig", "virtual", "--out"]
     for folder, name in (("a", "verify.json"), ("b", "scan.h5"), ("c", "drift.png"), ("d", "report.html")):
         Path(folder).mkdir()
@@ -233,7 +233,7 @@ def in_forks(script: str, names: Sequence[str], *options: str) -> None:
 
 
 @pytest.mark.timeout(600)
-def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(lab: Path) -> None:
+def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(lab):
     in_forks(LIMITED, COMMANDS)
 
 
@@ -246,14 +246,12 @@ def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(la
     ],
 )
 @pytest.mark.timeout(600)
-def test_given_kills_then_the_older_output_or_the_new_one_is_there(lab: Path, names: list[str], step: str) -> None:
+def test_given_kills_then_the_older_output_or_the_new_one_is_there(lab, names, step):
     """At every call, or every few, that change a file."""
     in_forks(KILLED, names, step)
 
 
-def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(tmp_path, monkeypatch):
     """The disk is asked by ``fsync`` of the folder, before and after the name is given."""
     real, calls = os.fsync, 0
 
@@ -282,7 +280,7 @@ def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(
         assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
 
 
-def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised(lab: Path) -> None:
+def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised(lab):
     content = bytearray((lab / "other.h5").read_bytes())
     (lab / "damaged.h5").write_bytes(content[:700])
     for name in ("damaged.h5", "other.h5"):
@@ -291,7 +289,7 @@ def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised
     require_outputs((lab / "field.h5",), (), force=True)
 
 
-def test_a_staged_folder_that_fails_then_its_final_name_is_told_and_nothing_appears(tmp_path: Path) -> None:
+def test_a_staged_folder_that_fails_then_its_final_name_is_told_and_nothing_appears(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "record").write_bytes(OLD)
 

@@ -1,7 +1,6 @@
 """Every virtual plate is captured, killed, resumed and verified like the first."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -60,9 +59,7 @@ interpolation = "kernel"
         pytest.param("solid", "stadium", (90.0, 60.0, 4.0), marks=pytest.mark.nightly),
     ],
 )
-def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plate: str, kind: str, size: tuple[float, float, float]
-) -> None:
+def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(tmp_path, monkeypatch, plate, kind, size):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
     name, _, edge = plate.partition(", ")
     rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", name)
@@ -94,7 +91,7 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(
     assert percent["normalised error"] < 1.0
 
 
-def test_kept_recordings_of_solid_then_bank_estimated_from_them_has_its_directions(tmp_path: Path) -> None:
+def test_kept_recordings_of_solid_then_bank_estimated_from_them_has_its_directions(tmp_path):
     (tmp_path / "grid.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     text = RUN.replace("{plate}", "solid").replace('rig = "rig.toml"\n', "").replace("{spacing}", "4.0")
     text = text.replace("margin_mm", 'positions_file = "grid.csv"\nmargin_mm').replace("taps", "keep_raw = true\ntaps")

@@ -22,7 +22,7 @@ limit_power_w = 0.04
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     write(tmp_path, 0.5)
     return tmp_path
@@ -40,7 +40,7 @@ def play(lab: Path, *options: str) -> int:
     return run(["play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml"), "--json", *options])
 
 
-def test_given_a_drive_then_it_is_played_and_told(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_drive_then_it_is_played_and_told(lab, capsys):
     assert play(lab, "--loop", "3", "--gain-db", "-6.0206") == 0
     told = capsys.readouterr()
     figures = json.loads(told.out)
@@ -57,9 +57,7 @@ def refused(lab: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str
     return told.err
 
 
-def test_given_more_than_an_actuator_may_get_then_the_gain_that_would_do_does(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_more_than_an_actuator_may_get_then_the_gain_that_would_do_does(lab, capsys):
     write(lab, 4.0)
     told = refused(lab, capsys, "--gain-db", "1")
     assert "actuator 1" in told
@@ -73,7 +71,7 @@ def test_given_more_than_an_actuator_may_get_then_the_gain_that_would_do_does(
     assert 20 * np.log10(4.0 / 2**0.5 / 0.32**0.5) == pytest.approx(-float(gain_db), abs=0.011)
 
 
-def test_given_a_loop_then_the_power_counts_across_its_seam(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_loop_then_the_power_counts_across_its_seam(lab, capsys):
     time_s = np.arange(15_000) / RATE_HZ
     drive_v = 0.9 * np.sin(2 * np.pi * 100.0 * time_s)
     drive_v[3_000:12_000] = 0.0  # loud at both ends: 0.3 s of each within a second, and 0.6 s where they meet
@@ -87,28 +85,22 @@ def test_given_a_loop_then_the_power_counts_across_its_seam(lab: Path, capsys: p
 
 
 @pytest.mark.parametrize(("options", "told"), [(("--gain-db", "400"), "--gain-db"), (("--loop", "0"), "--loop")])
-def test_given_options_that_cannot_be_then_they_are_named(
-    lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], told: str
-) -> None:
+def test_given_options_that_cannot_be_then_they_are_named(lab, capsys, options, told):
     assert told in refused(lab, capsys, *options)
 
 
-def test_given_a_drive_for_another_rig_then_it_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_drive_for_another_rig_then_it_is_refused(lab, capsys):
     write(lab, 0.1, actuators=4)
     assert "for 4 actuators" in refused(lab, capsys)
 
 
-def test_given_power_without_a_resistance_then_the_rig_file_is_refused(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_power_without_a_resistance_then_the_rig_file_is_refused(lab, capsys):
     text = (lab / "rig.toml").read_text(encoding="utf-8").replace("coil_resistance_ohm = 8.0", "")
     (lab / "rig.toml").write_text(text, encoding="utf-8")
     assert "player.coil_resistance_ohm" in refused(lab, capsys)
 
 
-def test_given_a_sweep_beyond_the_coils_power_then_the_run_is_refused(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_sweep_beyond_the_coils_power_then_the_run_is_refused(lab, capsys):
     (lab / "run.toml").write_text('rig = "rig.toml"\n\n[sweep]\namplitude_v = 1.0\n', encoding="utf-8")
     assert run(["plan", str(lab / "run.toml")]) == 2
     told = capsys.readouterr().err

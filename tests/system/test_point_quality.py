@@ -34,8 +34,8 @@ def _captured(lab: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, list
     ],
 )
 def test_given_a_defect_in_one_record_then_it_is_named_with_its_remedy_and_not_valid(
-    lab: Path, capsys: pytest.CaptureFixture[str], fault: str, name: str, remedy: str, bit: int
-) -> None:
+    lab, capsys, fault, name, remedy, bit
+):
     with_faults(lab, f"{READ}{fault}\nposition = 2\nrecord = 1\ncount = 99")
     bank, events, told = _captured(lab, capsys)
     committed = [event for event in of_kind(events, "position_committed") if event["position"] == 2]
@@ -50,9 +50,7 @@ def test_given_a_defect_in_one_record_then_it_is_named_with_its_remedy_and_not_v
     assert f"wavefocus remeasure {bank}" in last
 
 
-def test_given_taps_that_are_too_few_then_the_tail_is_named_and_no_try_is_wasted(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_taps_that_are_too_few_then_the_tail_is_named_and_no_try_is_wasted(lab, capsys):
     change_text(lab / "run.toml", "taps = 1000", "taps = 150")
     bank, events, _ = _captured(lab, capsys)
     committed = of_kind(events, "position_committed")
@@ -62,9 +60,7 @@ def test_given_taps_that_are_too_few_then_the_tail_is_named_and_no_try_is_wasted
     assert not any(status & 1 for status in held(bank))
 
 
-def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid(lab, capsys):
     reference, _, _ = _captured(lab, capsys)
     with h5py.File(reference, "r") as file:
         peak_v = file["quality/peak_v"][:].max(axis=1)
@@ -90,9 +86,7 @@ def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid
     assert error < 2e-2  # the noise of both
 
 
-def test_given_a_dark_spot_then_the_mirror_moves_aside_and_finds_light(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_dark_spot_then_the_mirror_moves_aside_and_finds_light(lab, capsys):
     with_faults(lab, f'{READ}kind = "dark"\nposition = 2\ncount = 99\nspot_mm = [8.0, 0.0, 0.05]')
     bank, events, told = _captured(lab, capsys)
     repeated = of_kind(events, "position_repeated")
@@ -110,16 +104,14 @@ def test_given_a_dark_spot_then_the_mirror_moves_aside_and_finds_light(
     assert 2 in [one["position"] for one in json.loads(capsys.readouterr().out)["findings"]]
 
 
-def test_given_one_dropout_then_the_next_try_is_in_place(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_one_dropout_then_the_next_try_is_in_place(lab, capsys):
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 2\nrecord = 1\nattempt = 1\ncount = 2')
     _, events, _ = _captured(lab, capsys)
     repeated = of_kind(events, "position_repeated")
     assert [event["moved_mm"] != [0.0, 0.0] for event in repeated] == [False, True]
 
 
-def test_given_what_stayed_poor_then_a_pass_at_the_end_measures_it_again(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_what_stayed_poor_then_a_pass_at_the_end_measures_it_again(lab, capsys):
     with_faults(
         lab,
         f'{READ}kind = "dropout"\nposition = 1\ncount = 3',
@@ -135,9 +127,7 @@ def test_given_what_stayed_poor_then_a_pass_at_the_end_measures_it_again(
         assert list(file["quality/attempts"]) == [1, 4, 1, 1, 4, 1]
 
 
-def test_a_pass_that_does_not_help_comes_once_and_another_capture_changes_nothing(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pass_that_does_not_help_comes_once_and_another_capture_changes_nothing(lab, capsys):
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 1\ncount = 99')
     bank, events, _ = _captured(lab, capsys)
     assert [event["position"] for event in of_kind(events, "position_kept")] == [1]
@@ -147,7 +137,7 @@ def test_a_pass_that_does_not_help_comes_once_and_another_capture_changes_nothin
     assert bank.read_bytes() == before
 
 
-def test_given_no_passes_in_the_run_file_then_none_comes(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_no_passes_in_the_run_file_then_none_comes(lab, capsys):
     change_text(lab / "run.toml", "[quality]", "[quality]\nremeasure_pass = 0")
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 1\ncount = 3')
     bank, events, _ = _captured(lab, capsys)
@@ -156,9 +146,7 @@ def test_given_no_passes_in_the_run_file_then_none_comes(lab: Path, capsys: pyte
 
 
 @pytest.mark.parametrize(("position", "attempt"), [(1, 2), (3, 5)])
-def test_given_a_break_in_a_round_or_in_the_pass_then_resume_ends_byte_identical(
-    lab: Path, capsys: pytest.CaptureFixture[str], position: int, attempt: int
-) -> None:
+def test_given_a_break_in_a_round_or_in_the_pass_then_resume_ends_byte_identical(lab, capsys, position, attempt):
     poor = (
         f'{READ}kind = "dropout"\nposition = 1\ncount = 3',
         f'{READ}kind = "dark"\nposition = 3\ncount = 99',

@@ -42,7 +42,7 @@ def record_of(position: int, attempt: int = 1) -> PointRecord:
 
 
 @pytest.fixture(autouse=True)
-def _fresh_log() -> None:
+def _fresh_log():
     LoggedFile.log.clear()
 
 
@@ -94,7 +94,7 @@ def lost_in_bank(path: Path, promised: dict[int, int]) -> int:
     return lost
 
 
-def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(tmp_path: Path) -> None:
+def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(tmp_path):
     before, log, acknowledged = logged_bank(tmp_path / "bank.h5", LoggedFile)
     finished = (tmp_path / "bank.h5").read_bytes()
     cut = tmp_path / "bank.h5"
@@ -109,7 +109,7 @@ def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(tmp
         assert cut.read_bytes() == finished
 
 
-def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_lost(tmp_path: Path) -> None:
+def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_lost(tmp_path):
     path = tmp_path / "bank.h5"
     before, log, acknowledged = logged_bank(path, WithoutSecondBarrier)
     lost = 0
@@ -119,7 +119,7 @@ def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_l
     assert lost > 0
 
 
-def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(tmp_path: Path) -> None:
+def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(tmp_path):
     path = tmp_path / "bank.h5"
     before, log, _ = logged_bank(path, WithoutFirstBarrier)
     wrong_by_ledger = wrong_by_checksum = 0
@@ -152,7 +152,7 @@ def record(writer: RawWriter) -> list[tuple[int, int, int]]:
     return done
 
 
-def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(tmp_path: Path) -> None:
+def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(tmp_path):
     path = tmp_path / "night.raw.h5"
     grid, unknown = np.zeros((POSITIONS, 2)), np.full((1, 2), np.nan)
     create_raw(
@@ -177,7 +177,7 @@ def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(tm
         assert path.read_bytes() == finished
 
 
-def test_disk_without_room_for_owners_name_then_bank_is_measured_all_same(tmp_path: Path) -> None:
+def test_disk_without_room_for_owners_name_then_bank_is_measured_all_same(tmp_path):
     path = tmp_path / "bank.h5"
     create_bank(path, header())
     owner_path(path).mkdir()  # a name that cannot be written, whoever asks

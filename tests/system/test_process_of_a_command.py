@@ -27,7 +27,7 @@ def wavefocus(code: str, *arguments: object, folder: Path, **environment: str) -
 @pytest.mark.may_skip("a shell that closes standard streams")
 @pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
 @pytest.mark.parametrize("closing", [">&-", "<&- >&- 2>&-"])
-def test_given_closed_standard_streams_then_a_campaign_is_measured(lab: Path, closing: str) -> None:
+def test_given_closed_standard_streams_then_a_campaign_is_measured(lab, closing):
     words = [sys.executable, "-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
     done = subprocess.run(
         ["sh", "-c", f'exec "$@" {closing}', "sh", *words],
@@ -64,9 +64,7 @@ AS_ANOTHER = f"""
     [(module, KILL) for module in ("argparse", "wavefocus.cli", "numpy", "wavefocus.commands.bank.check")]
     + [("h5py", act) for act in (KILL, IN_A_FINALISER, AS_ANOTHER)],
 )
-def test_ctrl_c_while_modules_are_loaded_then_exit_code_is_130_without_traceback(
-    tmp_path: Path, module: str, act: str
-) -> None:
+def test_ctrl_c_while_modules_are_loaded_then_exit_code_is_130_without_traceback(tmp_path, module, act):
     done = wavefocus(INTERRUPTED_AT.format(module=module, act=act), "check", "plate.h5", folder=tmp_path)
     assert done.returncode == 130
     assert done.stderr in ("", "wavefocus: stopped by the user\n")
@@ -93,7 +91,7 @@ cli.COMMANDS = (command_line.Command("fail", fail, "", (command_line.file("file"
         "raise RuntimeError('\\x1b[31m' + 9000 * 'x')",
     ],
 )
-def test_defect_then_it_is_exit_70_one_line_with_files_name_and_traceback_in_log(tmp_path: Path, act: str) -> None:
+def test_defect_then_it_is_exit_70_one_line_with_files_name_and_traceback_in_log(tmp_path, act):
     (tmp_path / "scene.toml").touch()
     done = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path, TMPDIR=str(tmp_path))
     assert done.returncode == 70
@@ -109,7 +107,7 @@ def test_defect_then_it_is_exit_70_one_line_with_files_name_and_traceback_in_log
     assert "Traceback" in explained.stderr
 
 
-def test_given_more_than_the_memory_then_it_is_wrong_input_with_the_files_name(tmp_path: Path) -> None:
+def test_given_more_than_the_memory_then_it_is_wrong_input_with_the_files_name(tmp_path):
     (tmp_path / "scene.toml").touch()
     done = wavefocus(FAILING.format(act="np.empty(1 << 50)"), "fail", "scene.toml", folder=tmp_path)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
@@ -118,7 +116,7 @@ def test_given_more_than_the_memory_then_it_is_wrong_input_with_the_files_name(t
 
 @pytest.mark.may_skip("a shell with pipes")
 @pytest.mark.skipif(os.name != "posix", reason="a shell with pipes")
-def test_given_a_listener_that_goes_away_then_all_is_carried_out(lab: Path) -> None:
+def test_given_a_listener_that_goes_away_then_all_is_carried_out(lab):
     words = [sys.executable, "-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
     done = subprocess.run(
         ["sh", "-c", '{ "$@"; echo $? > code; } | head -n 1', "sh", *words],
@@ -150,9 +148,7 @@ cli.COMMANDS = (command_line.Command("work", work, "", ()),)
 @pytest.mark.parametrize(
     ("to", "code", "said"), [("| true", "1", ""), ("> /dev/full", "2", "standard output: No space")]
 )
-def test_output_that_goes_nowhere_then_reader_decides_nothing_and_full_disk_is_named(
-    tmp_path: Path, to: str, code: str, said: str
-) -> None:
+def test_output_that_goes_nowhere_then_reader_decides_nothing_and_full_disk_is_named(tmp_path, to, code, said):
     words = [sys.executable, "-c", f"{LISTENED}\nfrom wavefocus.__main__ import main\nmain()", "work"]
     done = subprocess.run(
         ["sh", "-c", f'{{ "$@"; echo $? >&3; }} 3> code {to}', "sh", *words],
@@ -163,16 +159,14 @@ def test_output_that_goes_nowhere_then_reader_decides_nothing_and_full_disk_is_n
     assert (tmp_path / "done").exists() == (not said)
 
 
-def test_given_a_warning_of_numpy_then_it_is_one_plain_line(tmp_path: Path) -> None:
+def test_given_a_warning_of_numpy_then_it_is_one_plain_line(tmp_path):
     done = wavefocus(FAILING.format(act="np.float64(1e308) * 10"), "fail", "scene.toml", folder=tmp_path)
     assert done.returncode == 0
     (line,) = done.stderr.splitlines()
     assert line.startswith("warning: overflow encountered")
 
 
-def test_names_with_control_characters_then_no_message_brings_them_to_the_terminal(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_names_with_control_characters_then_no_message_brings_them_to_the_terminal(lab, capsys):
     name = "x\x1b[31m\x1b]0;owned\x07\u202e\u2066.h5"
     (lab / name).write_text("no bank", encoding="utf-8")
     for command in (["status", name], ["check", name], ["capture", name, "--bank", "a.h5"], ["status", "none" + name]):

@@ -1,7 +1,6 @@
 """`import wavefocus as wf`: examples of the docstrings, and functions with paths, objects and wrong input."""
 
 import doctest
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ PLACES_MM = [[x, y] for y in (-5, 0, 5) for x in (-10, -5, 0, 5, 10)]
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def measured(tmp_path_factory):
     """A folder with a small bank, its recordings, a scene, its drive and a field."""
     folder = tmp_path_factory.mktemp("lab")
     rig = wf.virtual_rig(position_mm=PLACES_MM, run={"capture": {"keep_raw": True}})
@@ -36,7 +35,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def lab(measured: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def lab(measured, monkeypatch):
     monkeypatch.chdir(measured)
     return measured
 
@@ -45,7 +44,7 @@ FUNCTIONS = [name for name in wf.__all__ if not isinstance(getattr(wf, name), ty
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_the_example_of_every_function_runs_and_gives_what_it_shows(lab: Path, name: str) -> None:
+def test_the_example_of_every_function_runs_and_gives_what_it_shows(lab, name):
     (example,) = doctest.DocTestFinder(recurse=False).find(getattr(wf, name), name, globs={})
     assert example.examples, f"{name} has no example"
     told: list[str] = []
@@ -54,20 +53,20 @@ def test_the_example_of_every_function_runs_and_gives_what_it_shows(lab: Path, n
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_every_function_says_what_it_takes_gives_and_refuses(name: str) -> None:
+def test_every_function_says_what_it_takes_gives_and_refuses(name):
     text = str(getattr(wf, name).__doc__)
     for section in ("Parameters", "Raises", "Examples"):
         assert f"\n    {section}\n    ----" in text
 
 
-def test_given_the_same_scene_then_python_and_the_command_make_the_same_drive(lab: Path) -> None:
+def test_given_the_same_scene_then_python_and_the_command_make_the_same_drive(lab):
     assert run(["render", "scene.toml", "--bank", "plate.h5", "--out", "command.h5", "--force"]) == 0
     with wf.open_bank("plate.h5") as bank:
         drive = wf.render(wf.load_scene("scene.toml"), bank)
     assert np.array_equal(drive.drive_v, wf.read_drive("command.h5").drive_v)
 
 
-def test_given_kept_recordings_then_python_estimates_the_bank_that_was_measured(lab: Path) -> None:
+def test_given_kept_recordings_then_python_estimates_the_bank_that_was_measured(lab):
     seen: list[tuple[int, int]] = []
     with wf.estimate("plate.raw.h5", "estimated.h5", workers=1, on_progress=lambda *one: seen.append(one)) as bank:
         with wf.open_bank("plate.h5") as measured:
@@ -76,7 +75,7 @@ def test_given_kept_recordings_then_python_estimates_the_bank_that_was_measured(
     assert seen[-1] == (len(PLACES_MM), len(PLACES_MM))
 
 
-def test_given_an_exported_bank_then_importing_it_gives_its_numbers(lab: Path) -> None:
+def test_given_an_exported_bank_then_importing_it_gives_its_numbers(lab):
     with wf.open_bank("plate.h5") as bank:
         wf.export_bank(bank, "plate.npz", "npz", positions=[3, 1])
         with wf.import_bank("plate.npz", "back.h5", band_hz=(50.0, 450.0)) as back:
@@ -85,7 +84,7 @@ def test_given_an_exported_bank_then_importing_it_gives_its_numbers(lab: Path) -
             assert np.array_equal(back.position_mm, bank.position_mm[[3, 1]])
 
 
-def test_given_a_frequency_response_without_its_axis_then_it_can_be_named(lab: Path) -> None:
+def test_given_a_frequency_response_without_its_axis_then_it_can_be_named(lab):
     with wf.open_bank("plate.h5") as bank:
         spectra = np.fft.rfft([bank.green(row) for row in range(3)], 2000)
         np.savez("frf.npz", H=spectra, position_mm=bank.position_mm[:3])
@@ -94,7 +93,7 @@ def test_given_a_frequency_response_without_its_axis_then_it_can_be_named(lab: P
             assert back.green(2) == pytest.approx(bank.green(2), abs=1e-6 * float(np.abs(bank.green(2)).max()))
 
 
-def test_given_a_bank_half_measured_then_measuring_goes_on_with_it(tmp_path: Path) -> None:
+def test_given_a_bank_half_measured_then_measuring_goes_on_with_it(tmp_path):
     path, places_mm = tmp_path / "plate.h5", PLACES_MM[:6]
     with wf.virtual_rig(actuators=2, position_mm=places_mm).measure(path, [0, 1, 2]) as bank:
         assert bank.status.tolist() == [1, 1, 1, 0, 0, 0]
@@ -108,7 +107,7 @@ def test_given_a_bank_half_measured_then_measuring_goes_on_with_it(tmp_path: Pat
     assert run(["check", str(path)]) == 0
 
 
-def test_given_single_steps_then_they_give_what_the_plate_is(tmp_path: Path) -> None:
+def test_given_single_steps_then_they_give_what_the_plate_is(tmp_path):
     rig = wf.virtual_rig(actuators=3, position_mm=PLACES_MM[:2], noise_v=1e-5)
     result = rig.estimate(rig.record(1))
     assert result.estimate is not None
@@ -130,7 +129,7 @@ def test_given_single_steps_then_they_give_what_the_plate_is(tmp_path: Path) -> 
         ({"actuators": [[0.0, 0.0], [0.0, 0.0]]}, "actuators.position_mm"),
     ],
 )
-def test_given_wrong_keys_of_a_rig_then_the_error_names_them(keys: dict, named: str) -> None:
+def test_given_wrong_keys_of_a_rig_then_the_error_names_them(keys, named):
     with pytest.raises(wf.InputError, match=named):
         wf.virtual_rig(**keys)
 
@@ -157,6 +156,6 @@ def test_given_wrong_keys_of_a_rig_then_the_error_names_them(keys: dict, named: 
         lambda: wf.virtual_rig(position_mm=PLACES_MM[:2]).record(2),
     ],
 )
-def test_given_wrong_input_then_every_function_raises_an_input_error(lab: Path, call) -> None:
+def test_given_wrong_input_then_every_function_raises_an_input_error(lab, call):
     with pytest.raises(wf.InputError):
         call()

@@ -4,7 +4,6 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Literal
 
 import h5py
 import numpy as np
@@ -40,7 +39,7 @@ printf('%.9g ', {one}); printf('\\n');
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_every_reader_has_ten_lines_and_is_on_its_page(name: str) -> None:
+def test_every_reader_has_ten_lines_and_is_on_its_page(name):
     text = (DOCS / "readers" / name).read_text(encoding="utf-8")
     page = (DOCS / "how-to" / "read-a-bank-elsewhere.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 10
@@ -48,7 +47,7 @@ def test_every_reader_has_ten_lines_and_is_on_its_page(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_every_reader_reads_names_that_a_bank_has(tmp_path: Path, name: str) -> None:
+def test_every_reader_reads_names_that_a_bank_has(tmp_path, name):
     text = (DOCS / "readers" / name).read_text(encoding="utf-8")
     names = set(re.findall(r"""['"]/?(\w+)['"]""", text))
     with h5py.File(measured(tmp_path / "bank.h5")) as file:
@@ -73,7 +72,7 @@ def octave(script: str, folder: Path) -> list[np.ndarray]:
 @pytest.mark.parametrize(
     ("reader", "functions", "call"), [("octave", "", "ncread"), ("matlab", MATLAB_IN_OCTAVE, "h5read")]
 )
-def test_octave_reads_a_bank_with_equal_numbers(tmp_path: Path, reader: str, functions: str, call: str) -> None:
+def test_octave_reads_a_bank_with_equal_numbers(tmp_path, reader, functions, call):
     bank = measured(tmp_path / "bank.h5")
     page = (DOCS / "how-to" / "read-a-bank-elsewhere.md").read_text(encoding="utf-8")
     (one,) = re.findall(rf"`(squeeze\({call}\(.*)`", page)
@@ -104,7 +103,7 @@ def test_octave_reads_a_bank_with_equal_numbers(tmp_path: Path, reader: str, fun
         ),
     ],
 )
-def test_octave_reads_an_export_with_equal_numbers(tmp_path: Path, to: Literal["mat", "netcdf"], read: str) -> None:
+def test_octave_reads_an_export_with_equal_numbers(tmp_path, to, read):
     bank, file = measured(tmp_path / "bank.h5"), tmp_path / f"bank.{to}"
     wavefocus.export_bank(bank, file, to, positions=[2, 0])
     show = "printf('%.9g ', permute(green, [3 2 1])); printf('\\n'); printf('%.17g ', places'); printf('\\n');"

@@ -1,8 +1,6 @@
 """Rigs with real drivers, on the command line: dry runs need no instrument, and what is missing is named."""
 
 import json
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -18,16 +16,14 @@ from wavefocus.rig.instruments import openers_of
 
 
 @pytest.fixture
-def real_lab(tmp_path: Path) -> Path:
+def real_lab(tmp_path):
     (tmp_path / "rig.toml").write_text(ABSENT_RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
     (tmp_path / "run.toml").write_text('rig = "rig.toml"\n[grid]\npositions_file = "p.csv"\n', encoding="utf-8")
     (tmp_path / "p.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     return tmp_path
 
 
-def test_given_real_instruments_then_the_dry_run_asks_none_of_them(
-    real_lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_real_instruments_then_the_dry_run_asks_none_of_them(real_lab, capsys):
     assert run(["plan", str(real_lab / "run.toml"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["records"] == 6
@@ -38,9 +34,7 @@ def test_given_real_instruments_then_the_dry_run_asks_none_of_them(
     assert "player sounddevice no such interface, 4 outputs, not asked" in facts["instruments"]
 
 
-def test_instruments_that_are_not_there_then_capture_names_the_first_and_ends_with_3(
-    real_lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_instruments_that_are_not_there_then_capture_names_the_first_and_ends_with_3(real_lab, capsys):
     bank = real_lab / "plate.h5"
     command = ["capture", str(real_lab / "run.toml"), "--bank", str(bank)]
     assert run(command) == 3
@@ -56,7 +50,7 @@ def test_instruments_that_are_not_there_then_capture_names_the_first_and_ends_wi
 
 
 @pytest.fixture
-def vibrometer() -> Iterator[EmulatedSerial]:
+def vibrometer():
     with EmulatedSerial(PolytecDevice("25mm/s/V"), TcpWire()) as emulated:
         yield emulated
 
@@ -73,22 +67,20 @@ def with_vibrometer(port: str, **more: object) -> RigConfig:
 
 
 @pytest.mark.parametrize("configured", [{}, {"sensitivity_m_s_per_v": 0.025}])
-def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(
-    vibrometer: EmulatedSerial, configured: dict[str, float]
-) -> None:
+def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(vibrometer, configured):
     found = openers_of(with_vibrometer(vibrometer.address, **configured)).vibrometer()
     assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
     assert "OFV-5000 Vibrometer Controller, VD-09" in found.identity
     assert found.signal_level == pytest.approx(600 / 775)
 
 
-def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer: EmulatedSerial) -> None:
+def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer):
     openers = openers_of(with_vibrometer(vibrometer.address, sensitivity_m_s_per_v=0.125))
     with pytest.raises(InstrumentError, match=r"it is set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
         openers.vibrometer()
     assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy
 
 
-def test_given_too_little_light_then_the_vibrometer_is_refused(vibrometer: EmulatedSerial) -> None:
+def test_given_too_little_light_then_the_vibrometer_is_refused(vibrometer):
     with pytest.raises(InstrumentError, match="focus the laser"):
         openers_of(with_vibrometer(vibrometer.address, least_signal_level=0.9)).vibrometer()

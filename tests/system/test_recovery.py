@@ -5,7 +5,6 @@ import json
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -23,9 +22,7 @@ UNPLUGGED = {
 
 
 @pytest.mark.parametrize("fault", UNPLUGGED.values(), ids=UNPLUGGED.keys())
-def test_instrument_unplugged_and_plugged_in_then_bank_is_that_of_quiet_night(
-    lab: Path, measured: Path, fault: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_instrument_unplugged_and_plugged_in_then_bank_is_that_of_quiet_night(lab, measured, fault, capsys):
     disturbed = empty_bank(lab, "disturbed.h5")
     with_faults(lab, f'{fault}\nkind = "unplugged"\ntries = 3')
     capsys.readouterr()
@@ -42,9 +39,7 @@ def test_instrument_unplugged_and_plugged_in_then_bank_is_that_of_quiet_night(
     assert run(["check", str(disturbed)]) == 0
 
 
-def test_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
-    lab: Path, measured: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(lab, measured, capsys):
     bank = empty_bank(lab, "plate.h5")
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     with_faults(lab, 'role = "mirror"\noperation = "move_to"\nkind = "lost"\nat_call = 6')
@@ -66,9 +61,7 @@ def test_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_
     assert bank.read_bytes() == measured.read_bytes()
 
 
-def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(lab, capsys):
     with_faults(
         lab,
         'role = "player"\noperation = "play"\nkind = "lost"\nposition = 1\nrecord = 0',
@@ -81,7 +74,7 @@ def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(
     assert "player" in told.splitlines()[-1]
 
 
-def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_which(lab: Path) -> None:
+def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_which(lab):
     with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "unplugged"\nposition = 2\nrecord = 0\ntries = 2')
     bank = lab / "plate.h5"
     answers: list[subprocess.CompletedProcess[str]] = []
@@ -107,9 +100,7 @@ def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_wh
 
 
 @pytest.mark.parametrize("interrupts", [1, 2])
-def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(
-    lab: Path, measured: Path, interrupts: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(lab, measured, interrupts, capsys):
     bank = empty_bank(lab, "plate.h5")
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
@@ -129,9 +120,7 @@ def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(
     assert bank.read_bytes() == measured.read_bytes()
 
 
-def test_an_instrument_unplugged_during_a_scan_then_verification_goes_on_and_passes(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_instrument_unplugged_during_a_scan_then_verification_goes_on_and_passes(lab, capsys):
     with_faults(
         lab,
         'role = "player"\noperation = "play"\nkind = "unplugged"\nposition = 3\npurpose = "scan"\ntries = 2',

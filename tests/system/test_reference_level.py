@@ -31,9 +31,7 @@ def _rows(bank: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(("schedule", "level_db"), [("sequential", -0.3), ("staggered", 6.0)])
-def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(
-    lab: Path, capsys: pytest.CaptureFixture[str], schedule: str, level_db: float
-) -> None:
+def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(lab, capsys, schedule, level_db):
     _as(lab, schedule)
     quiet, _ = _captured(lab, "quiet.h5", capsys)
     faults = [f"{READ}position = {row}\nrecord = {'0' if schedule == 'staggered' else row % 3}" for row in range(6)]
@@ -47,9 +45,7 @@ def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_reference_that_stays_faint_then_position_is_poor_and_its_level_is_named(
-    lab: Path, capsys: pytest.CaptureFixture[str], schedule: str
-) -> None:
+def test_reference_that_stays_faint_then_position_is_poor_and_its_level_is_named(lab, capsys, schedule):
     _as(lab, schedule)
     with_faults(lab, f"{READ}position = 0\nrecord = 0\ncount = 99\nlevel_db = -0.3")
     bank, events = _captured(lab, "plate.h5", capsys)
@@ -61,9 +57,7 @@ def test_reference_that_stays_faint_then_position_is_poor_and_its_level_is_named
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_a_reference_that_changes_within_its_calibration_is_refused(
-    lab: Path, capsys: pytest.CaptureFixture[str], schedule: str
-) -> None:
+def test_a_reference_that_changes_within_its_calibration_is_refused(lab, capsys, schedule):
     _as(lab, schedule)
     records = 3 if schedule == "sequential" else 1
     with_faults(lab, f"{READ}at_call = {2 * records + 2}\ncount = 999\nlevel_db = -0.2")
@@ -78,9 +72,7 @@ def test_a_reference_that_changes_within_its_calibration_is_refused(
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_a_reference_off_in_every_record_stops_capture_early_and_says_why(
-    lab: Path, capsys: pytest.CaptureFixture[str], schedule: str
-) -> None:
+def test_a_reference_off_in_every_record_stops_capture_early_and_says_why(lab, capsys, schedule):
     _as(lab, schedule)
     with_faults(lab, f'{READ}purpose = "capture"\ncount = 999\nlevel_db = -0.54')
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 3

@@ -45,9 +45,7 @@ def _kinds(events: list[dict[str, Any]]) -> list[str]:
         ("sequential", "drift", -20.0, "neighbours"),
     ],
 )
-def test_given_a_fault_that_stays_then_the_valid_row_is_kept_and_named(
-    lab: Path, capsys: pytest.CaptureFixture[str], schedule: str, kind: str, level_db: float, name: str
-) -> None:
+def test_given_a_fault_that_stays_then_the_valid_row_is_kept_and_named(lab, capsys, schedule, kind, level_db, name):
     fault = f'{READ}kind = "{kind}"\nlevel_db = {level_db}\nattempt = 2\ncount = 99\nrecord = 0'
     bank = _captured(lab, fault, schedule=schedule)
     before = bank.read_bytes()
@@ -58,9 +56,7 @@ def test_given_a_fault_that_stays_then_the_valid_row_is_kept_and_named(
     assert bank.read_bytes() == before
 
 
-def test_given_a_fault_that_passes_then_the_next_try_agrees_and_replaces_the_row(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_fault_that_passes_then_the_next_try_agrees_and_replaces_the_row(lab, capsys):
     bank = _captured(lab, f'{READ}kind = "drift"\nlevel_db = -0.3\nattempt = 2\nrecord = 1')
     with h5py.File(bank, "r") as file:
         before = file["green"][2]
@@ -72,9 +68,7 @@ def test_given_a_fault_that_passes_then_the_next_try_agrees_and_replaces_the_row
         assert file["status"][2] == 1
 
 
-def test_a_wrong_valid_row_is_replaced_where_asked_for_and_two_attempts_agree(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_valid_row_is_replaced_where_asked_for_and_two_attempts_agree(lab, capsys):
     bank = _captured(lab, f'{READ}kind = "drift"\nlevel_db = -0.5\nrecord = 1')
     with h5py.File(bank, "r") as file:
         wrong = file["green"][2]

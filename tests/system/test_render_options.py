@@ -44,7 +44,7 @@ limit_rms_v = 1e-3
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     write_foreign(tmp_path / "bank.h5", gain=[[[1.0], [2.0], [8.0]]])
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
@@ -61,9 +61,7 @@ def figures(lab: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dic
     return dict(json.loads(capsys.readouterr().out))
 
 
-def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(lab, capsys):
     free_v = (figures(lab, capsys), read_drive(lab / "drive.h5").drive_v)[1]
     (lab / "scene.toml").write_text(SCENE + "\n[output]\nlimit_rms_v = 2e-3\n", encoding="utf-8")
     told = figures(lab, capsys)
@@ -81,16 +79,14 @@ def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_na
 @pytest.mark.parametrize(
     ("options", "named"), [(("--focusing", "inverse"), "--focusing"), (("--rig", "virtual"), "actuators")]
 )
-def test_given_options_that_do_not_go_together_then_one_sentence_names_them(
-    lab: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str
-) -> None:
+def test_given_options_that_do_not_go_together_then_one_sentence_names_them(lab, capsys, options, named):
     assert render(lab, *options) == 2
     told = capsys.readouterr().err.splitlines()
     assert named in told[-1]
     assert not (lab / "drive.h5").exists()
 
 
-def test_given_a_field_then_the_movie_command_draws_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_field_then_the_movie_command_draws_it(lab, capsys):
     told = figures(lab, capsys)
     bank = ["--bank", str(lab / "bank.h5")]
     assert run(["predict", str(lab / "drive.h5"), *bank, "--out", str(lab / "field.h5")]) == 0
@@ -105,9 +101,7 @@ def test_given_a_field_then_the_movie_command_draws_it(lab: Path, capsys: pytest
     assert told["slowed"] == pytest.approx(5.0)
 
 
-def test_given_a_field_at_a_lower_rate_then_the_movie_tells_which_waves_it_shows(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_field_at_a_lower_rate_then_the_movie_tells_which_waves_it_shows(lab, capsys):
     figures(lab, capsys)
     bank = ["--bank", str(lab / "bank.h5")]
     assert run(["predict", str(lab / "drive.h5"), *bank, "--out", str(lab / "low.h5"), "--rate", str(RATE_HZ / 2)]) == 0
@@ -126,9 +120,7 @@ def test_given_a_field_at_a_lower_rate_then_the_movie_tells_which_waves_it_shows
         (("--out", "field.gif", "--from-s", "9"), "nothing to show"),
     ],
 )
-def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(
-    lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], named: str
-) -> None:
+def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys, monkeypatch, options, named):
     monkeypatch.chdir(lab)
     assert render(lab) == 0
     assert run(["predict", "drive.h5", "--bank", "bank.h5", "--out", "field.h5"]) == 0
@@ -160,9 +152,7 @@ def write_point(lab: Path, signal: str, amplitude: float, limit: str = "") -> No
     "signal", ['{ kind = "impulse" }', '{ kind = "sine", frequency_hz = 150.0, duration_s = 0.1 }']
 )
 @pytest.mark.parametrize("limit", ["", "limit_v = 1e-4"], ids=["unlimited", "limited"])
-def test_given_a_focus_then_its_reported_peak_is_what_predict_finds_there(
-    lab: Path, capsys: pytest.CaptureFixture[str], signal: str, limit: str
-) -> None:
+def test_given_a_focus_then_its_reported_peak_is_what_predict_finds_there(lab, capsys, signal, limit):
     write_point(lab, signal, 0.001, limit)
     found = figures(lab, capsys)
     row = 5 * 2 + 1  # (4, 8) mm

@@ -20,9 +20,7 @@ from wavefocus.console import finish_clock
 PLANNED_S = 7 * (3 * (2 * 0.4 + 0.12) + 0.05) + 2 * (0.52 + 0.12)
 
 
-def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(lab, capsys):
     assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["positions"] == 6
@@ -36,16 +34,14 @@ def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
     assert "6, 3 actuators, 18 records" in told.out
 
 
-def test_given_a_plan_then_its_bytes_are_those_of_the_bank(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_plan_then_its_bytes_are_those_of_the_bank(lab, bank, capsys):
     assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
     planned = json.loads(capsys.readouterr().out)["bank_bytes"]
     # The plan allows HDF5 four front blocks of 1 MB, of which it needs one or two.
     assert planned - 4.5e6 < bank.stat().st_size <= planned
 
 
-def test_given_a_bank_then_status_tells_people_how_it_stands(bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_bank_then_status_tells_people_how_it_stands(bank, capsys):
     capsys.readouterr()
     assert run(["status", str(bank)]) == 0
     told = capsys.readouterr()
@@ -56,9 +52,7 @@ def test_given_a_bank_then_status_tells_people_how_it_stands(bank: Path, capsys:
 
 @pytest.mark.may_skip("only Linux has a device that is always full")
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_so(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_so(lab, capsys):
     (lab / "plate.events.jsonl").symlink_to("/dev/full")
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
     told = capsys.readouterr().err
@@ -66,9 +60,7 @@ def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_s
     assert "finished: 6 of 6 positions (6 valid)" in told
 
 
-def test_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(lab, capsys):
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5"), "--json"]) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     end_s = max(event["time_s"] for event in events)  # the sentinel, measured once more, included
@@ -82,9 +74,7 @@ def test_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(
     assert [event["position"] for event in taken] == [row for row in range(6) for _ in range(3)]
 
 
-def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(lab, capsys):
     bank = lab / "plate.h5"
     facts: list[dict[str, object]] = []
     told: list[str] = []
@@ -120,9 +110,7 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(
     assert "finished at" not in told[0]
 
 
-def test_given_the_written_templates_then_they_plan_the_thirty_hour_campaign(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_the_written_templates_then_they_plan_the_thirty_hour_campaign(tmp_path, capsys):
     assert run(["init", str(tmp_path / "lab")]) == 0
     capsys.readouterr()
     assert run(["plan", str(tmp_path / "lab" / "run.toml"), "--json"]) == 0
@@ -132,6 +120,6 @@ def test_given_the_written_templates_then_they_plan_the_thirty_hour_campaign(
     assert 30.0 < facts["hours"] < 32.0
 
 
-def test_given_seconds_left_then_the_finish_is_told_with_its_day_when_not_today() -> None:
+def test_given_seconds_left_then_the_finish_is_told_with_its_day_when_not_today():
     assert len(finish_clock(0.0)) == len("12:34:56")
     assert finish_clock(3 * 86400.0)[:3].isalpha()

@@ -65,7 +65,7 @@ def values(folder: Path, out: Path) -> np.ndarray | None:
         return None
 
 
-def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_path: Path) -> None:
+def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_path):
     first, second = bank_of(tmp_path / "1.h5", 1.0), bank_of(tmp_path / "2.h5", 1.13)
     whole = [h5py.File(one)["green"][()] for one in (first, second)]
     folder = tmp_path / "sounds"
@@ -84,7 +84,7 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
     assert [entry.name for entry in tmp_path.iterdir() if "partial" in entry.name] == []
 
 
-def test_a_capture_with_recordings_that_is_killed_then_goes_on_by_the_same_command(lab: Path) -> None:
+def test_a_capture_with_recordings_that_is_killed_then_goes_on_by_the_same_command(lab):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
     for renaming in range(1, 5):  # bank and recordings are each made whole; later ones are of the heartbeat
         command = ["capture", str(lab / "run.toml"), "--bank", str(lab / f"{renaming}.h5")]
@@ -93,7 +93,7 @@ def test_a_capture_with_recordings_that_is_killed_then_goes_on_by_the_same_comma
         assert run(["check", str(lab / f"{renaming}.raw.h5")]) == 0
 
 
-def test_an_extension_with_recordings_that_is_killed_then_goes_on(lab: Path) -> None:
+def test_an_extension_with_recordings_that_is_killed_then_goes_on(lab):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
     write_positions(lab, POSITIONS_MM[:2])
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
@@ -108,7 +108,7 @@ def test_an_extension_with_recordings_that_is_killed_then_goes_on(lab: Path) -> 
             assert bank.status.tolist() == [1, 1, 1]
 
 
-def test_trials_that_are_killed_while_stimuli_are_prepared_go_on(lab: Path, bank: Path) -> None:
+def test_trials_that_are_killed_while_stimuli_are_prepared_go_on(lab, bank):
     (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
     common = ["trials", str(lab / "trials.toml"), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--prepare"]
     whole = prepared_by([*common, "--out", str(lab / "whole")])
@@ -129,7 +129,7 @@ def prepared_by(command: list[str]) -> dict[str, str]:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
-def test_a_corrected_verification_that_is_killed_then_goes_on(lab: Path, bank: Path) -> None:
+def test_a_corrected_verification_that_is_killed_then_goes_on(lab, bank):
     command = ["verify", str(lab / "scene.toml"), "--bank", str(bank), "--rig", str(lab / "rig.toml")]
     for renaming in range(1, 60):
         out = lab / str(renaming)
@@ -154,7 +154,7 @@ with staged_folder(Path(sys.argv[1]), "record", ("stale",)) as staged:
 """
 
 
-def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_path: Path) -> None:
+def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_path):
     failing = KILLED.replace("os._exit(9)", "raise OSError(28, 'No space left on device')")
     code = (
         failing
@@ -176,7 +176,7 @@ def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_pa
     assert renaming > 5
 
 
-def test_a_smaller_export_then_leaves_no_files_of_the_older_one(tmp_path: Path) -> None:
+def test_a_smaller_export_then_leaves_no_files_of_the_older_one(tmp_path):
     bank, folder = str(bank_of(tmp_path / "1.h5", 1.0)), tmp_path / "sounds"
     assert run(["export", bank, str(folder), "--to", "wav"]) == 0
     assert run(["export", bank, str(folder), "--to", "wav", "--positions", "1,3"]) == 2
@@ -188,9 +188,7 @@ def test_a_smaller_export_then_leaves_no_files_of_the_older_one(tmp_path: Path) 
     assert (folder / "notes.txt").read_text() == "mine"
 
 
-def test_an_export_then_states_checksums_and_a_file_of_another_export_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_export_then_states_checksums_and_a_file_of_another_export_is_refused(tmp_path, capsys):
     folders = [tmp_path / "1", tmp_path / "2"]
     for factor, folder in zip((1.0, 1.13), folders, strict=True):
         assert run(["export", str(bank_of(tmp_path / f"{factor}.h5", factor)), str(folder), "--to", "wav"]) == 0
@@ -232,7 +230,7 @@ sys.exit(code)
 VERIFIED = ("verify.json", "report.html", "drive.h5", "prediction.h5", "scan.h5")
 
 
-def test_a_verification_over_an_older_one_never_mixes_with_its_files(lab: Path, bank: Path) -> None:
+def test_a_verification_over_an_older_one_never_mixes_with_its_files(lab, bank):
     out, scene = lab / "verify", lab / "scene.toml"
     command = ["verify", str(scene), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--out", str(out)]
     assert run(command) == 0

@@ -11,7 +11,7 @@ from tests.system.captures import wavefocus
 
 
 @pytest.fixture
-def far(lab: Path) -> Path:
+def far(lab):
     """The lab, with two positions that are near to nothing of the scene."""
     with (lab / "positions.csv").open("a", encoding="utf-8") as file:
         file.write("0,40\n4,40\n")

@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
 
 import h5py
 import numpy as np
@@ -69,9 +68,7 @@ def gains(rows: np.ndarray, clean: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("schedule", "level_db"), [("sequential", -0.5), ("staggered", -20.0)])
-def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(
-    tmp_path: Path, schedule: str, level_db: float
-) -> None:
+def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(tmp_path, schedule, level_db):
     clean, _ = captured(tmp_path / "clean", schedule, {}, look=False, noise_v=0.0)
     strength = np.linalg.norm(clean, axis=2)
     loudest = {position: int(np.argmax(strength[position])) for position in FAULTY}
@@ -87,7 +84,7 @@ def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(
 
 
 # All of the grid's 14 positions are marked before the pass begins.
-def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(tmp_path: Path) -> None:
+def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(tmp_path):
     captured(tmp_path / "quiet", "staggered", {}, look=True)
     quiet = (tmp_path / "quiet" / "plate.h5").read_bytes()
     bank = tmp_path / "killed.h5"
@@ -101,9 +98,7 @@ def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(tmp_path:
     assert bank.read_bytes() == quiet
 
 
-def test_fewer_positions_than_neighbours_are_measured_twice_as_planned(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fewer_positions_than_neighbours_are_measured_twice_as_planned(tmp_path, capsys):
     captured(tmp_path / "lab", "sequential", {}, look=True)
     with h5py.File(tmp_path / "lab" / "plate.h5", "r") as file:
         assert (file["quality/attempts"][...] == 4).all()
@@ -150,7 +145,7 @@ def coarse_lab(folder: Path, grid: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def coarse(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def coarse(tmp_path_factory):
     """A bank of a grid of 14 mm, more than a wavelength at the band's end, as a campaign without faults leaves it."""
     run_file = coarse_lab(
         tmp_path_factory.mktemp("coarse") / "lab", "spacing_mm = 14.0\nmargin_mm = 10.0\ncheck_positions = 4"
@@ -161,7 +156,7 @@ def coarse(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def spoiled(coarse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def spoiled(coarse, tmp_path_factory):
     """The same bank with wrong rows, of a session that was killed before it judged them."""
     blueprint = blueprint_from_bank(coarse)
     plan = blueprint.plan
@@ -183,9 +178,7 @@ def spoiled(coarse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return bank
 
 
-def test_a_sound_coarse_grid_has_no_second_look_and_none_is_planned(
-    coarse: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sound_coarse_grid_has_no_second_look_and_none_is_planned(coarse, capsys):
     with h5py.File(coarse, "r") as file:
         assert (file["status"][...] == 1).all()
         assert (file["quality/attempts"][...] == 1).all()
@@ -194,7 +187,7 @@ def test_a_sound_coarse_grid_has_no_second_look_and_none_is_planned(
 
 
 @pytest.fixture(scope="module")
-def mended(spoiled: Path) -> tuple[Path, list[dict[str, Any]]]:
+def mended(spoiled):
     """The bank after an undisturbed session, and the events of that."""
     bank = spoiled.with_name("mended.h5")
     copyfile(spoiled, bank)
@@ -202,9 +195,7 @@ def mended(spoiled: Path) -> tuple[Path, list[dict[str, Any]]]:
         return bank, session.rest()
 
 
-def test_wrong_rows_on_a_coarse_grid_are_named_and_measured_once_more(
-    mended: tuple[Path, list[dict[str, Any]]], coarse: Path
-) -> None:
+def test_wrong_rows_on_a_coarse_grid_are_named_and_measured_once_more(mended, coarse):
     bank, told = mended
     named = {line["position"]: line["defects"] for line in told if line.get("defects")}
     assert named == {position: ["neighbours"] for position in (LEVEL, SWAPPED, MOVED, CHECKED)}
@@ -215,9 +206,7 @@ def test_wrong_rows_on_a_coarse_grid_are_named_and_measured_once_more(
         assert (apart < 0.01 * np.linalg.norm(right["green"][...], axis=(1, 2))).all()
 
 
-def test_kills_while_a_coarse_grid_is_judged_end_as_an_undisturbed_bank(
-    spoiled: Path, mended: tuple[Path, list[dict[str, Any]]], tmp_path: Path
-) -> None:
+def test_kills_while_a_coarse_grid_is_judged_end_as_an_undisturbed_bank(spoiled, mended, tmp_path):
     bank = tmp_path / "killed.h5"
     copyfile(spoiled, bank)
     plan = blueprint_from_bank(bank).plan

@@ -45,9 +45,7 @@ ELSEWHERE = {
 
 
 @pytest.mark.parametrize("command", STEPS)
-def test_given_a_measured_lab_then_the_command_does_its_work(
-    command: str, bank: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_measured_lab_then_the_command_does_its_work(command, bank, monkeypatch):
     monkeypatch.chdir(bank.parent)
     before, arguments, written = STEPS[command]
     for step in before:
@@ -56,25 +54,23 @@ def test_given_a_measured_lab_then_the_command_does_its_work(
     assert all(Path(name).exists() for name in written)
 
 
-def test_every_command_has_a_smoke_test_here_or_elsewhere() -> None:
+def test_every_command_has_a_smoke_test_here_or_elsewhere():
     assert {command.name for command in COMMANDS} == set(STEPS) | ELSEWHERE
 
 
 @pytest.mark.parametrize("order", ["pause", "stop"])
-def test_given_no_campaign_is_running_then_an_order_is_refused(order: str, bank: Path) -> None:
+def test_given_no_campaign_is_running_then_an_order_is_refused(order, bank):
     assert run([order, str(bank)]) == 2
 
 
-def test_given_kept_recordings_then_estimate_makes_their_bank_again(lab: Path) -> None:
+def test_given_kept_recordings_then_estimate_makes_their_bank_again(lab):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / BANK)]) == 0
     assert run(["estimate", str(lab / "plate.raw.h5"), "--bank", str(lab / "again.h5")]) == 0
     assert (lab / "again.h5").is_file()
 
 
-def test_given_orders_on_standard_input_then_operate_answers_and_ends(
-    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_orders_on_standard_input_then_operate_answers_and_ends(lab, monkeypatch, capsys):
     lines = b'{"order": "jog", "x_mm": 4, "y_mm": 0}\n{"order": "end"}\n'
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
     assert run(["operate", str(lab / RIG)]) == 0

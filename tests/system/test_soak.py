@@ -2,8 +2,6 @@
 
 import random
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -18,13 +16,13 @@ pytestmark = [
 
 
 @pytest.fixture
-def campaign(tmp_path: Path) -> Iterator[Campaign]:
+def campaign(tmp_path):
     one = Campaign(tmp_path)
     yield one
     one.close()
 
 
-def test_kills_cuts_full_disks_and_flipped_bytes_lose_nothing(campaign: Campaign) -> None:
+def test_kills_cuts_full_disks_and_flipped_bytes_lose_nothing(campaign):
     classes: list[tuple[Trials, int]] = [
         (kills.at_calls, 2),
         (kills.in_repair, 1),

@@ -35,7 +35,7 @@ def _median_error_db(bank: Path) -> float:
         return float(np.nanmedian(compare_with_truth(content, rig)))
 
 
-def test_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(lab: Path) -> None:
+def test_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(lab):
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "sequential.h5") == 0
     _with_capture(lab, KEEP)
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "staggered.h5") == 0
@@ -46,7 +46,7 @@ def test_a_staggered_run_then_its_bank_is_as_near_the_truth_as_a_sequential_one(
     assert _median_error_db(lab / "staggered.h5") < _median_error_db(lab / "sequential.h5") + allowed_db
 
 
-def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab: Path) -> None:
+def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab):
     # Many periods, so that the kill meets the campaign on a machine that is busy too.
     _with_capture(lab, KEEP, "periods = 20", "keep_raw = true")
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "reference.h5") == 0
@@ -61,9 +61,7 @@ def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab
     assert bank.with_suffix(".raw.h5").read_bytes() == (lab / "reference.raw.h5").read_bytes()
 
 
-def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(lab, capsys):
     _with_capture(lab, 'excitation = "staggered"')
     bank, trial = lab / "plate.h5", 'role = "recorder"\noperation = "read"\npurpose = "trial"'
     with_faults(
@@ -87,7 +85,7 @@ def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(
     assert wavefocus("resume", bank) == 0
 
 
-def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on_so(lab: Path) -> None:
+def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on_so(lab):
     _with_capture(lab, 'excitation = "staggered"')
     blueprint = blueprint_from_files(lab / "run.toml")
     run = blueprint.configuration.run
@@ -102,7 +100,7 @@ def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on
 
 
 @pytest.fixture(scope="module")
-def with_recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def with_recordings(tmp_path_factory):
     """A lab with a sequential bank and its recordings; to be copied."""
     lab = write_lab(tmp_path_factory.mktemp("with_recordings"))
     _with_capture(lab, "keep_raw = true")
@@ -111,13 +109,13 @@ def with_recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def kept(lab: Path, with_recordings: Path) -> Path:
+def kept(lab, with_recordings):
     """The lab with a sequential bank and its recordings."""
     shutil.copytree(with_recordings, lab, dirs_exist_ok=True)
     return lab
 
 
-def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab: Path) -> None:
+def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab):
     _with_capture(lab, KEEP, "keep_raw = true")
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     assert wavefocus("estimate", lab / "plate.raw.h5", "--bank", lab / "again.h5") == 0
@@ -126,18 +124,14 @@ def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(lab:
         assert np.array_equal(then["status"][:], now["status"][:])
 
 
-def test_given_recordings_that_are_gone_then_resume_refuses_by_a_sentence(
-    kept: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_recordings_that_are_gone_then_resume_refuses_by_a_sentence(kept, capsys):
     (kept / "plate.raw.h5").unlink()
     capsys.readouterr()
     assert wavefocus("resume", kept / "plate.h5") == 2
     assert "plate.raw.h5 is missing" in capsys.readouterr().err
 
 
-def test_given_a_lost_row_of_recordings_then_resume_measures_that_position_again(
-    kept: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_lost_row_of_recordings_then_resume_measures_that_position_again(kept, capsys):
     raw = kept / "plate.raw.h5"
     with h5py.File(raw, "r+") as file:
         file["durability/ledger"][2] = 0
@@ -149,9 +143,7 @@ def test_given_a_lost_row_of_recordings_then_resume_measures_that_position_again
         assert np.array_equal(then["green"][:], now["green"][:])
 
 
-def test_damaged_recordings_then_estimate_tells_and_remeasuring_position_cures_it(
-    kept: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_recordings_then_estimate_tells_and_remeasuring_position_cures_it(kept, capsys):
     raw = kept / "plate.raw.h5"
     with h5py.File(raw, "r+") as file:
         file["response"][2, 0, 100:200] ^= 64

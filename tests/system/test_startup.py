@@ -48,27 +48,27 @@ def loaded_by(code: str, folder: Path) -> set[str]:
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
-def test_importing_the_command_loads_nothing_slow(tmp_path: Path) -> None:
+def test_importing_the_command_loads_nothing_slow(tmp_path):
     loaded = loaded_by("import wavefocus.__main__", tmp_path)
     assert "wavefocus" in loaded
     assert not loaded & SLOW
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["gui", "--help"]])
-def test_asking_for_help_loads_nothing_slow(tmp_path: Path, arguments: list[str]) -> None:
+def test_asking_for_help_loads_nothing_slow(tmp_path, arguments):
     loaded = loaded_by(f"from wavefocus.__main__ import run\nrun({arguments!r})", tmp_path)
     assert "wavefocus" in loaded
     assert not loaded & SLOW
 
 
-def test_writing_templates_loads_nothing_slow(tmp_path: Path) -> None:
+def test_writing_templates_loads_nothing_slow(tmp_path):
     loaded = loaded_by("from wavefocus.__main__ import run\nassert run(['init', 'lab']) == 0", tmp_path)
     assert (tmp_path / "lab" / "run.toml").is_file()
     assert not loaded & SLOW
 
 
 @pytest.mark.parametrize(("command", "code"), [("status", 0), ("pause", 2)])
-def test_asking_how_a_campaign_stands_loads_nothing_that_measures(bank: Path, command: str, code: int) -> None:
+def test_asking_how_a_campaign_stands_loads_nothing_that_measures(bank, command, code):
     loaded = loaded_by(
         f"from wavefocus.__main__ import run\nassert run([{command!r}, {bank.name!r}]) == {code}", bank.parent
     )
@@ -76,7 +76,7 @@ def test_asking_how_a_campaign_stands_loads_nothing_that_measures(bank: Path, co
     assert not loaded & (MEASURES | {"pydantic"})
 
 
-def test_a_campaign_loads_nothing_that_only_other_campaigns_need(bank: Path) -> None:
+def test_a_campaign_loads_nothing_that_only_other_campaigns_need(bank):
     loaded = loaded_by(f"from wavefocus.__main__ import run\nassert run(['resume', {bank.name!r}]) == 0", bank.parent)
     assert "wavefocus.acquisition.engine.campaign" in loaded
     assert not loaded & SOME_RUNS_NEED

@@ -38,7 +38,7 @@ limit_v = 0.01
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     write_foreign(tmp_path / "bank.h5")
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
@@ -51,9 +51,7 @@ def render(lab: Path, name: str, *options: str) -> int:
     return run(["render", *place, "--out", out, "--wav", wav, "--json", *options])
 
 
-def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab, capsys):
     """A waveform is larger between the samples of its drive than at them: both are kept within full scale."""
     assert render(lab, "drive") == 0
     told = capsys.readouterr()

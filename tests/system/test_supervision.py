@@ -55,7 +55,7 @@ class _Orders:
         return [(code, json.loads(out), err) for (out, err), code in ended]
 
 
-def test_pause_from_another_process_then_position_is_finished_and_go_on_goes_on(lab: Path, measured: Path) -> None:
+def test_pause_from_another_process_then_position_is_finished_and_go_on_goes_on(lab, measured):
     bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     listener = Listener(
@@ -78,7 +78,7 @@ def test_pause_from_another_process_then_position_is_finished_and_go_on_goes_on(
         assert facts["heard"] is True
 
 
-def test_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(lab: Path, measured: Path) -> None:
+def test_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(lab, measured):
     bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     listener = Listener(('"event": "position_started"', lambda: orders.give("stop")))
@@ -94,7 +94,7 @@ def test_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(
 
 
 @pytest.mark.parametrize("asked", ["pause", "stop"])
-def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab: Path, asked: str) -> None:
+def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab, asked):
     bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     end = (lambda: orders.give("stop")) if asked == "stop" else (lambda: signal.raise_signal(signal.SIGINT))
@@ -126,9 +126,7 @@ def _held(bank: Path):
         owner.communicate(timeout=20)
 
 
-def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(lab, capsys):
     bank = empty_bank(lab, "plate.h5")
     with _held(bank) as owner:
         beat = {"at": "2026-01-01T00:00:00+00:00", "pid": owner.pid, "host": "here", "state": "running", "reason": "r"}
@@ -149,7 +147,7 @@ def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(
     assert facts["last_sign_of_life"]["age_s"] > 86_400
 
 
-def test_given_a_campaign_then_its_heartbeat_tells_how_it_ended(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_campaign_then_its_heartbeat_tells_how_it_ended(lab, capsys):
     bank = lab / "plate.h5"
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 2\npurpose = "capture"')
     assert capture(lab, bank) == 3
@@ -176,9 +174,7 @@ SOON_GIVEN_UP = "\n[recovery]\nhung_after_s = 0.3\n"
 
 
 @pytest.mark.parametrize("fault", HANGS.values(), ids=HANGS.keys())
-def test_a_driver_call_that_hangs_is_connected_afresh_and_nothing_is_lost(
-    lab: Path, fault: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_driver_call_that_hangs_is_connected_afresh_and_nothing_is_lost(lab, fault, capsys):
     _with_rig(lab, SOON_GIVEN_UP)
     quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
     assert capture(lab, quiet) == 0
@@ -191,7 +187,7 @@ def test_a_driver_call_that_hangs_is_connected_afresh_and_nothing_is_lost(
     assert disturbed.read_bytes() == quiet.read_bytes()
 
 
-def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab: Path) -> None:
+def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab):
     _with_rig(lab, "\n[recovery]\nhung_after_s = 0.2\ngive_up_after_s = 1.0\n")
     # It hangs with the driver's own lock held: muting, reconnecting and closing hang as well.
     with_faults(
@@ -222,7 +218,7 @@ LONG_NIGHT = ("averages = 2", "averages = 40")
 @POSIX
 @pytest.mark.may_skip("Windows has none of these signals")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])
-def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number: str) -> None:
+def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab, number):
     bank = lab / "plate.h5"
     change_text(lab / "run.toml", *LONG_NIGHT)
     # Parking fails, so that it is told.
@@ -241,7 +237,7 @@ def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number
 
 @POSIX
 @pytest.mark.may_skip("Windows has no pseudo-terminals")
-def test_terminal_that_is_closed_then_position_is_finished_and_log_says_why(lab: Path) -> None:
+def test_terminal_that_is_closed_then_position_is_finished_and_log_says_why(lab):
     import pty
 
     bank = lab / "plate.h5"
@@ -293,9 +289,7 @@ settle_s = 20.0
     ("fault", "words"),
     [('kind = "dark"', "V is above 0.01 V"), ('kind = "faint_reference"\nlevel_db = -9.0', "reference level -9")],
 )
-def test_a_condition_out_of_its_band_is_waited_for_and_the_bank_is_the_same(
-    lab: Path, fault: str, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_condition_out_of_its_band_is_waited_for_and_the_bank_is_the_same(lab, fault, words, capsys):
     _with_rig(lab, WATCHED)
     quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
     assert capture(lab, quiet) == 0
@@ -312,9 +306,7 @@ def test_a_condition_out_of_its_band_is_waited_for_and_the_bank_is_the_same(
     assert disturbed.read_bytes() == quiet.read_bytes()
 
 
-def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(lab, capsys):
     _with_rig(lab, WATCHED)
     change_text(
         lab / "run.toml",
@@ -332,9 +324,7 @@ def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(
     assert held(lab / "plate.h5", "quality/attempts") == [1] * 6
 
 
-def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_on(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_on(lab, capsys):
     _with_rig(lab, WATCHED)
     quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
     assert capture(lab, quiet) == 0
@@ -353,9 +343,7 @@ def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_o
     assert bank.read_bytes() == quiet.read_bytes()
 
 
-def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspended(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspended(lab, capsys):
     _with_rig(lab, WATCHED)
     with_faults(
         lab, 'role = "recorder"\noperation = "read"\nkind = "dark"\nposition = 2\npurpose = "capture"\ncount = 99'
@@ -368,7 +356,7 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
     assert status[:2] + status[3:] == [1] * 5
 
 
-def test_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab: Path) -> None:
+def test_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab):
     _with_rig(lab, WATCHED)
     with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 4\nkind = "dark"')
     bank = lab / "plate.h5"

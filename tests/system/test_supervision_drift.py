@@ -33,9 +33,7 @@ def _green(bank: Path) -> np.ndarray:
         return file["green"][:]
 
 
-def test_run_then_sentinel_is_measured_every_so_often_and_bank_does_not_show_it(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_run_then_sentinel_is_measured_every_so_often_and_bank_does_not_show_it(lab, capsys):
     assert _capture(lab, lab / "without.h5") == 0
     _with_drift(lab)
     bank = lab / "plate.h5"
@@ -47,9 +45,7 @@ def test_run_then_sentinel_is_measured_every_so_often_and_bank_does_not_show_it(
     assert np.array_equal(_green(bank), _green(lab / "without.h5"))
 
 
-def test_given_a_plan_then_the_sentinels_measurements_are_in_its_hours(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_plan_then_the_sentinels_measurements_are_in_its_hours(lab, capsys):
     assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
     without_s = json.loads(capsys.readouterr().out)["duration_s"]
     _with_drift(lab)
@@ -59,9 +55,7 @@ def test_given_a_plan_then_the_sentinels_measurements_are_in_its_hours(
     assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(without_s + 2 * each_s)
 
 
-def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(lab, capsys):
     _with_drift(lab)
     with_faults(lab, LOUDER)
     assert _capture(lab, lab / "plate.h5") == 0
@@ -69,9 +63,7 @@ def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(
     assert [(one["occasion"], one["verdict"]) for one in drift] == [("run", "stop"), ("repeat", "steady")] * 3
 
 
-def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspect(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspect(lab, capsys):
     _with_drift(lab)
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     # The third measurement of the sentinel is the first one of a resumed session, so strike in the second.
@@ -129,9 +121,7 @@ def _calibrate(lab: Path, name: str, day: int, delay_s: float, device: DeviceIde
     (lab / "rig.toml").write_text(rig + table, encoding="utf-8")
 
 
-def test_given_another_calibration_then_capture_refuses_it_and_says_how_to_override(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_another_calibration_then_capture_refuses_it_and_says_how_to_override(lab, capsys):
     bank = lab / "plate.h5"
     _calibrate(lab, "old.toml", 1, 5e-6)
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"')
@@ -153,9 +143,7 @@ def test_given_another_calibration_then_capture_refuses_it_and_says_how_to_overr
     assert held(bank) == [1] * 6
 
 
-def test_resume_refuses_the_calibration_of_another_device_and_says_what_to_do(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_resume_refuses_the_calibration_of_another_device_and_says_what_to_do(lab, capsys):
     bank = lab / "plate.h5"
     _calibrate(lab, "other.toml", 1, 5e-6, DeviceIdentity("NI", "USB-6211", "0123ABCD"))
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"')
@@ -174,9 +162,7 @@ LASTING = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {le
 
 
 @pytest.mark.parametrize("level_db", [1.0, -2.0])
-def test_another_gain_from_some_position_on_is_suspect_until_measured_again(
-    lab: Path, capsys: pytest.CaptureFixture[str], level_db: float
-) -> None:
+def test_another_gain_from_some_position_on_is_suspect_until_measured_again(lab, capsys, level_db):
     sound = (lab / "run.toml").read_text(encoding="utf-8")
     fault = LASTING.format(level_db=level_db)
     with_faults(lab, f'{fault}purpose = "sentinel"', *(f"{fault}position = {one}" for one in (3, 4, 5)))
@@ -202,9 +188,7 @@ LOST = 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurp
 
 
 @pytest.mark.parametrize("level_db", [1.0, 6.0])
-def test_a_session_ended_before_its_sentinel_is_marked_by_the_next_one(
-    lab: Path, capsys: pytest.CaptureFixture[str], level_db: float
-) -> None:
+def test_a_session_ended_before_its_sentinel_is_marked_by_the_next_one(lab, capsys, level_db):
     sound, bank = (lab / "run.toml").read_text(encoding="utf-8"), lab / "plate.h5"
     fault = LASTING.format(level_db=level_db)
     with_faults(lab, f"{fault}position = 2", LOST)
@@ -226,7 +210,7 @@ def test_a_session_ended_before_its_sentinel_is_marked_by_the_next_one(
     assert held(bank) == [1] * 6
 
 
-def test_given_a_steady_sentinel_after_such_an_end_then_a_later_change_marks_nothing(lab: Path) -> None:
+def test_given_a_steady_sentinel_after_such_an_end_then_a_later_change_marks_nothing(lab):
     sound, bank = (lab / "run.toml").read_text(encoding="utf-8"), lab / "plate.h5"
     with_faults(lab, LOST)
     assert _capture(lab, bank) == 3

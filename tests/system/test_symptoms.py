@@ -1,8 +1,6 @@
 """A rig or a bank that is not as it was, verified: the symptom is named, and a sound one names none."""
 
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +41,7 @@ limit_v = 1.0
 
 
 @pytest.fixture(scope="module")
-def measured_lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def measured_lab(tmp_path_factory):
     """A folder with a bank of 25 positions and 4 actuators, measured on a sound rig."""
     lab = tmp_path_factory.mktemp("sound")
     for name, text in (("rig.toml", RIG), ("run.toml", SLOWER_WHEN_COLD), ("scene.toml", SCENE)):
@@ -68,7 +66,7 @@ def verified(bank: Bank, emulation: str, rows: list[int] | None = None, *, again
 
 
 @pytest.fixture(scope="module")
-def sound(measured_lab: Path) -> Iterator[Bank]:
+def sound(measured_lab):
     """The bank, open."""
     with open_bank(measured_lab / "plate.h5") as bank:
         yield bank
@@ -83,9 +81,7 @@ def sound(measured_lab: Path) -> Iterator[Bank]:
     ],
     ids=["silent", "faster", "mirror"],
 )
-def test_given_a_changed_rig_then_its_symptom_is_named(
-    sound: Bank, emulation: str, code: str, actuators: tuple[int, ...], value: object
-) -> None:
+def test_given_a_changed_rig_then_its_symptom_is_named(sound, emulation, code, actuators, value):
     found = verified(sound, emulation)
     (symptom,) = found.symptoms
     assert (symptom.code, symptom.actuators) == (code, actuators)
@@ -97,9 +93,7 @@ def test_given_a_changed_rig_then_its_symptom_is_named(
 
 
 @pytest.mark.parametrize(("rows", "again"), [(None, True), ([0, 4, 12, 13, 20], True), ([6, 7, 11, 12], False)])
-def test_given_a_sound_rig_then_no_symptom_is_named_and_the_sentinel_is_steady(
-    sound: Bank, rows: list[int] | None, again: bool
-) -> None:
+def test_given_a_sound_rig_then_no_symptom_is_named_and_the_sentinel_is_steady(sound, rows, again):
     found = verified(sound, "", rows, again=again)
     assert found.passed
     assert found.symptoms == ()
@@ -111,7 +105,7 @@ def test_given_a_sound_rig_then_no_symptom_is_named_and_the_sentinel_is_steady(
         assert found.drift is None
 
 
-def test_given_a_rig_that_drifted_then_the_sentinel_says_in_what(sound: Bank) -> None:
+def test_given_a_rig_that_drifted_then_the_sentinel_says_in_what(sound):
     louder = verified(sound, "output_gains_db = [1, 1, 1, 1]", [12]).drift
     assert (louder.verdict, louder.speed_percent) == ("warn", None)
     assert louder.level_db == pytest.approx(1.0, abs=0.05)

@@ -34,7 +34,7 @@ def arguments(lab: Path) -> list[str]:
 
 
 @pytest.fixture
-def experiment(lab: Path, bank: Path) -> list[str]:
+def experiment(lab, bank):
     """The same, its trials file and bank written."""
     (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
     return arguments(lab)
@@ -54,9 +54,7 @@ def answer(session: Lines, choice: str = "right") -> list[dict[str, Any]]:
                 return events
 
 
-def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(tmp_path, capsys):
     lab = write_lab(tmp_path)
     purpose = 'purpose = "presentation"\n'
     with_faults(
@@ -101,9 +99,7 @@ def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(
     assert "complete" in capsys.readouterr().err
 
 
-def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(
-    lab: Path, experiment: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, experiment, capsys):
     def refused(*words: str, trials: str = TRIALS, options: tuple[str, ...] = ("--lines",)) -> None:
         (lab / "trials.toml").write_text(trials, encoding="utf-8")
         capsys.readouterr()
@@ -127,9 +123,7 @@ def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(
 
 
 @pytest.mark.smoke
-def test_given_a_preparation_then_the_stimuli_are_there_and_a_window_is_not_needed(
-    lab: Path, experiment: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_preparation_then_the_stimuli_are_there_and_a_window_is_not_needed(lab, experiment, capsys):
     assert run([*experiment[:-2], "--prepare", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["stimuli"]
     assert sorted(listed) == sorted(one.stem for one in (lab / "out" / "stimuli").glob("*.h5"))

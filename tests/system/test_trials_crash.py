@@ -4,7 +4,6 @@ import json
 import random
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -78,7 +77,7 @@ def _answer(line: str) -> str:
 
 
 @pytest.fixture
-def killed(lab: Path, bank: Path) -> Iterator[Killed]:
+def killed(lab, bank):
     one = Killed(lab, bank, lab / "says")
     yield one
     one.processes.close()
@@ -103,11 +102,11 @@ def kill(killed: Killed, at_random: int, at_calls: int, full: int) -> None:
         assert ended.code == 0 or ended.err.strip().splitlines()[-1].startswith("wavefocus: "), ended.err
 
 
-def test_given_sessions_that_are_killed_then_no_answer_is_lost_and_the_order_stays(killed: Killed) -> None:
+def test_given_sessions_that_are_killed_then_no_answer_is_lost_and_the_order_stays(killed):
     kill(killed, 2, 3, 2)
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
-def test_hundreds_of_kills_and_full_disks_then_no_answer_is_lost_and_the_order_stays(killed: Killed) -> None:
+def test_hundreds_of_kills_and_full_disks_then_no_answer_is_lost_and_the_order_stays(killed):
     kill(killed, 100, 100, 100)

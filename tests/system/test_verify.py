@@ -24,9 +24,7 @@ def _verify(lab: Path, bank: Path, *more: str) -> int:
     return run(["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out), "--json", *more])
 
 
-def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_says_so(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_says_so(lab, bank, capsys):
     capsys.readouterr()
     assert _verify(lab, bank) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -43,15 +41,13 @@ def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_say
         assert scan.attrs["start_s"] == field.attrs["start_s"]
 
 
-def test_given_some_positions_then_only_those_are_scanned(lab: Path, bank: Path) -> None:
+def test_given_some_positions_then_only_those_are_scanned(lab, bank):
     assert _verify(lab, bank, "--positions", "1,4") == 0
     with h5py.File(lab / "verify" / "scan.h5", "r") as file:
         assert list(file["position_index"]) == [1, 4]
 
 
-def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, bank, capsys):
     rig = lab / "rig.toml"
     finger = "[emulation.finger]\nplace_mm = [0.0, 0.0]\nmass_kg = 2e-4\n"
     rig.write_text(rig.read_text(encoding="utf-8") + finger, encoding="utf-8")
@@ -75,9 +71,7 @@ def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(
     assert "Correction of the drive" in (lab / "verify" / "report.html").read_text(encoding="utf-8")
 
 
-def test_given_a_silent_scene_then_it_is_refused_before_anything_plays(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_silent_scene_then_it_is_refused_before_anything_plays(lab, bank, capsys):
     change_text(lab / "scene.toml", "step_mm", "amplitude = 0.0\nstep_mm")
     capsys.readouterr()
     assert _verify(lab, bank, "--correct", "1") == 2
@@ -85,9 +79,7 @@ def test_given_a_silent_scene_then_it_is_refused_before_anything_plays(
     assert "sentinel" not in (lab / "verify" / "verify.events.jsonl").read_text(encoding="utf-8")
 
 
-def test_given_a_rig_with_other_actuators_then_it_is_refused(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_rig_with_other_actuators_then_it_is_refused(lab, bank, capsys):
     rig = lab / "rig.toml"
     change_text(rig, "110.0, 0.0", "109.0, 0.0")
     capsys.readouterr()
@@ -95,9 +87,7 @@ def test_given_a_rig_with_other_actuators_then_it_is_refused(
     assert "actuators.position_mm" in capsys.readouterr().err
 
 
-def test_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_plays(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_plays(lab, bank, capsys):
     scene = lab / "scene.toml"
     change_text(scene, "limit_v = 1.0", "")
     capsys.readouterr()
@@ -106,7 +96,7 @@ def test_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_plays(
     assert not (lab / "verify" / "scan.h5").exists()
 
 
-def test_given_a_scan_with_a_lost_player_then_exit_3(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_given_a_scan_with_a_lost_player_then_exit_3(lab, capsys):
     with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 3\npurpose = "scan"')
     bank = lab / "plate.h5"
     assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
@@ -117,7 +107,7 @@ def test_given_a_scan_with_a_lost_player_then_exit_3(lab: Path, capsys: pytest.C
     assert "on the way out: virtual player" in printed
 
 
-def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(lab: Path, bank: Path) -> None:
+def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(lab, bank):
     drive_file, wav = lab / "drive.h5", lab / "drive.wav"
     command = ["render", str(lab / "scene.toml"), "--bank", str(bank), "--out", str(drive_file), "--wav", str(wav)]
     assert run(command) == 0
@@ -143,9 +133,7 @@ def _killed_in_scan(command: list[str], journal: Path) -> None:
 
 
 @pytest.mark.parametrize("of_earlier_version", [False, True])
-def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], of_earlier_version: bool
-) -> None:
+def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(lab, bank, capsys, of_earlier_version):
     if of_earlier_version:  # "nearest" was the default; `auto` gives another drive between so many positions
         write_positions(lab, [(x_mm, y_mm) for y_mm in range(-8, 9, 4) for x_mm in range(-8, 17, 4)])
         bank = lab / "more.h5"
@@ -177,9 +165,7 @@ def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(
     assert not journal.exists()
 
 
-def test_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it(lab, bank, capsys):
     (lab / "verify").mkdir()
     with ScanJournal(lab / "verify" / "scan.unfinished", "another", 5) as journal:
         response = np.zeros(5, np.float32)
@@ -190,9 +176,7 @@ def test_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it
     assert _verify(lab, bank, "--force") == 0
 
 
-def test_given_a_louder_actuator_then_cause_and_remedy_stand_first_in_the_report(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_louder_actuator_then_cause_and_remedy_stand_first_in_the_report(lab, bank, capsys):
     assert _verify(lab, bank, "--linearity") == 0
     earlier = lab / "verify" / "verify.json"
     linearity = next(one for one in read_record(earlier).figures if one.name == "linearity")
@@ -216,9 +200,7 @@ def test_given_a_louder_actuator_then_cause_and_remedy_stand_first_in_the_report
     ("emulation", "code", "actuators"),
     [("swapped_outputs = [[0, 2]]", "swapped", [0, 2]), ("output_delays_s = [0, 2e-4]", "delay", [1])],
 )
-def test_given_a_rig_that_was_changed_then_its_cause_is_named(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], emulation: str, code: str, actuators: list[int]
-) -> None:
+def test_given_a_rig_that_was_changed_then_its_cause_is_named(lab, bank, capsys, emulation, code, actuators):
     change_text(
         lab / "scene.toml", 'kind = "sine", frequency_hz = 200.0', 'kind = "noise", band_hz = [50, 450], seed = 1'
     )

@@ -89,7 +89,7 @@ ENDED = {"pause", "stop"}
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("waits")
     files = {"rig": RIG, "run": RUN, "scene": SCENE, "trials": TRIALS, "more": RUN.replace("positions.csv", "more.csv")}
     for name, text in files.items():
@@ -130,7 +130,7 @@ def names_work(text: str) -> bool:
 
 
 @pytest.mark.timeout(1800)
-def test_given_a_command_that_takes_long_then_each_wait_is_named(lab: Path) -> None:
+def test_given_a_command_that_takes_long_then_each_wait_is_named(lab):
     for command in WALK:
         code, written = shown(lab, command)
         assert code in (0, 1), f"{command}: {''.join(text for _, text in written)}"  # 1: what was found is not good
@@ -142,7 +142,7 @@ def test_given_a_command_that_takes_long_then_each_wait_is_named(lab: Path) -> N
                 assert names_work(so_far) or names_work(following), f"{command}: {so_far!r}, {following!r}"
 
 
-def test_the_walk_has_every_command_that_takes_a_bank() -> None:
+def test_the_walk_has_every_command_that_takes_a_bank():
     of_banks = {
         one.name for one in COMMANDS if any("BANK.h5" in str(each.settings.get("metavar")) for each in one.arguments)
     }

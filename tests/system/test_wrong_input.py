@@ -57,9 +57,7 @@ BROKEN: dict[str, Callable[[Path], None]] = {
     [(command, kind) for kind in BROKEN for command in ("resume", "render")]
     + [(command, "truncated") for command in ("status", "check", "predict", "remeasure")],
 )
-def test_given_a_broken_bank_then_one_sentence_exit_2_and_the_file_untouched(
-    lab: Path, bank: Path, kind: str, command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_broken_bank_then_one_sentence_exit_2_and_the_file_untouched(lab, bank, kind, command, capsys):
     drive = lab / "drive.h5"
     if command == "predict":
         assert run(["render", str(lab / "scene.toml"), "--bank", str(bank), "--out", str(drive)]) == 0
@@ -80,9 +78,7 @@ def test_given_a_broken_bank_then_one_sentence_exit_2_and_the_file_untouched(
     assert sorted(path.name for path in lab.iterdir()) == files
 
 
-def test_a_flipped_byte_is_refused_named_by_check_and_measured_again_by_resume(
-    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flipped_byte_is_refused_named_by_check_and_measured_again_by_resume(lab, bank, capsys):
     sound = bank.read_bytes()
     with h5py.File(bank, "r") as file:
         offset = file["green"].id.get_chunk_info(1).byte_offset + 777
@@ -100,9 +96,7 @@ def test_a_flipped_byte_is_refused_named_by_check_and_measured_again_by_resume(
     assert bank.read_bytes() == sound
 
 
-def test_given_a_bank_whose_plan_was_edited_then_its_resume_is_refused(
-    bank: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_bank_whose_plan_was_edited_then_its_resume_is_refused(bank, capsys):
     with h5py.File(bank, "r+") as file:
         file.attrs["plan_sha256"] = "0" * 64
     before = bank.read_bytes()
@@ -128,9 +122,7 @@ def test_given_a_bank_whose_plan_was_edited_then_its_resume_is_refused(
         (["render", "s.toml", "--bank", "b.h5", "--out", "d.h5", "--method", "guessed"], "guessed"),
     ],
 )
-def test_given_a_wrong_command_line_then_one_sentence_names_it(
-    command: list[str], names: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_wrong_command_line_then_one_sentence_names_it(command, names, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     code, line = _told(capsys, *command)
     assert code == 2
@@ -146,9 +138,7 @@ def test_given_a_wrong_command_line_then_one_sentence_names_it(
         (("amplitude", "amplitude"), ""),
     ],
 )
-def test_given_a_mistake_in_the_run_file_then_file_key_value_and_what_is_allowed(
-    lab: Path, change: tuple[str, str], names: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_a_mistake_in_the_run_file_then_file_key_value_and_what_is_allowed(lab, change, names, capsys):
     path = lab / "run.toml"
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace(*change) if names else text + "\nnot toml at all", encoding="utf-8")
@@ -159,9 +149,7 @@ def test_given_a_mistake_in_the_run_file_then_file_key_value_and_what_is_allowed
     assert not (lab / "plate.h5").exists()
 
 
-def test_given_the_demo_and_a_folder_of_somebody_elses_then_it_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_the_demo_and_a_folder_of_somebody_elses_then_it_is_refused(tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("years of work", encoding="utf-8")
     code, line = _told(capsys, "demo", "--out", tmp_path)
     assert code == 2

@@ -3,7 +3,6 @@
 import itertools
 import math
 import random
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,25 +29,25 @@ def levels_of(track: Track, answers: str) -> list[float | None]:
     return [*levels, track.next_level()]
 
 
-def test_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one() -> None:
+def test_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one():
     track = UpDown(table(reversals=4), [4.0, 3.0, 2.0, 1.0])
     assert levels_of(track, "++++-++-++") == [4, 4, 3, 3, 2, 3, 3, 2, 3, 3, None]
     assert track.reversals == [2, 3, 2, 3]
     assert track.threshold == pytest.approx((math.log10(2) + math.log10(3)) / 2)
 
 
-def test_a_staircase_at_an_end_of_its_ladder_stays_and_ends_by_its_trials() -> None:
+def test_a_staircase_at_an_end_of_its_ladder_stays_and_ends_by_its_trials():
     assert levels_of(UpDown(table(trials=6), [2.0, 1.0]), "++++++") == [2, 2, 1, 1, 1, 1, None]
     assert levels_of(UpDown(table(trials=3), [2.0, 1.0]), "---") == [2, 2, 2, None]
 
 
-def test_ladder_begins_at_its_easiest_level() -> None:
+def test_ladder_begins_at_its_easiest_level():
     assert track_of(table(), [1.0, 3.0, 2.0]).next_level() == 3.0
     assert track_of(table(factor="speed_mm_s", harder="higher"), [1.0, 3.0, 2.0]).next_level() == 1.0
 
 
 @pytest.mark.parametrize(("harder", "sign"), [("lower", 1), ("higher", -1)])
-def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder: str, sign: int) -> None:
+def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder, sign):
     rng = np.random.default_rng(5)
     thresholds, slopes = [], []
     for _ in range(8):
@@ -91,7 +90,7 @@ trials = 40
 """
 
 
-def test_tracks_take_random_turns_and_resume_from_the_answers_alone(tmp_path: Path) -> None:
+def test_tracks_take_random_turns_and_resume_from_the_answers_alone(tmp_path):
     (tmp_path / "trials.toml").write_text(DESIGN)
     design = load_trials(tmp_path / "trials.toml")
     assert (design.tracks, design.trials) == (("100mm_s-burst", "100mm_s-tone"), None)

@@ -40,7 +40,7 @@ def stored(folder: Path, *rows: Row) -> bytes:
     return (folder / ANSWERS).read_bytes()
 
 
-def test_given_answers_then_they_are_read_as_they_were_and_by_any_csv_reader(tmp_path: Path) -> None:
+def test_given_answers_then_they_are_read_as_they_were_and_by_any_csv_reader(tmp_path):
     stored(tmp_path, ROW, NEXT)
     assert read_answers(tmp_path) == (ROW, NEXT)
     with (tmp_path / ANSWERS).open(newline="", encoding="utf-8") as file:
@@ -51,7 +51,7 @@ def test_given_answers_then_they_are_read_as_they_were_and_by_any_csv_reader(tmp
     assert not (tmp_path / "trials.csv.owner").exists()
 
 
-def test_a_power_cut_at_every_byte_of_an_answer_keeps_those_before_it(tmp_path: Path) -> None:
+def test_a_power_cut_at_every_byte_of_an_answer_keeps_those_before_it(tmp_path):
     before = stored(tmp_path, ROW)
     whole = stored(tmp_path, NEXT)
     for length in range(len(before), len(whole)):
@@ -67,7 +67,7 @@ def test_a_power_cut_at_every_byte_of_an_answer_keeps_those_before_it(tmp_path: 
 
 
 @pytest.mark.parametrize("padding", [0, 200, 700])
-def test_a_power_cut_within_the_last_row_cuts_it_off_and_the_next_follows(tmp_path: Path, padding: int) -> None:
+def test_a_power_cut_within_the_last_row_cuts_it_off_and_the_next_follows(tmp_path, padding):
     before = stored(tmp_path, ROW, replace(ROW, trial=2, path="p" * padding))
     whole = stored(tmp_path, replace(ROW, trial=3, path="q" * padding))
     first, last = len(before) // 512, (len(whole) - 1) // 512
@@ -84,7 +84,7 @@ def test_a_power_cut_within_the_last_row_cuts_it_off_and_the_next_follows(tmp_pa
         assert [row.trial for row in read_answers(tmp_path)] == [1, 2, 4]
 
 
-def test_last_row_with_zero_inside_sector_then_it_is_damage_and_not_power_cut(tmp_path: Path) -> None:
+def test_last_row_with_zero_inside_sector_then_it_is_damage_and_not_power_cut(tmp_path):
     content = bytearray(stored(tmp_path, ROW, NEXT))
     content[-20] = 0
     (tmp_path / ANSWERS).write_bytes(content)
@@ -93,7 +93,7 @@ def test_last_row_with_zero_inside_sector_then_it_is_damage_and_not_power_cut(tm
 
 
 @pytest.mark.parametrize("blank", [b"\r\n", b"\n\n", b"  \r\n ", b"\r\n\r\n"])
-def test_blank_lines_at_the_end_then_they_are_no_rows_and_the_next_answer_follows(tmp_path: Path, blank: bytes) -> None:
+def test_blank_lines_at_the_end_then_they_are_no_rows_and_the_next_answer_follows(tmp_path, blank):
     whole = stored(tmp_path, ROW)
     (tmp_path / ANSWERS).write_bytes(whole + blank)
     assert read_answers(tmp_path) == (ROW,)
@@ -111,7 +111,7 @@ def resaved(folder: Path, change: Callable[[dict[str, str]], dict[str, str]], **
         table.writerows(rows)
 
 
-def test_given_a_column_more_then_answers_are_read_and_new_ones_leave_it_empty(tmp_path: Path) -> None:
+def test_given_a_column_more_then_answers_are_read_and_new_ones_leave_it_empty(tmp_path):
     stored(tmp_path, ROW, NEXT)
     resaved(tmp_path, lambda row: {"remark": "tired, late", **row, "room": "3"}, lineterminator="\n")
     assert read_answers(tmp_path) == (ROW, NEXT)
@@ -124,7 +124,7 @@ def test_given_a_column_more_then_answers_are_read_and_new_ones_leave_it_empty(t
     assert [row["remark"] for row in table] == ["tired, late", "tired, late", ""]
 
 
-def test_given_columns_with_a_default_that_are_missing_then_answers_have_it(tmp_path: Path) -> None:
+def test_given_columns_with_a_default_that_are_missing_then_answers_have_it(tmp_path):
     stored(tmp_path, ROW, NEXT)
     resaved(
         tmp_path, lambda row: {name: row[name] for name in reversed(row) if name not in DEFAULTS}, encoding="utf-8-sig"
@@ -135,7 +135,7 @@ def test_given_columns_with_a_default_that_are_missing_then_answers_have_it(tmp_
     assert read_answers(tmp_path)[2] == replace(ROW, trial=3, **DEFAULTS)
 
 
-def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path: Path) -> None:
+def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path):
     header = stored(tmp_path)
     for length in range(len(header)):
         (tmp_path / ANSWERS).write_bytes(header[:length])
@@ -159,9 +159,7 @@ def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path: Pat
         (b"burst,40", b"b\x00rst,40"),
     ],
 )
-def test_given_answers_that_another_program_changed_then_they_are_refused_and_stay(
-    tmp_path: Path, find: bytes, put: bytes
-) -> None:
+def test_given_answers_that_another_program_changed_then_they_are_refused_and_stay(tmp_path, find, put):
     content = stored(tmp_path, ROW, NEXT).replace(find, put)
     (tmp_path / ANSWERS).write_bytes(content)
     for opens in (read_answers, AnswersFile):
@@ -170,7 +168,7 @@ def test_given_answers_that_another_program_changed_then_they_are_refused_and_st
     assert (tmp_path / ANSWERS).read_bytes() == content
 
 
-def test_given_a_link_or_a_second_process_then_nothing_is_written(tmp_path: Path) -> None:
+def test_given_a_link_or_a_second_process_then_nothing_is_written(tmp_path):
     (tmp_path / "elsewhere.csv").write_bytes(b"")
     (tmp_path / ANSWERS).symlink_to(tmp_path / "elsewhere.csv")
     with pytest.raises(InputError):
@@ -183,9 +181,7 @@ def test_given_a_link_or_a_second_process_then_nothing_is_written(tmp_path: Path
     text=st.text(st.characters(exclude_categories=["C", "Z"]), max_size=20),
     number=st.floats(allow_nan=False, allow_infinity=False),
 )
-def test_given_any_texts_and_numbers_then_a_row_comes_back_to_the_bit(
-    tmp_path_factory: pytest.TempPathFactory, text: str, number: float
-) -> None:
+def test_given_any_texts_and_numbers_then_a_row_comes_back_to_the_bit(tmp_path_factory, text, number):
     folder = tmp_path_factory.mktemp("answers")
     row = replace(ROW, stimulus=text, answer=text, amplitude=number, reaction_s=np.float64(number))
     if text.isprintable():
@@ -193,14 +189,14 @@ def test_given_any_texts_and_numbers_then_a_row_comes_back_to_the_bit(
         assert astuple(read_answers(folder)[0]) == astuple(row)
 
 
-def test_given_names_of_people_then_they_are_no_codes() -> None:
+def test_given_names_of_people_then_they_are_no_codes():
     assert check_participant("P-07") == "P-07"
     for name in ("", "Ann Smith", "x" * 21, "../P1", "Ä", "P1\n"):
         with pytest.raises(InputError, match="participant"):
             check_participant(name)
 
 
-def test_given_facts_then_they_come_back_with_every_column(tmp_path: Path) -> None:
+def test_given_facts_then_they_come_back_with_every_column(tmp_path):
     write_facts(tmp_path, {"name": "paper"})
     assert read_facts(tmp_path)["name"] == "paper"
     assert set(read_facts(tmp_path)["columns"]) == set(Row.__slots__)
@@ -210,7 +206,7 @@ def test_given_facts_then_they_come_back_with_every_column(tmp_path: Path) -> No
             read_facts(tmp_path)
 
 
-def test_given_the_reference_page_then_it_names_every_order_and_event() -> None:
+def test_given_the_reference_page_then_it_names_every_order_and_event():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "trials.md").read_text(encoding="utf-8")
     assert "\n<!-- columns -->\n" in page
     for kind in (*ORDERS, *EVENTS):

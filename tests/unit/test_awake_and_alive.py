@@ -7,8 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -50,7 +48,7 @@ class Watch:
 
 
 @pytest.fixture
-def watch() -> Iterator[Watch]:
+def watch():
     one = Watch()
     yield one
     one.server.shutdown()
@@ -66,9 +64,7 @@ def until(true: object, within_s: float = 20.0) -> None:
         time.sleep(0.01)
 
 
-def test_given_a_file_and_an_address_then_both_receive_signs_of_life_until_the_end(
-    watch: Watch, tmp_path: Path
-) -> None:
+def test_given_a_file_and_an_address_then_both_receive_signs_of_life_until_the_end(watch, tmp_path):
     file = tmp_path / "alive"
     section = MessagesSection(alive_url=watch.url, alive_file=str(file))
     with AliveSignal(section, every_s=0.05):
@@ -82,7 +78,7 @@ def test_given_a_file_and_an_address_then_both_receive_signs_of_life_until_the_e
     assert len(watch.asked) == count
 
 
-def test_server_that_hangs_then_file_is_still_touched_and_end_is_not_held_up(watch: Watch, tmp_path: Path) -> None:
+def test_server_that_hangs_then_file_is_still_touched_and_end_is_not_held_up(watch, tmp_path):
     watch.hangs.set()
     file = tmp_path / "alive"
     with AliveSignal(MessagesSection(alive_url=watch.url, alive_file=str(file)), every_s=0.05):
@@ -95,9 +91,7 @@ def test_server_that_hangs_then_file_is_still_touched_and_end_is_not_held_up(wat
     watch.hangs.clear()
 
 
-def test_given_no_server_or_folder_then_it_is_said_once_and_without_the_address(
-    watch: Watch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_no_server_or_folder_then_it_is_said_once_and_without_the_address(watch, tmp_path, capsys):
     watch.status = 500
     section = MessagesSection(alive_url=watch.url, alive_file=str(tmp_path / "none" / "alive"))
     with AliveSignal(section, every_s=0.05):
@@ -112,9 +106,7 @@ def test_given_no_server_or_folder_then_it_is_said_once_and_without_the_address(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="systemd-inhibit")
-def test_session_manager_then_it_is_told_reason_and_released_however_run_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_session_manager_then_it_is_told_reason_and_released_however_run_ends(tmp_path, monkeypatch):
     noted = tmp_path / "noted"
     stand_in = tmp_path / "systemd-inhibit"  # takes the same options and starts the command, as the real one does
     stand_in.write_text(f'#!/bin/sh\necho "$@" >> {noted}\nshift 4\n"$@"\necho over >> {noted}\n')
@@ -133,7 +125,7 @@ def test_session_manager_then_it_is_told_reason_and_released_however_run_ends(
     until(lambda: "over" in noted.read_text())
 
 
-def test_given_a_system_that_refuses_then_the_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_given_a_system_that_refuses_then_the_run_goes_on(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with kept_awake("measuring") as accepted:
         assert accepted is (sys.platform == "win32")
@@ -142,9 +134,7 @@ def test_given_a_system_that_refuses_then_the_run_goes_on(tmp_path: Path, monkey
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="systemd-inhibit")
-def test_given_a_user_who_may_only_refuse_idling_then_that_is_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_user_who_may_only_refuse_idling_then_that_is_asked_for(tmp_path, monkeypatch):
     noted = tmp_path / "noted"
     stand_in = tmp_path / "systemd-inhibit"
     text = f'#!/bin/sh\ncase "$1" in *sleep*) exit 1;; esac\necho "$1" >> {noted}\nshift 4\n"$@"\n'

@@ -1,6 +1,5 @@
 """Reading banks: measured by this program, or written by any other."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -47,7 +46,7 @@ def overwrite(path: Path, offset: int, content: bytes) -> None:
 # --- banks of this program ------------------------------------------------------------------------------
 
 
-def test_a_measured_bank_then_tells_its_header(tmp_path: Path) -> None:
+def test_a_measured_bank_then_tells_its_header(tmp_path):
     with open_bank(measured(tmp_path / "bank.h5")) as bank:
         assert (bank.positions, bank.actuators, bank.taps) == (3, 2, 16)
         assert bank.sample_rate_hz == 10_000.0
@@ -60,7 +59,7 @@ def test_a_measured_bank_then_tells_its_header(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("position", [-1, 3])
-def test_a_position_outside_the_bank_then_is_refused(tmp_path: Path, position: int) -> None:
+def test_a_position_outside_the_bank_then_is_refused(tmp_path, position):
     with (
         open_bank(measured(tmp_path / "bank.h5")) as bank,
         pytest.raises(InputError, match=rf"bank\.h5: position is {position}; allowed are 0 to 2"),
@@ -68,7 +67,7 @@ def test_a_position_outside_the_bank_then_is_refused(tmp_path: Path, position: i
         bank.green(position)
 
 
-def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_path: Path) -> None:
+def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with h5py.File(path, "r") as file:
         journal = file["durability/journal"].id.get_offset()
@@ -87,7 +86,7 @@ def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_pa
         assert writer.attempts.tolist() == [1, 2, 1]
 
 
-def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_path: Path) -> None:
+def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_path):
     path = measured(tmp_path / "bank.h5")
     heap = path.read_bytes().index(b"GCOL")
     overwrite(path, heap + 16, bytes(16))  # an object without index and size: HDF5 2.0 never returns from it
@@ -104,9 +103,7 @@ def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_pat
     shape=st.tuples(st.integers(1, 5), st.integers(1, 3), st.integers(1, 9)),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_a_foreign_bank_of_any_number_type_and_layout_then_reads_its_values(
-    tmp_path: Path, dtype: str, options: dict[str, object], shape: tuple[int, int, int], seed: int
-) -> None:
+def test_a_foreign_bank_of_any_number_type_and_layout_then_reads_its_values(tmp_path, dtype, options, shape, seed):
     values = (np.random.default_rng(seed).normal(size=shape) * 50).clip(0, 250).astype(dtype)
     if "chunks" in options and options["chunks"] is not True:
         options = {"chunks": tuple(map(min, (2, 1, 3), shape))}
@@ -119,7 +116,7 @@ def test_a_foreign_bank_of_any_number_type_and_layout_then_reads_its_values(
             assert np.array_equal(green, values[position].astype(np.float64))
 
 
-def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_path: Path) -> None:
+def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_path):
     green = np.ones((3, 2, 4))
     green[1] = 0
     with open_bank(foreign(tmp_path / "foreign.h5", green)) as bank:
@@ -136,7 +133,7 @@ def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_p
         assert bank.verify() == ()
 
 
-def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_says(tmp_path: Path) -> None:
+def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_says(tmp_path):
     path = foreign(tmp_path / "foreign.h5", np.ones((2, 3, 4), ">f4"))
     with h5py.File(path, "r+") as file:
         file.attrs.update(format="wavefocus-bank", format_version=1, band_hz=[30.0, 400.0], response_unit="m/V")
@@ -190,9 +187,7 @@ def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_s
         (put("quality", h5py.ExternalLink("other.h5", "/quality")), "/quality is a link to elsewhere"),
     ],
 )
-def test_a_foreign_bank_with_something_wrong_then_is_refused_by_name(
-    tmp_path: Path, change: Callable[[h5py.File], None], message: str
-) -> None:
+def test_a_foreign_bank_with_something_wrong_then_is_refused_by_name(tmp_path, change, message):
     path = foreign(tmp_path / "foreign.h5", np.ones((2, 2, 4)))
     with h5py.File(path, "r+") as file:
         change(file)
@@ -205,7 +200,7 @@ def test_a_foreign_bank_with_something_wrong_then_is_refused_by_name(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_value_that_is_not_finite_then_is_named_by_position_and_actuator(tmp_path: Path, bad: float) -> None:
+def test_a_value_that_is_not_finite_then_is_named_by_position_and_actuator(tmp_path, bad):
     green = np.ones((3, 2, 4))
     green[2, 1, 3] = bad
     with open_bank(foreign(tmp_path / "foreign.h5", green)) as bank:
@@ -214,7 +209,7 @@ def test_a_value_that_is_not_finite_then_is_named_by_position_and_actuator(tmp_p
             bank.green(2)
 
 
-def test_a_compressed_row_that_is_damaged_then_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_compressed_row_that_is_damaged_then_is_refused_in_one_line(tmp_path):
     path = foreign(tmp_path / "foreign.h5", np.ones((2, 2, 400)), compression="gzip", chunks=(1, 2, 400))
     with h5py.File(path, "r") as file:
         offset = file["green"].id.get_chunk_info(1).byte_offset
@@ -226,7 +221,7 @@ def test_a_compressed_row_that_is_damaged_then_is_refused_in_one_line(tmp_path: 
     assert "\n" not in str(refusal.value)
 
 
-def test_packed_integers_then_are_unpacked_and_missing_ones_not_measured(tmp_path: Path) -> None:
+def test_packed_integers_then_are_unpacked_and_missing_ones_not_measured(tmp_path):
     stored = np.arange(24, dtype=np.int16).reshape(3, 2, 4)
     stored[2] = -32768
     path = foreign(tmp_path / "foreign.h5", stored)

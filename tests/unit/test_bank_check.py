@@ -52,14 +52,14 @@ def only(findings: list[BankProblem]) -> BankProblem:
     [(POSITIONS, ("green", 9, 4), 4), (POSITIONS, ("durability/ledger", 3 * 4096 + 1000), 3), (2, ("green", 9, 4), 4)],
     ids=["of the data", "of the ledger", "at a position that is not measured"],
 )
-def test_a_flipped_bit_then_is_an_error_at_its_position(tmp_path: Path, positions, damage, position) -> None:
+def test_a_flipped_bit_then_is_an_error_at_its_position(tmp_path, positions, damage, position):
     path = measured(tmp_path / "bank.h5", responses()[:positions])
     flip(path, *damage)
     assert {(finding.position, finding.severity) for finding in check_bank(path)} == {(position, "error")}
 
 
 @pytest.mark.parametrize("name", ["status", "quality/peak_v", "quality/attempts"])
-def test_a_figure_that_differs_from_the_ledger_then_is_an_error_and_opening_heals_it(tmp_path: Path, name: str) -> None:
+def test_a_figure_that_differs_from_the_ledger_then_is_an_error_and_opening_heals_it(tmp_path, name):
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
         row_bytes = file[name].id.get_type().get_size() * int(np.prod(file[name].shape[1:]))
@@ -71,7 +71,7 @@ def test_a_figure_that_differs_from_the_ledger_then_is_an_error_and_opening_heal
     assert check_bank(path) == []
 
 
-def test_a_torn_journal_then_is_an_error_and_opening_clears_it(tmp_path: Path) -> None:
+def test_a_torn_journal_then_is_an_error_and_opening_clears_it(tmp_path):
     path = measured(tmp_path / "bank.h5", responses())
     flip(path, "durability/journal", 5000)
     assert only(check_bank(path)).severity == "error"
@@ -89,7 +89,7 @@ def test_a_torn_journal_then_is_an_error_and_opening_clears_it(tmp_path: Path) -
     ],
     ids=["a long response", "a dead actuator", "out of all proportion", "zeros"],
 )
-def test_responses_that_cannot_be_then_are_named(tmp_path: Path, rows, factor, position, severity, words) -> None:
+def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, position, severity, words):
     green = responses()
     green[rows] *= factor
     finding = only(check_bank(measured(tmp_path / "bank.h5", green)))
@@ -98,7 +98,7 @@ def test_responses_that_cannot_be_then_are_named(tmp_path: Path, rows, factor, p
     assert words in finding.message
 
 
-def test_two_positions_at_one_place_then_are_a_warning(tmp_path: Path) -> None:
+def test_two_positions_at_one_place_then_are_a_warning(tmp_path):
     grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
     grid[4] = grid[1]
     finding = only(check_bank(measured(tmp_path / "bank.h5", responses(), grid)))
@@ -106,7 +106,7 @@ def test_two_positions_at_one_place_then_are_a_warning(tmp_path: Path) -> None:
     assert "like position 1" in finding.message
 
 
-def test_a_foreign_bank_with_values_that_are_not_finite_then_is_an_error(tmp_path: Path) -> None:
+def test_a_foreign_bank_with_values_that_are_not_finite_then_is_an_error(tmp_path):
     green = responses()
     green[3, 1, 7] = np.nan
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
@@ -119,7 +119,7 @@ def test_a_foreign_bank_with_values_that_are_not_finite_then_is_an_error(tmp_pat
     assert "actuator 1" in finding.message
 
 
-def test_a_check_during_a_run_then_has_no_findings(tmp_path: Path) -> None:
+def test_a_check_during_a_run_then_has_no_findings(tmp_path):
     path = measured(tmp_path / "bank.h5", responses()[:3])
     with BankWriter.open(path) as writer:
         figures = np.ones(ACTUATORS, np.float32)
@@ -127,7 +127,7 @@ def test_a_check_during_a_run_then_has_no_findings(tmp_path: Path) -> None:
         assert check_bank(path) == []
 
 
-def test_a_zeroed_ledger_page_then_is_found_by_every_reader_and_measured_again(tmp_path: Path) -> None:
+def test_a_zeroed_ledger_page_then_is_found_by_every_reader_and_measured_again(tmp_path):
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
         offset = file["durability/ledger"].id.get_offset() + 3 * 4096
@@ -148,7 +148,7 @@ def test_a_zeroed_ledger_page_then_is_found_by_every_reader_and_measured_again(t
 
 
 @pytest.mark.parametrize("name", ["axis", "time_s", "position_mm"])
-def test_a_changed_value_that_no_resume_rewrites_then_is_found(tmp_path: Path, name: str) -> None:
+def test_a_changed_value_that_no_resume_rewrites_then_is_found(tmp_path, name):
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r+") as file:
         file[name][...] = ["x", "z"] if name == "axis" else 7
@@ -156,7 +156,7 @@ def test_a_changed_value_that_no_resume_rewrites_then_is_found(tmp_path: Path, n
         check_bank(path)
 
 
-def test_a_changed_unit_of_a_dataset_then_is_found(tmp_path: Path) -> None:
+def test_a_changed_unit_of_a_dataset_then_is_found(tmp_path):
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r+") as file:
         file["quality/peak_v"].attrs["units"] = "mV"
@@ -164,7 +164,7 @@ def test_a_changed_unit_of_a_dataset_then_is_found(tmp_path: Path) -> None:
         check_bank(path)
 
 
-def test_bank_without_checksum_of_its_contents_then_is_read_and_checked_as_before(tmp_path: Path) -> None:
+def test_bank_without_checksum_of_its_contents_then_is_read_and_checked_as_before(tmp_path):
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r+") as file:
         del file.attrs["contents_sha256"]
@@ -183,19 +183,19 @@ def plate_bank_file(path: Path, wrong: int, check_rows: tuple[int, ...] = (), sp
     )
 
 
-def test_row_that_its_neighbours_contradict_then_is_error_that_names_difference(tmp_path: Path) -> None:
+def test_row_that_its_neighbours_contradict_then_is_error_that_names_difference(tmp_path):
     path = plate_bank_file(tmp_path / "bank.h5", wrong=24)
     errors = [one for one in check_bank(path) if one.severity == "error"]
     assert [(one.position, one.actuator) for one in errors] == [(24, 2)]
     assert "polarity" in errors[0].message
 
 
-def test_a_row_that_only_judges_what_is_interpolated_is_no_neighbour_and_has_none(tmp_path: Path) -> None:
+def test_a_row_that_only_judges_what_is_interpolated_is_no_neighbour_and_has_none(tmp_path):
     path = plate_bank_file(tmp_path / "bank.h5", wrong=24, check_rows=(24,))
     assert [one for one in check_bank(path) if one.severity == "error"] == []
 
 
 @pytest.mark.long  # the waves of 49 positions are fitted; test_neighbour_judge.py has coarse grids in the quick tests
-def test_on_a_coarse_grid_waves_judge_all_rows_also_those_off_the_grid(tmp_path: Path) -> None:
+def test_on_a_coarse_grid_waves_judge_all_rows_also_those_off_the_grid(tmp_path):
     path = plate_bank_file(tmp_path / "bank.h5", wrong=24, check_rows=(24,), spacing_mm=10.0)
     assert [(one.position, one.actuator) for one in check_bank(path) if one.severity == "error"] == [(24, 2)]

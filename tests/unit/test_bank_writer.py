@@ -12,7 +12,6 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -79,7 +78,7 @@ def digest(path: Path) -> str:
 # --- what a bank is -------------------------------------------------------------------------------------
 
 
-def test_a_new_bank_then_reads_as_zeros_and_nothing_is_measured(tmp_path: Path) -> None:
+def test_a_new_bank_then_reads_as_zeros_and_nothing_is_measured(tmp_path):
     create_bank(tmp_path / "bank.h5", header())
     with open_bank(tmp_path / "bank.h5") as bank:
         assert bank.status.tolist() == [0, 0, 0, 0]
@@ -88,7 +87,7 @@ def test_a_new_bank_then_reads_as_zeros_and_nothing_is_measured(tmp_path: Path) 
         assert np.isnan(bank.quality["snr_db"]).all()
 
 
-def test_a_bank_opened_by_plain_h5py_then_holds_contract_section_2(tmp_path: Path) -> None:
+def test_a_bank_opened_by_plain_h5py_then_holds_contract_section_2(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with h5py.File(path, "r") as file:
         assert file.attrs["format"] == "wavefocus-bank"
@@ -111,7 +110,7 @@ def test_a_bank_opened_by_plain_h5py_then_holds_contract_section_2(tmp_path: Pat
         assert file["quality/attempts"][...].tolist() == [1, 1, 1, 1]
 
 
-def test_a_bank_opened_by_xarray_then_shows_labelled_dimensions_and_units(tmp_path: Path) -> None:
+def test_a_bank_opened_by_xarray_then_shows_labelled_dimensions_and_units(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with xarray.open_dataset(path, engine="h5netcdf") as dataset:
         assert dataset["green"].dims == ("position", "actuator", "time_s")
@@ -127,7 +126,7 @@ def test_a_bank_opened_by_xarray_then_shows_labelled_dimensions_and_units(tmp_pa
         assert quality["snr_db"].attrs["units"] == "dB"
 
 
-def test_a_bank_measured_in_another_order_then_holds_the_same_bytes(tmp_path: Path) -> None:
+def test_a_bank_measured_in_another_order_then_holds_the_same_bytes(tmp_path):
     create_bank(tmp_path / "bank.h5", header())
     with BankWriter.open(tmp_path / "bank.h5") as writer:
         for position in (3, 1, 2, 0):
@@ -142,9 +141,7 @@ def test_a_bank_measured_in_another_order_then_holds_the_same_bytes(tmp_path: Pa
     taps=st.integers(1, 40),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_rows_committed_in_any_order_then_come_back_bit_for_bit(
-    tmp_path: Path, positions: int, actuators: int, taps: int, seed: int
-) -> None:
+def test_rows_committed_in_any_order_then_come_back_bit_for_bit(tmp_path, positions, actuators, taps, seed):
     path = tmp_path / f"{positions}-{actuators}-{taps}-{seed}.h5"
     path.unlink(missing_ok=True)
     rng = np.random.default_rng(seed)
@@ -166,7 +163,7 @@ def test_rows_committed_in_any_order_then_come_back_bit_for_bit(
 # --- creation -------------------------------------------------------------------------------------------
 
 
-def test_a_path_that_exists_then_is_refused_and_untouched(tmp_path: Path) -> None:
+def test_a_path_that_exists_then_is_refused_and_untouched(tmp_path):
     (tmp_path / "bank.h5").write_bytes(b"precious")
     with pytest.raises(InputError, match=r"bank\.h5 exists already"):
         create_bank(tmp_path / "bank.h5", header())
@@ -174,7 +171,7 @@ def test_a_path_that_exists_then_is_refused_and_untouched(tmp_path: Path) -> Non
     assert [entry.name for entry in tmp_path.iterdir()] == ["bank.h5"]
 
 
-def test_a_bank_larger_than_the_disk_then_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_bank_larger_than_the_disk_then_is_refused_and_leaves_nothing(tmp_path):
     free = shutil.disk_usage(tmp_path).free
     too_many = free // (20 * 200_000 * 4) + 100
     with pytest.raises(InputError, match=r"bank\.h5 needs \d+ bytes and its disk has \d+ free"):
@@ -187,13 +184,13 @@ class FullDisk(PosixFile):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_a_disk_that_fills_during_creation_then_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_disk_that_fills_during_creation_then_leaves_nothing_behind(tmp_path):
     with pytest.raises(InputError, match=r"bank\.h5 cannot be made.*No space left"):
         create_bank(tmp_path / "bank.h5", header(), open_file=FullDisk)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_folder_then_is_named(tmp_path: Path) -> None:
+def test_a_missing_folder_then_is_named(tmp_path):
     with pytest.raises(InputError, match=r"the folder .*nowhere does not exist"):
         create_bank(tmp_path / "nowhere" / "bank.h5", header())
 
@@ -210,7 +207,7 @@ def test_a_missing_folder_then_is_named(tmp_path: Path) -> None:
         ({"rig_json": "a\0b"}, "rig_json holds a zero character"),
     ],
 )
-def test_a_wrong_header_then_is_refused_by_name(change: dict[str, object], message: str) -> None:
+def test_a_wrong_header_then_is_refused_by_name(change, message):
     with pytest.raises(InputError, match=message):
         replace(header(), **change)
 
@@ -218,7 +215,7 @@ def test_a_wrong_header_then_is_refused_by_name(change: dict[str, object], messa
 # --- commits --------------------------------------------------------------------------------------------
 
 
-def test_a_position_measured_again_then_is_replaced_and_the_journal_is_empty(tmp_path: Path) -> None:
+def test_a_position_measured_again_then_is_replaced_and_the_journal_is_empty(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with BankWriter.open(path) as writer:
         writer.commit(1, green_of(1, 2), record_of(1, 2, status=4))
@@ -231,7 +228,7 @@ def test_a_position_measured_again_then_is_replaced_and_the_journal_is_empty(tmp
         assert not file["durability/journal"][...].any()
 
 
-def test_a_disabled_position_then_keeps_its_data_and_loses_its_valid_bit(tmp_path: Path) -> None:
+def test_a_disabled_position_then_keeps_its_data_and_loses_its_valid_bit(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with BankWriter.open(path) as writer:
         writer.disable(2)
@@ -251,9 +248,7 @@ def test_a_disabled_position_then_keeps_its_data_and_loses_its_valid_bit(tmp_pat
         (0, np.full((2, 16), np.nan, np.float32), "green of position 0 holds values that are not finite"),
     ],
 )
-def test_a_wrong_commit_then_is_refused_and_writes_nothing(
-    tmp_path: Path, position: int, green: np.ndarray, message: str
-) -> None:
+def test_a_wrong_commit_then_is_refused_and_writes_nothing(tmp_path, position, green, message):
     path = measured(tmp_path / "bank.h5")
     before = digest(path)
     with BankWriter.open(path) as writer, pytest.raises(InputError, match=message):
@@ -284,9 +279,7 @@ class FailingFile(PosixFile):
     ("position", "failing"),
     [(1, failing) for failing in range(1, 10)] + [(3, failing) for failing in range(1, 10, 3)],  # replaced; new
 )
-def test_a_write_that_fails_then_is_told_and_every_earlier_position_is_intact(
-    tmp_path: Path, failing: int, position: int
-) -> None:
+def test_a_write_that_fails_then_is_told_and_every_earlier_position_is_intact(tmp_path, failing, position):
     path = tmp_path / "bank.h5"
     create_bank(path, header())
     with BankWriter.open(path) as writer:
@@ -366,9 +359,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("change", "message"), REFUSED, ids=[message for _, message in REFUSED])
-def test_a_file_that_is_no_sound_bank_then_is_refused_in_one_line_and_untouched(
-    tmp_path: Path, change: Callable[[Path], None], message: str
-) -> None:
+def test_a_file_that_is_no_sound_bank_then_is_refused_in_one_line_and_untouched(tmp_path, change, message):
     path = measured(tmp_path / "bank.h5")
     change(path)
     before, changed = path.read_bytes(), path.stat().st_mtime_ns
@@ -381,7 +372,7 @@ def test_a_file_that_is_no_sound_bank_then_is_refused_in_one_line_and_untouched(
     assert [entry.name for entry in tmp_path.iterdir()] == ["bank.h5"]
 
 
-def test_a_bank_of_another_plan_then_is_refused_and_untouched(tmp_path: Path) -> None:
+def test_a_bank_of_another_plan_then_is_refused_and_untouched(tmp_path):
     path = measured(tmp_path / "bank.h5")
     before, changed = path.read_bytes(), path.stat().st_mtime_ns
     with pytest.raises(InputError, match=r"bank\.h5 belongs to another plan \(ababababab.*; resume it"):
@@ -400,7 +391,7 @@ def test_a_bank_of_another_plan_then_is_refused_and_untouched(tmp_path: Path) ->
         (".", "not a regular file"),
     ],
 )
-def test_a_path_that_is_no_file_then_is_refused(tmp_path: Path, name: str, message: str) -> None:
+def test_a_path_that_is_no_file_then_is_refused(tmp_path, name, message):
     (tmp_path / "link.h5").symlink_to(measured(tmp_path / "bank.h5"))
     with pytest.raises(InputError, match=message):
         BankWriter.open(tmp_path / name)
@@ -418,7 +409,7 @@ with BankWriter.open(Path(sys.argv[1])):
 """
 
 
-def test_a_second_process_then_is_told_who_owns_the_bank(tmp_path: Path) -> None:
+def test_a_second_process_then_is_told_who_owns_the_bank(tmp_path):
     path = measured(tmp_path / "bank.h5")
     command = [sys.executable, "-c", HOLD, str(path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
@@ -437,7 +428,7 @@ def test_a_second_process_then_is_told_who_owns_the_bank(tmp_path: Path) -> None
     assert not owner_path(path).exists()
 
 
-def test_two_writers_in_one_process_then_only_the_first_gets_the_bank(tmp_path: Path) -> None:
+def test_two_writers_in_one_process_then_only_the_first_gets_the_bank(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with BankWriter.open(path), pytest.raises(BankBusyError, match=f"process {os.getpid()} on"):
         BankWriter.open(path)
@@ -457,7 +448,7 @@ os._exit(0)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_a_forked_child_then_does_not_keep_the_bank_of_its_dead_parent(tmp_path: Path) -> None:
+def test_a_forked_child_then_does_not_keep_the_bank_of_its_dead_parent(tmp_path):
     path = measured(tmp_path / "bank.h5")
     command = [sys.executable, "-W", "ignore", "-c", FORK, str(path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as parent:
@@ -467,7 +458,7 @@ def test_a_forked_child_then_does_not_keep_the_bank_of_its_dead_parent(tmp_path:
         BankWriter.open(path).close()
 
 
-def test_plain_h5py_during_a_run_then_reads_status_and_quality(tmp_path: Path) -> None:
+def test_plain_h5py_during_a_run_then_reads_status_and_quality(tmp_path):
     path = tmp_path / "bank.h5"
     create_bank(path, header())
     with BankWriter.open(path) as writer:
@@ -498,9 +489,7 @@ def _true_rms(positions: list[int]) -> np.ndarray:
         ({"neighbour_round": 2**22 - 1, "suspect": True}, 4 + (2**23 - 1) * 256),
     ],
 )
-def test_marks_of_a_row_then_share_its_status_field_and_are_read_back(
-    tmp_path: Path, marks: dict[str, Any], number: int
-) -> None:
+def test_marks_of_a_row_then_share_its_status_field_and_are_read_back(tmp_path, marks, number):
     path = measured(tmp_path / "bank.h5")
     record = replace(record_of(1, status=4), **marks)
     assert int.from_bytes(encode_row(1, record, green_of(1))[32:36], "little") == number
@@ -514,7 +503,7 @@ def test_marks_of_a_row_then_share_its_status_field_and_are_read_back(
         assert getattr(kept, name) == getattr(figures, name)[1] == getattr(record, name)
 
 
-def test_rms_of_each_committed_position_is_stored_and_silent_or_new_one_has_none(tmp_path: Path) -> None:
+def test_rms_of_each_committed_position_is_stored_and_silent_or_new_one_has_none(tmp_path):
     path = tmp_path / "bank.h5"
     create_bank(path, header())
     with BankWriter.open(path) as writer:
@@ -541,7 +530,7 @@ def _without_stored_rms(path: Path, position: int) -> None:
     path.write_bytes(content)
 
 
-def test_only_rows_of_an_older_version_are_read_for_the_rms_of_a_bank(tmp_path: Path) -> None:
+def test_only_rows_of_an_older_version_are_read_for_the_rms_of_a_bank(tmp_path):
     path = measured(tmp_path / "bank.h5")
     _without_stored_rms(path, 2)
     with open_bank(path) as bank:
@@ -565,7 +554,7 @@ def _of_the_first_edition(path: Path) -> Path:
     return path
 
 
-def test_a_row_measured_aside_then_says_so_and_how_loud_the_reference_was(tmp_path: Path) -> None:
+def test_a_row_measured_aside_then_says_so_and_how_loud_the_reference_was(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with BankWriter.open(path) as writer:
         writer.commit(2, green_of(2), replace(record_of(2), moved_mm=0.1414, reference_db=-0.0372))
@@ -580,7 +569,7 @@ def test_a_row_measured_aside_then_says_so_and_how_loud_the_reference_was(tmp_pa
     assert not [one for one in check_bank(path) if "differ" in one.message]
 
 
-def test_a_bank_of_the_first_edition_then_is_read_checked_and_measured_on(tmp_path: Path) -> None:
+def test_a_bank_of_the_first_edition_then_is_read_checked_and_measured_on(tmp_path):
     path = _of_the_first_edition(tmp_path / "bank.h5")
     with open_bank(path) as bank:
         assert bank.status.tolist() == [1, 1, 1, 1]

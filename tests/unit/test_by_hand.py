@@ -28,14 +28,14 @@ def bench(**changes: object) -> Setup:
     return setup
 
 
-def test_given_an_input_too_small_for_what_plays_then_the_level_says_over_range() -> None:
+def test_given_an_input_too_small_for_what_plays_then_the_level_says_over_range():
     setup = replace(bench(), range_v=(0.2, 10.0))
     meter = ManualMeasurements(setup, RATE_HZ)
     meter.sound(0, 0.5)
     assert meter.level().reference.over_range
 
 
-def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number() -> None:
+def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number():
     setup = bench(actuator_strength=(1.0, 1.0, 0.0))
     figures = ManualMeasurements(setup, RATE_HZ).sweep(msgspec.structs.replace(SWEEP, actuator=2)).figures
     assert figures is not None
@@ -44,14 +44,14 @@ def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number() -> None:
     assert not any("actuator 0" in one.sentence for one in figures.defects)
 
 
-def test_given_a_response_that_is_cut_off_then_the_sweep_says_so() -> None:
+def test_given_a_response_that_is_cut_off_then_the_sweep_says_so():
     setup = replace(bench(), range_v=(10.0, 5e-3))
     figures = ManualMeasurements(setup, RATE_HZ).sweep(SWEEP).figures
     assert figures is not None
     assert "over-range" in [one.name for one in figures.defects]
 
 
-def test_loopback_that_is_not_plugged_in_then_sweep_tells_that_in_place_of_figures() -> None:
+def test_loopback_that_is_not_plugged_in_then_sweep_tells_that_in_place_of_figures():
     setup = bench()
     result = ManualMeasurements(replace(setup, loopback_channel=setup.actuator_channels[1]), RATE_HZ).sweep(SWEEP)
     assert result.figures is None
@@ -78,7 +78,7 @@ class SlowPlayer:
         self.sounding = False
 
 
-def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds() -> None:
+def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds():
     player = SlowPlayer(VirtualRig().instruments.player)
     gate = BoundedPlayer(player, 30.0)
     refused: list[ShutError] = []
@@ -99,7 +99,7 @@ def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds() -> Non
     assert not player.sounding
 
 
-def test_gate_that_is_shut_then_record_fails_silently_muted_and_leaves_rig_usable() -> None:
+def test_gate_that_is_shut_then_record_fails_silently_muted_and_leaves_rig_usable():
     setup = bench()
     gate = BoundedPlayer(setup.instruments.player, 30.0)
     roles = setup.instruments

@@ -1,7 +1,6 @@
 """A calibration file named in a rig file that a person wrote."""
 
 import tomllib
-from pathlib import Path
 
 import pytest
 
@@ -30,9 +29,7 @@ NEW = "calibration-2026-11-21.toml"
         ("a = 1\r\n[calibration]\r\nfile = 'x'\r\n", f'a = 1\r\n[calibration]\r\nfile = "{NEW}"\r\n'),
     ],
 )
-def test_given_a_rig_file_then_only_the_name_of_the_calibration_changes(
-    tmp_path: Path, text: str, expected: str
-) -> None:
+def test_given_a_rig_file_then_only_the_name_of_the_calibration_changes(tmp_path, text, expected):
     file = tmp_path / "rig.toml"
     file.write_bytes(text.encode())
     file.chmod(0o640)
@@ -46,7 +43,7 @@ def test_given_a_rig_file_then_only_the_name_of_the_calibration_changes(
 @pytest.mark.parametrize(
     "name", ["calibrations/new.toml", r"calibrations\new.toml", 'a"b.toml', "Plätte.toml", r"C:\n"]
 )
-def test_given_a_name_with_any_letter_then_it_is_read_back(tmp_path: Path, name: str) -> None:
+def test_given_a_name_with_any_letter_then_it_is_read_back(tmp_path, name):
     file = tmp_path / "rig.toml"
     file.write_text("[calibration]\nfile = 'x'\n", encoding="utf-8")
     name_calibration(file, name)
@@ -57,7 +54,7 @@ DEEP = f"a = {'[' * 200}{']' * 200}\n"  # Python reads it; the editor of TOML do
 
 
 @pytest.mark.parametrize("text", ["calibration = 3\n", "[[calibration]]\nfile = 'x'\n", "[calibration\n", DEEP])
-def test_given_a_file_that_has_no_such_table_then_it_is_left_alone(tmp_path: Path, text: str) -> None:
+def test_given_a_file_that_has_no_such_table_then_it_is_left_alone(tmp_path, text):
     file = tmp_path / "rig.toml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=r"rig\.toml: "):

@@ -67,7 +67,7 @@ def outputs(probe: Probe, hands: Hands) -> tuple[OutputFigures, ...]:
 
 
 @pytest.mark.parametrize("left", ["both", "output 2"])
-def test_given_another_cable_than_asked_for_then_the_person_is_asked_again(left: str) -> None:
+def test_given_another_cable_than_asked_for_then_the_person_is_asked_again(left):
     rig, _, probe = bench()
     rig.patch_bay.connect(left)
     hands = Hands(rig, forgets=("output 0",))
@@ -78,7 +78,7 @@ def test_given_another_cable_than_asked_for_then_the_person_is_asked_again(left:
 
 
 @pytest.mark.parametrize("patience", [1, 5])
-def test_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it(patience: int) -> None:
+def test_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it(patience):
     rig, _, probe = bench()
     rig.patch_bay.connect("both")
     hands = Hands(rig, forgets=("sum",), patience=patience)
@@ -91,13 +91,13 @@ def test_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it
         assert hands.plugged == ["sum", "sum"]
 
 
-def test_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused() -> None:
+def test_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused():
     rig, _, probe = bench(fault_plan=(RigFault("recorder", "read", "drift", at_call=1, count=3, level_db=-3.0),))
     with pytest.raises(NotMeasuredError, match=r"the same cable -29\.\d % apart: check cables and terminal"):
         measure_inputs(probe, Hands(rig))
 
 
-def test_given_no_loopback_then_nothing_is_measured_and_it_says_why() -> None:
+def test_given_no_loopback_then_nothing_is_measured_and_it_says_why():
     rig, _, probe = bench(output_gain=(1.0, 1.0, 1.0, 0.0))
     with pytest.raises(NotMeasuredError, match="no signal from the loopback at the reference input"):
         measure_inputs(probe, Hands(rig, patience=1))
@@ -105,7 +105,7 @@ def test_given_no_loopback_then_nothing_is_measured_and_it_says_why() -> None:
         outputs(probe, Hands(rig, patience=1))
 
 
-def test_given_an_output_given_up_then_the_others_are_measured() -> None:
+def test_given_an_output_given_up_then_the_others_are_measured():
     rig, _, probe = bench(output_gain=(1.0, 0.0, -0.9, 1.1))
     hands = Hands(rig, patience=2)
     found = {one.channel: one for one in outputs(probe, hands)}
@@ -117,13 +117,13 @@ def test_given_an_output_given_up_then_the_others_are_measured() -> None:
     assert found[3].full_scale_v == pytest.approx(5.5, rel=1e-3)
 
 
-def test_given_a_passing_fault_then_the_record_is_taken_again() -> None:
+def test_given_a_passing_fault_then_the_record_is_taken_again():
     faults = (RigFault("player", "wait", "underflow", at_call=2), RigFault("recorder", "read", "short_read", at_call=4))
     rig, _, probe = bench(fault_plan=faults)
     assert measure_inputs(probe, Hands(rig)).late_s == pytest.approx(5e-6, abs=1e-7)
 
 
-def test_given_speckle_in_a_record_then_the_actuator_is_heard_again() -> None:
+def test_given_speckle_in_a_record_then_the_actuator_is_heard_again():
     fault = RigFault("recorder", "read", "dropout", position=1, attempt=1)
     _, setup, _ = bench(fault_plan=(fault,))
     found = measure_actuators(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ, setup)
@@ -131,7 +131,7 @@ def test_given_speckle_in_a_record_then_the_actuator_is_heard_again() -> None:
     assert np.abs(found.level_db).max() < 2 * 2.0
 
 
-def test_given_a_response_too_loud_then_the_actuator_is_named() -> None:
+def test_given_a_response_too_loud_then_the_actuator_is_named():
     _, setup, _ = bench()
     places = listening_places(np.array(ACTUATORS), 30.0)
     with pytest.raises(NotMeasuredError, match="actuator 0 at 1 V reaches the end of an input's range"):
@@ -139,7 +139,7 @@ def test_given_a_response_too_loud_then_the_actuator_is_named() -> None:
 
 
 @pytest.mark.parametrize(("length_mm", "width_mm"), [(250.0, 150.0), (150.0, 150.0), (1000.0, 50.0)])
-def test_given_any_surface_then_the_marks_offered_lie_on_it_and_decide_a_map(length_mm: float, width_mm: float) -> None:
+def test_given_any_surface_then_the_marks_offered_lie_on_it_and_decide_a_map(length_mm, width_mm):
     marks = default_marks_mm(length_mm, width_mm)
     assert Outline.stadium(length_mm, width_mm).contains(marks).all()
     angles = np.column_stack(MirrorMap.straight(1000.0).angles_mrad(*np.array(marks).T))
@@ -147,7 +147,7 @@ def test_given_any_surface_then_the_marks_offered_lie_on_it_and_decide_a_map(len
 
 
 @pytest.mark.parametrize("off", [0, 3, 6])
-def test_given_one_mark_that_is_off_then_it_is_the_one_suspected(off: int) -> None:
+def test_given_one_mark_that_is_off_then_it_is_the_one_suspected(off):
     marks = default_marks_mm(250.0, 150.0)
     rng = np.random.default_rng(off)
     there = np.array(marks) + rng.normal(0, 0.1, (7, 2))
@@ -168,9 +168,7 @@ def test_given_one_mark_that_is_off_then_it_is_the_one_suspected(off: int) -> No
         ("x_mm,y_mm,x_mrad,y_mrad\n0,0,0,0\n1,1,1,1\n2,0,2,0\n3,3,3,inf\n", "line 5: '3,3,3,inf': must be 4 finite"),
     ],
 )
-def test_given_a_spoilt_file_of_marks_then_it_is_one_line_with_file_and_line(
-    tmp_path_factory: pytest.TempPathFactory, text: str, told: str
-) -> None:
+def test_given_a_spoilt_file_of_marks_then_it_is_one_line_with_file_and_line(tmp_path_factory, text, told):
     file = tmp_path_factory.mktemp("marks") / "marks.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as refused:

@@ -55,15 +55,13 @@ def after(bank: Path, *events: Event, owner: Owner | None = OWNER, beat: Heartbe
         ([STARTED, RUNNING, STARTED], State.IDLE, None),
     ],
 )  # fmt: skip
-def test_given_events_then_the_state_is_that_of_the_latest_session(
-    tmp_path: Path, events: list[Event], state: State, recovering: Recovering | None
-) -> None:
+def test_given_events_then_the_state_is_that_of_the_latest_session(tmp_path, events, state, recovering):
     status = after(tmp_path / "plate.h5", *events)
     assert (status.state, status.recovering) == (state, recovering)
     assert (status.since is None) == (status.reason == "") == (state is State.IDLE)
 
 
-def test_given_a_session_under_way_then_progress_record_and_what_is_kept_are_known(tmp_path: Path) -> None:
+def test_given_a_session_under_way_then_progress_record_and_what_is_kept_are_known(tmp_path):
     bank = tmp_path / "plate.h5"
     status = after(bank, STARTED, RUNNING, KEPT, PROGRESS, PositionStarted(2.0, 5, 1, 0.0, 0.0), RECORD)
     assert (status.progress, status.record, status.kept) == (PROGRESS, RECORD, {4: "no better"})
@@ -73,15 +71,13 @@ def test_given_a_session_under_way_then_progress_record_and_what_is_kept_are_kno
     assert (fresh.progress, fresh.record, fresh.kept) == (None, None, {})
 
 
-def test_given_no_owner_then_nothing_goes_on_and_what_is_kept_is_named(tmp_path: Path) -> None:
+def test_given_no_owner_then_nothing_goes_on_and_what_is_kept_is_named(tmp_path):
     status = after(tmp_path / "plate.h5", STARTED, RUNNING, KEPT, PROGRESS, owner=None)
     assert (status.state, status.progress, status.kept) == (State.IDLE, None, {4: "no better"})
     assert status.last_event_at is not None
 
 
 @pytest.mark.parametrize(("pid", "state"), [(7, State.PAUSED), (8, State.IDLE)])
-def test_given_a_log_that_ended_then_the_owners_heartbeat_says_the_state(
-    tmp_path: Path, pid: int, state: State
-) -> None:
+def test_given_a_log_that_ended_then_the_owners_heartbeat_says_the_state(tmp_path, pid, state):
     beat = Heartbeat(datetime.now(UTC), pid, "here", State.PAUSED, "as asked")
     assert after(tmp_path / "plate.h5", beat=beat).state is state

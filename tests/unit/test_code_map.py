@@ -11,10 +11,10 @@ NAMED = sorted(set(re.findall(r"`([\w/]+(?:\.py|/))`", PAGE)))
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_name_of_the_page_then_is_there(name: str) -> None:
+def test_a_name_of_the_page_then_is_there(name):
     assert (ROOT / name if name.startswith("tests/") else ROOT / "src" / "wavefocus" / name).exists()
 
 
-def test_every_package_then_stands_on_the_page() -> None:
+def test_every_package_then_stands_on_the_page():
     packages = {f"{path.parent.name}/" for path in (ROOT / "src" / "wavefocus").glob("*/__init__.py")}
     assert packages <= set(NAMED)

@@ -17,9 +17,7 @@ def sines(seconds: float, *amplitudes: float) -> np.ndarray:
 
 
 @given(st.integers(1, 400), st.integers(1, 90), st.booleans(), st.integers(0, 2**32))
-def test_given_any_drive_then_the_levels_of_is_that_of_direct_evaluation(
-    samples: int, window: int, repeated: bool, seed: int
-) -> None:
+def test_given_any_drive_then_the_levels_of_is_that_of_direct_evaluation(samples, window, repeated, seed):
     drive_v = np.random.default_rng(seed).standard_normal((2, samples)) * np.array([[1e-6], [1e5]])
     found = levels_of(drive_v, RATE_HZ, window / RATE_HZ, repeated=repeated).rms_v
     length = window if repeated else min(window, samples)
@@ -39,9 +37,7 @@ def test_given_any_drive_then_the_levels_of_is_that_of_direct_evaluation(
         (DriveLimits(), None, None, 1.0),
     ],
 )
-def test_given_limits_then_the_strictest_scales_all_actuators_alike(
-    limits: DriveLimits, decided_by: str | None, actuator: int | None, scale: float
-) -> None:
+def test_given_limits_then_the_strictest_scales_all_actuators_alike(limits, decided_by, actuator, scale):
     drive_v, asked_v = sines(2.0, 1.0, 4.0, 2.0), sines(2.0, 1.0, 4.0, 2.0)
     told = limit_drive(drive_v, RATE_HZ, limits)
     assert (told.decided_by, told.actuator) == (decided_by, actuator)
@@ -53,7 +49,7 @@ def test_given_limits_then_the_strictest_scales_all_actuators_alike(
         assert levels_of(drive_v, RATE_HZ).rms_v.max() <= limits.rms_v
 
 
-def test_of_one_short_loud_actuator_its_power_and_not_its_peak_decides() -> None:
+def test_of_one_short_loud_actuator_its_power_and_not_its_peak_decides():
     drive_v = sines(3.0, 0.0, 1.0)
     drive_v[0, 10] = 1.5
     told = limit_drive(drive_v, RATE_HZ, DriveLimits(peak_v=2.0, rms_v=0.5))
@@ -62,11 +58,11 @@ def test_of_one_short_loud_actuator_its_power_and_not_its_peak_decides() -> None
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, np.nan, np.inf])
-def test_given_no_limit_that_can_be_met_then_it_is_refused(limit: float) -> None:
+def test_given_no_limit_that_can_be_met_then_it_is_refused(limit):
     with pytest.raises(InputError, match="limit_rms_v"):
         limit_drive(sines(0.1, 1.0), RATE_HZ, DriveLimits(rms_v=limit))
 
 
-def test_given_actuators_that_differ_then_the_dynamic_range_is_that_of_those_driven() -> None:
+def test_given_actuators_that_differ_then_the_dynamic_range_is_that_of_those_driven():
     assert dynamic_range_db(np.array([1.0, 0.0, 0.1, 1e-3])) == pytest.approx(60.0)
     assert dynamic_range_db(np.zeros(3)) == 0.0

@@ -44,30 +44,30 @@ def _recording(reference_gain: float, noise_v: float) -> Recording:
 
 
 @pytest.mark.parametrize(("gain", "level_db"), [(0.5, 0.0), (0.25, -6.02), (1.0, 6.02)])
-def test_a_record_then_the_reference_level_is_told_against_what_the_drive_makes(gain: float, level_db: float) -> None:
+def test_a_record_then_the_reference_level_is_told_against_what_the_drive_makes(gain, level_db):
     conditions = _conditions(reference=AllowedRange("reference level", "dB"))
     values = conditions.values([PLAY], [_recording(gain, 0.0)])
     assert values == {"reference": pytest.approx(level_db, abs=0.01)}
 
 
-def test_given_a_reference_that_is_silent_then_its_level_is_very_low() -> None:
+def test_given_a_reference_that_is_silent_then_its_level_is_very_low():
     conditions = _conditions(reference=AllowedRange("reference level", "dB"))
     assert conditions.values([PLAY], [_recording(0.0, 0.0)])["reference"] < -100.0
 
 
 @pytest.mark.parametrize("noise_v", [1e-3, 0.05, 1.0])
-def test_given_noise_under_a_loud_response_then_its_rms_is_found(noise_v: float) -> None:
+def test_given_noise_under_a_loud_response_then_its_rms_is_found(noise_v):
     conditions = _conditions(noise=AllowedRange("noise", "V"))
     assert conditions.values([PLAY], [_recording(0.5, noise_v)])["noise"] == pytest.approx(noise_v, rel=0.1)
 
 
-def test_given_speckle_in_one_of_many_records_then_the_noise_is_that_of_the_others() -> None:
+def test_given_speckle_in_one_of_many_records_then_the_noise_is_that_of_the_others():
     conditions = _conditions(noise=AllowedRange("noise", "V"))
     recordings = [_recording(0.5, 1e-3)] * 4 + [_recording(0.5, 1.0)]
     assert conditions.values([PLAY] * 5, recordings)["noise"] == pytest.approx(1e-3, rel=0.1)
 
 
-def test_given_a_band_then_it_is_left_on_one_threshold_and_entered_on_another() -> None:
+def test_given_a_band_then_it_is_left_on_one_threshold_and_entered_on_another():
     band = AllowedRange("room temperature", "degrees C", 18.0, 26.0, 19.0, 25.0)
     assert band.left(17.9) == "room temperature 17.9 degrees C is below 18 degrees C"
     assert band.left(26.5) == "room temperature 26.5 degrees C is above 26 degrees C"
@@ -77,7 +77,7 @@ def test_given_a_band_then_it_is_left_on_one_threshold_and_entered_on_another() 
     assert not band.is_back(25.5)
 
 
-def test_given_a_sensor_that_fails_then_its_value_is_unknown_and_the_failure_is_kept() -> None:
+def test_given_a_sensor_that_fails_then_its_value_is_unknown_and_the_failure_is_kept():
     sensor = Thermometer(None)
     conditions = _conditions(sensor, room=AllowedRange("room temperature", "degrees C", leaves_below=18.0))
     assert conditions.values([], []) == {}

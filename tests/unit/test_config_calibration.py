@@ -79,16 +79,14 @@ def lab(tmp_path: Path, record: CalibrationRecord, rig: str = RIG) -> Path:
     return tmp_path / "rig.toml"
 
 
-def test_given_a_record_then_its_file_reads_back_equal(tmp_path: Path) -> None:
+def test_given_a_record_then_its_file_reads_back_equal(tmp_path):
     write_calibration(tmp_path / "cal.toml", measured())
     assert load_calibration(tmp_path / "cal.toml") == measured()
 
 
 @settings(max_examples=6)
 @given(st.text(min_size=1, max_size=50))
-def test_given_any_device_name_then_its_file_reads_back_equal(
-    tmp_path_factory: pytest.TempPathFactory, name: str
-) -> None:
+def test_given_any_device_name_then_its_file_reads_back_equal(tmp_path_factory, name):
     folder = tmp_path_factory.mktemp("cal")
     identity = DeviceIdentity("", name, name)
     record = measured(inputs=InputsMeasured(at=AT, device=name, identity=identity, inter_channel_delay_s=-1.25e-7))
@@ -96,13 +94,13 @@ def test_given_any_device_name_then_its_file_reads_back_equal(
     assert load_calibration(folder / "cal.toml") == record
 
 
-def test_given_a_file_without_identities_then_it_is_read_and_has_none(tmp_path: Path) -> None:
+def test_given_a_file_without_identities_then_it_is_read_and_has_none(tmp_path):
     write_calibration(tmp_path / "cal.toml", measured(inputs=measured().inputs.model_copy(update={"identity": None})))
     assert "identity" not in tomllib.loads((tmp_path / "cal.toml").read_text())["inputs"]
     assert load_calibration(tmp_path / "cal.toml").inputs.identity is None
 
 
-def test_identity_with_key_that_is_not_known_then_file_is_refused_by_that_key(tmp_path: Path) -> None:
+def test_identity_with_key_that_is_not_known_then_file_is_refused_by_that_key(tmp_path):
     write_calibration(tmp_path / "cal.toml", measured())
     text = (tmp_path / "cal.toml").read_text()
     (tmp_path / "cal.toml").write_text(text.replace('product = "r"', 'product = "r"\ncolour = "r"'))
@@ -110,14 +108,14 @@ def test_identity_with_key_that_is_not_known_then_file_is_refused_by_that_key(tm
         load_calibration(tmp_path / "cal.toml")
 
 
-def test_given_a_file_that_is_there_then_it_is_never_overwritten(tmp_path: Path) -> None:
+def test_given_a_file_that_is_there_then_it_is_never_overwritten(tmp_path):
     (tmp_path / "cal.toml").write_text("mine")
     with pytest.raises(InputError, match=r"cal\.toml: is there already and is not overwritten"):
         write_calibration(tmp_path / "cal.toml", measured())
     assert (tmp_path / "cal.toml").read_text() == "mine"
 
 
-def test_given_a_calibration_then_what_it_measured_wins_over_the_rig_file(tmp_path: Path) -> None:
+def test_given_a_calibration_then_what_it_measured_wins_over_the_rig_file(tmp_path):
     rig = load_rig(
         lab(tmp_path, measured(), RIG + "[mirror]\ndistance_mm = 900\n[recorder]\ninter_channel_delay_s = 5e-6\n")
     )
@@ -128,7 +126,7 @@ def test_given_a_calibration_then_what_it_measured_wins_over_the_rig_file(tmp_pa
     assert rig.calibration.measured == measured()
 
 
-def test_given_a_part_that_was_not_measured_then_the_rig_file_holds(tmp_path: Path) -> None:
+def test_given_a_part_that_was_not_measured_then_the_rig_file_holds(tmp_path):
     record = measured(mirror=None, outputs=None, actuators=None)
     rig = load_rig(lab(tmp_path, record, RIG + "[mirror]\ndistance_mm = 900\n"))
     assert rig.mirror.distance_mm == 900
@@ -136,7 +134,7 @@ def test_given_a_part_that_was_not_measured_then_the_rig_file_holds(tmp_path: Pa
     assert rig.recorder.inter_channel_delay_s == 7.5e-6
 
 
-def test_given_a_calibrated_rig_then_its_json_alone_says_all_of_it(tmp_path: Path) -> None:
+def test_given_a_calibrated_rig_then_its_json_alone_says_all_of_it(tmp_path):
     rig = load_rig(lab(tmp_path, measured()))
     (tmp_path / "cal.toml").unlink()
     assert RigConfig.model_validate_json(rig.model_dump_json()) == rig
@@ -151,7 +149,7 @@ def test_given_a_calibrated_rig_then_its_json_alone_says_all_of_it(tmp_path: Pat
         ("player", "channels = [1, 0]", "must have actuator 0 on output 0, as in the calibration file, or that"),
     ],
 )
-def test_given_a_contradiction_then_it_is_refused_in_one_line(tmp_path: Path, table: str, line: str, told: str) -> None:
+def test_given_a_contradiction_then_it_is_refused_in_one_line(tmp_path, table, line, told):
     rig = RIG.replace("[player]\n", f"[player]\n{line}\n") if table == "player" else f"{RIG}[{table}]\n{line}"
     file = lab(tmp_path, measured(), rig)
     with pytest.raises(InputError) as refused:
@@ -171,9 +169,7 @@ def test_given_a_contradiction_then_it_is_refused_in_one_line(tmp_path: Path, ta
         ("made = 2026", "made = ", "not TOML"),
     ],
 )
-def test_given_a_spoilt_calibration_file_then_it_is_told_in_one_line(
-    tmp_path: Path, old: str, new: str, told: str
-) -> None:
+def test_given_a_spoilt_calibration_file_then_it_is_told_in_one_line(tmp_path, old, new, told):
     write_calibration(tmp_path / "good.toml", measured())
     text = (tmp_path / "good.toml").read_text()
     assert old in text
@@ -189,13 +185,13 @@ def sha256(rig: RigConfig) -> str:
     return plan_sha256(rig, default_run(), POSITIONS)
 
 
-def test_given_a_calibration_then_what_it_measured_is_in_the_plans_hash(tmp_path: Path) -> None:
+def test_given_a_calibration_then_what_it_measured_is_in_the_plans_hash(tmp_path):
     calibrated = load_rig(lab(tmp_path, measured()))
     (tmp_path / "rig.toml").write_text(RIG.replace('file = "cal.toml"', ""))
     assert sha256(calibrated) != sha256(load_rig(tmp_path / "rig.toml"))
 
 
-def test_given_only_another_date_latency_or_level_then_the_plans_hash_stays(tmp_path: Path) -> None:
+def test_given_only_another_date_latency_or_level_then_the_plans_hash_stays(tmp_path):
     hashes = set()
     record = json.loads(measured().model_dump_json())
     for name, changes in (("a", {}), ("b", {"made": "2027-01-01T00:00:00Z"}), ("c", {"actuators": None})):
@@ -230,16 +226,14 @@ REAL = {
         ("usb", [{"role": "player", "vendor_id": 1, "product_id": 2}], True),
     ],
 )
-def test_given_a_real_rig_then_its_hash_changes_with_what_makes_rows_differ_in_kind(
-    table: str, changes: object, same: bool
-) -> None:
+def test_given_a_real_rig_then_its_hash_changes_with_what_makes_rows_differ_in_kind(table, changes, same):
     before = RigConfig.model_validate(REAL)
     merged = {**REAL.get(table, {}), **changes} if isinstance(changes, dict) else changes
     after = RigConfig.model_validate({**REAL, table: merged})
     assert (sha256(before) == sha256(after)) is same
 
 
-def test_a_virtual_rig_then_what_it_is_like_is_in_the_hash_and_its_faults_are_not() -> None:
+def test_a_virtual_rig_then_what_it_is_like_is_in_the_hash_and_its_faults_are_not():
     def hashed(**emulation: object) -> str:
         return sha256(RigConfig.model_validate({"emulation": emulation}))
 
@@ -248,7 +242,7 @@ def test_a_virtual_rig_then_what_it_is_like_is_in_the_hash_and_its_faults_are_no
     assert hashed(clock_ppm=31.0) != sha256(default_rig())
 
 
-def test_given_a_calibrated_virtual_rig_then_what_calibration_found_is_gone(tmp_path: Path) -> None:
+def test_given_a_calibrated_virtual_rig_then_what_calibration_found_is_gone(tmp_path):
     emulation = "[emulation]\noutput_gain_spread_db = 1.0\nreversed_outputs = [1]\n"
     emulation += "mirror_map = [[1, 0, 0], [0, 1, 0], [0, 0, 900]]\n"
     (tmp_path / "rig.toml").write_text(RIG.replace('file = "cal.toml"', "") + emulation)

@@ -11,7 +11,7 @@ from wavefocus.configuration import load_rig
 from wavefocus.storage.errors import InputError
 
 
-def test_default_rig_has_20_actuators_on_the_rim_wired_in_order() -> None:
+def test_default_rig_has_20_actuators_on_the_rim_wired_in_order():
     rig = default_rig()
     assert rig.actuator_mm.shape == (20, 2)
     assert rig.actuator_mm[0].tolist() == [119, 0]
@@ -20,19 +20,19 @@ def test_default_rig_has_20_actuators_on_the_rim_wired_in_order() -> None:
     assert rig.is_virtual
 
 
-def test_default_mirror_points_straight_at_the_surface_from_a_metre() -> None:
+def test_default_mirror_points_straight_at_the_surface_from_a_metre():
     x_mrad, y_mrad = MirrorMap(default_rig().mirror.matrix).angles_mrad([0.0, 100.0], [0.0, -50.0])
     np.testing.assert_allclose(x_mrad, [0, 1000 * math.atan(0.1)])
     np.testing.assert_allclose(y_mrad, [0, -1000 * math.atan(0.05)])
 
 
-def test_rig_with_its_own_actuators_gets_a_channel_for_each() -> None:
+def test_rig_with_its_own_actuators_gets_a_channel_for_each():
     rig = RigConfig.model_validate({"actuators": {"position_mm": [[0, 0], [10, 0], [0, 10]]}})
     assert rig.player.channels == (0, 1, 2)
     assert rig.player.loopback_channel == 3
 
 
-def test_rig_of_another_size_gets_its_actuators_on_its_own_rim() -> None:
+def test_rig_of_another_size_gets_its_actuators_on_its_own_rim():
     rig = RigConfig.model_validate({"surface": {"length_mm": 100, "width_mm": 60}})
     assert rig.actuator_mm[0].tolist() == [44, 0]
 
@@ -153,9 +153,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("text", "complaint"), MISTAKES, ids=[complaint[:40] for _, complaint in MISTAKES])
-def test_mistake_in_a_rig_file_is_one_line_with_file_key_value_and_what_is_allowed(
-    tmp_path: Path, text: str, complaint: str
-) -> None:
+def test_mistake_in_a_rig_file_is_one_line_with_file_key_value_and_what_is_allowed(tmp_path, text, complaint):
     file = tmp_path / "rig.toml"
     file.write_text(text)
     with pytest.raises(InputError) as told:
@@ -195,7 +193,7 @@ def real(tmp_path: Path, text: str = "") -> RigConfig:
     return load_rig(file)
 
 
-def test_real_rig_says_outright_what_its_drivers_take_where_they_are_told_nothing(tmp_path: Path) -> None:
+def test_real_rig_says_outright_what_its_drivers_take_where_they_are_told_nothing(tmp_path):
     rig = real(tmp_path)
     assert not rig.is_virtual
     assert (rig.mirror.baud, rig.mirror.beam_per_mirror, rig.mirror.tolerance_mrad) == (None, 2.0, 0.5)
@@ -210,7 +208,7 @@ def test_real_rig_says_outright_what_its_drivers_take_where_they_are_told_nothin
     assert RigConfig.model_validate_json(rig.model_dump_json()) == rig
 
 
-def test_weakest_output_limits_what_may_be_asked_of_an_actuator() -> None:
+def test_weakest_output_limits_what_may_be_asked_of_an_actuator():
     volts = [4.0, 3.0, 5.0, 1.0]
     player = {"channels": [0, 1, 2], "loopback_channel": 3, "channel_full_scale_v": volts}
     rig = RigConfig.model_validate({"actuators": {"position_mm": [[0, 0], [1, 0], [2, 0]]}, "player": player})
@@ -230,9 +228,7 @@ def test_weakest_output_limits_what_may_be_asked_of_an_actuator() -> None:
         ),
     ],
 )
-def test_given_another_kind_of_surface_then_outline_and_size_are_its_own(
-    tmp_path: Path, text: str, area_mm2: float, size_mm: tuple[float, float]
-) -> None:
+def test_given_another_kind_of_surface_then_outline_and_size_are_its_own(tmp_path, text, area_mm2, size_mm):
     (tmp_path / "rig.toml").write_text(text)
     rig = load_rig(tmp_path / "rig.toml")
     assert rig.surface.outline.area_mm2 == pytest.approx(area_mm2)

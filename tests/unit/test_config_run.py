@@ -26,7 +26,7 @@ def complaint_about(file: Path) -> str:
     return message
 
 
-def test_empty_run_file_is_the_default_campaign(tmp_path: Path) -> None:
+def test_empty_run_file_is_the_default_campaign(tmp_path):
     configuration = load_run(write(tmp_path, ""))
     assert configuration.run == default_run()
     assert configuration.rig == default_rig()
@@ -96,14 +96,12 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("text", "complaint"), MISTAKES, ids=[complaint[:40] for _, complaint in MISTAKES])
-def test_mistake_in_a_run_file_is_one_line_with_file_key_value_and_what_is_allowed(
-    tmp_path: Path, text: str, complaint: str
-) -> None:
+def test_mistake_in_a_run_file_is_one_line_with_file_key_value_and_what_is_allowed(tmp_path, text, complaint):
     file = write(tmp_path, text)
     assert complaint_about(file).startswith(f"{file}: {complaint}")
 
 
-def test_several_mistakes_are_told_in_one_line_and_counted(tmp_path: Path) -> None:
+def test_several_mistakes_are_told_in_one_line_and_counted(tmp_path):
     file = write(tmp_path, "[grid]\nspacing_mm=0\nmargin_mm=-1\n[sweep]\nstart_hz=0\nstop_hz=0\nduration_s=0\n")
     assert complaint_about(file) == (
         f"{file}: grid.spacing_mm = 0: must be above 0; grid.margin_mm = -1: must be at least 0; "
@@ -111,59 +109,59 @@ def test_several_mistakes_are_told_in_one_line_and_counted(tmp_path: Path) -> No
     )
 
 
-def test_control_characters_in_names_and_values_stay_in_one_line(tmp_path: Path) -> None:
+def test_control_characters_in_names_and_values_stay_in_one_line(tmp_path):
     file = write(tmp_path, 'rig = "a\\nb.toml"\n', name="run\n1.toml")
     assert complaint_about(file).startswith(f'{tmp_path}/run\\n1.toml: rig = "a\\nb.toml"')
 
 
 @pytest.mark.parametrize("name", ["missing.toml", "", "x" * 300])
-def test_run_file_that_is_no_file_is_told_by_name(tmp_path: Path, name: str) -> None:
+def test_run_file_that_is_no_file_is_told_by_name(tmp_path, name):
     assert complaint_about(tmp_path / name).startswith(f"{tmp_path / name}: ")
 
 
-def test_run_file_that_is_not_utf8_is_told_with_the_line(tmp_path: Path) -> None:
+def test_run_file_that_is_not_utf8_is_told_with_the_line(tmp_path):
     file = tmp_path / "run.toml"
     file.write_bytes("# für\nrig = 'ü'\n".encode("latin-1"))
     assert complaint_about(file) == f"{file}: line 1: not UTF-8 text; save the file as UTF-8"
 
 
-def test_position_outside_the_surface_names_the_line_of_its_file(tmp_path: Path) -> None:
+def test_position_outside_the_surface_names_the_line_of_its_file(tmp_path):
     positions = write(tmp_path, "x_mm,y_mm\n0,0\n130,0\n", name="grid.csv")
     file = write(tmp_path, "[grid]\npositions_file = 'grid.csv'")
     assert complaint_about(file).startswith(f"{positions}: line 3: (130, 0) mm lies outside the surface")
 
 
-def test_positions_file_takes_the_place_of_the_grid(tmp_path: Path) -> None:
+def test_positions_file_takes_the_place_of_the_grid(tmp_path):
     write(tmp_path, "x_mm,y_mm\n0,0\n4,0\n", name="grid.csv")
     configuration = load_run(write(tmp_path, "[grid]\npositions_file = 'grid.csv'\nspacing_mm = 8"))
     assert configuration.position_mm.tolist() == [[0, 0], [4, 0]]
 
 
-def test_rig_file_is_found_beside_the_run_file(tmp_path: Path) -> None:
+def test_rig_file_is_found_beside_the_run_file(tmp_path):
     write(tmp_path, "[rig]\nname = 'bench'", name="rig.toml")
     assert load_run(write(tmp_path, "rig = 'rig.toml'")).rig.rig.name == "bench"
 
 
-def test_mistake_in_the_named_rig_names_the_rig_file(tmp_path: Path) -> None:
+def test_mistake_in_the_named_rig_names_the_rig_file(tmp_path):
     rig = write(tmp_path, "[surface]\nwidth_mm = 0", name="rig.toml")
     file = write(tmp_path, "rig = 'rig.toml'")
     assert complaint_about(file) == f"{rig}: surface.width_mm = 0: must be above 0"
 
 
-def test_grid_that_the_mirror_cannot_reach_is_refused_with_the_angle(tmp_path: Path) -> None:
+def test_grid_that_the_mirror_cannot_reach_is_refused_with_the_angle(tmp_path):
     write(tmp_path, "[mirror]\nlimit_mrad = 100\npark_mrad = [0, 0]", name="rig.toml")
     complaint = complaint_about(write(tmp_path, "rig = 'rig.toml'"))
     assert "grid: position " in complaint
     assert complaint.endswith("mrad; the rig's mirror.limit_mrad = 100")
 
 
-def test_amplitude_beyond_the_reference_input_is_refused(tmp_path: Path) -> None:
+def test_amplitude_beyond_the_reference_input_is_refused(tmp_path):
     write(tmp_path, "[recorder]\nreference_range_v = 1\nreference_gain = 2", name="rig.toml")
     complaint = complaint_about(write(tmp_path, "rig = 'rig.toml'"))
     assert "sweep.amplitude_v = 1: must be at most 0.5" in complaint
 
 
-def test_virtual_settings_for_a_rig_with_other_drivers_are_refused() -> None:
+def test_virtual_settings_for_a_rig_with_other_drivers_are_refused():
     rig = default_rig()
     wired = rig.model_copy(update={"mirror": rig.mirror.model_copy(update={"driver": "generic"})})
     run = RunConfig.model_validate({"virtual": {"seed": 2}})
@@ -171,7 +169,7 @@ def test_virtual_settings_for_a_rig_with_other_drivers_are_refused() -> None:
         check_together(run, wired, "run.toml")
 
 
-def test_fault_plan_file_becomes_part_of_the_run(tmp_path: Path) -> None:
+def test_fault_plan_file_becomes_part_of_the_run(tmp_path):
     write(tmp_path, "[[fault]]\nrole='recorder'\noperation='read'\nkind='short_read'\nposition=3\n", name="f.toml")
     run = load_run(write(tmp_path, "[virtual]\nfault_plan = 'f.toml'")).run
     assert run.virtual is not None
@@ -180,7 +178,7 @@ def test_fault_plan_file_becomes_part_of_the_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[capture]\ntaps = 3000\ndecay_s = 0.3\n[virtual]\nnoise_v = 1e-3"])
-def test_configuration_survives_the_bank_and_keeps_its_hash(tmp_path: Path, text: str) -> None:
+def test_configuration_survives_the_bank_and_keeps_its_hash(tmp_path, text):
     there = load_run(write(tmp_path, text))
     back = configuration_from_json(
         there.rig.model_dump_json(), there.run.model_dump_json(), there.position_mm, "bank.h5"
@@ -190,11 +188,11 @@ def test_configuration_survives_the_bank_and_keeps_its_hash(tmp_path: Path, text
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"grid": {"spacing_mm": NaN}}', "[" * 50_000])
-def test_bank_with_a_spoilt_configuration_is_told_in_one_line(text: str) -> None:
+def test_bank_with_a_spoilt_configuration_is_told_in_one_line(text):
     with pytest.raises(InputError, match=re.escape("bank.h5: attribute run: ")):
         configuration_from_json(default_rig().model_dump_json(), text, POSITIONS, "bank.h5")
 
 
-def test_plan_hash_changes_with_a_position() -> None:
+def test_plan_hash_changes_with_a_position():
     moved = POSITIONS + np.array([[0, 0], [0, 1e-9]])
     assert plan_sha256(default_rig(), default_run(), moved) != plan_sha256(default_rig(), default_run(), POSITIONS)

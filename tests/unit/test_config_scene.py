@@ -41,7 +41,7 @@ def scene_of(folder: Path, text: str) -> Scene:
     return load_scene(file)
 
 
-def test_contracts_example_is_built_to_the_letter(tmp_path: Path) -> None:
+def test_contracts_example_is_built_to_the_letter(tmp_path):
     scene = scene_of(tmp_path, CONTRACT_EXAMPLE)
     (source,) = scene.sources
     assert scene.name == "circle"
@@ -53,7 +53,7 @@ def test_contracts_example_is_built_to_the_letter(tmp_path: Path) -> None:
     assert scene.output == Output(interpolation="nearest", limit_v=1.0)
 
 
-def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path: Path) -> None:
+def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path):
     scene = scene_of(tmp_path, POINT)
     (source,) = scene.sources
     assert (source.start_s, source.amplitude, source.emission) == (0, 1, "continuous")
@@ -78,7 +78,7 @@ def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path: Path) -> N
         ("{ kind = 'noise', band_hz = [50, 450], duration_s = 1 }", signals.Noise((50, 450), 1, 0)),
     ],
 )
-def test_each_table_of_a_path_or_signal_builds_it(tmp_path: Path, table: str, built: object) -> None:
+def test_each_table_of_a_path_or_signal_builds_it(tmp_path, table, built):
     text = POINT.replace("{ kind = 'impulse' }", table)
     if isinstance(built, signals.Impulse | signals.Sine | signals.Noise):
         assert scene_of(tmp_path, text).sources[0].signal == built
@@ -86,7 +86,7 @@ def test_each_table_of_a_path_or_signal_builds_it(tmp_path: Path, table: str, bu
         assert scene_of(tmp_path, f"{MOVING}path = {table}").sources[0].path == built
 
 
-def test_files_are_found_beside_the_scene(tmp_path: Path) -> None:
+def test_files_are_found_beside_the_scene(tmp_path):
     (tmp_path / "a.svg").write_text('<svg><path id="p" d="M 0 0 L 10 0"/></svg>')
     (tmp_path / "a.wav").write_bytes(b"read when its samples are wanted")
     text = (
@@ -99,7 +99,7 @@ def test_files_are_found_beside_the_scene(tmp_path: Path) -> None:
     assert source.signal == signals.SoundFile(tmp_path / "a.wav")
 
 
-def test_svg_without_the_named_path_tells_scene_and_drawing(tmp_path: Path) -> None:
+def test_svg_without_the_named_path_tells_scene_and_drawing(tmp_path):
     (tmp_path / "a.svg").write_text('<svg><path id="p" d="M 0 0 L 10 0"/></svg>')
     with pytest.raises(InputError) as told:
         scene_of(tmp_path, f"{MOVING}path = {{ kind = 'svg', file = 'a.svg', path_id = 'q' }}")
@@ -108,7 +108,7 @@ def test_svg_without_the_named_path_tells_scene_and_drawing(tmp_path: Path) -> N
     assert message.isprintable()
 
 
-def test_scene_survives_json() -> None:
+def test_scene_survives_json():
     data = {"source": [{"path": {"kind": "point", "at_mm": [1, 2]}, "signal": {"kind": "impulse"}}]}
     scene = SceneConfig.model_validate(data)
     assert SceneConfig.model_validate_json(scene.model_dump_json()) == scene
@@ -166,9 +166,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("text", "complaint"), MISTAKES, ids=[complaint[:50] for _, complaint in MISTAKES])
-def test_mistake_in_a_scene_file_is_one_line_with_file_key_value_and_what_is_allowed(
-    tmp_path: Path, text: str, complaint: str
-) -> None:
+def test_mistake_in_a_scene_file_is_one_line_with_file_key_value_and_what_is_allowed(tmp_path, text, complaint):
     with pytest.raises(InputError) as told:
         scene_of(tmp_path, text)
     assert str(told.value).startswith(f"{tmp_path / 'scene.toml'}: {complaint}")

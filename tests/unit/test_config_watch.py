@@ -21,7 +21,7 @@ def watch_of(rig: RigConfig) -> Watch:
     return open_rig(rig, openers_of(rig)).watch
 
 
-def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path: Path) -> None:
+def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path):
     rig = _rig(tmp_path, "[watch.reference]\nleaves_below = -3\nleaves_above = 2.0\nsettle_s = 5")
     band = band_of(rig.watch.reference, "reference level", "dB") if rig.watch.reference else None
     assert band is not None
@@ -30,21 +30,21 @@ def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path: 
     assert band.settle_s == 5.0
 
 
-def test_given_no_lower_limit_then_any_low_value_is_well(tmp_path: Path) -> None:
+def test_given_no_lower_limit_then_any_low_value_is_well(tmp_path):
     rig = _rig(tmp_path, "[watch.noise]\nleaves_above = 0.01")
     watch = watch_of(rig)
     assert (watch.bands["noise"].leaves_below, watch.bands["noise"].returns_above) == (-math.inf, -math.inf)
     assert watch.bands["noise"].is_back(0.0)
 
 
-def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path: Path) -> None:
+def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path):
     rig = _rig(tmp_path, "[watch.room]\nleaves_below = 18\n[watch.light]\nleaves_below = 0.2")
     watch = watch_of(rig)
     assert {name: sensor() for name, sensor in watch.sensors.items()} == {"room": 21.0, "light": 1.0}
     assert watch_of(default_rig()).sensors == {}
 
 
-def test_given_a_transmitter_then_its_volts_become_degrees(tmp_path: Path) -> None:
+def test_given_a_transmitter_then_its_volts_become_degrees(tmp_path):
     class Box:
         def read_input_v(self, name: str) -> float:
             return {"ai3": 0.25}[name]

@@ -48,9 +48,7 @@ def on_a_terminal(code: str, columns: int = 80) -> str:
 @pytest.mark.may_skip("a pseudo-terminal is POSIX")
 @posix
 @pytest.mark.parametrize(("columns", "bar", "timed"), [(60, 4, True), (80, 8, False), (120, 8, True)])
-def test_given_a_narrow_terminal_then_the_progress_line_keeps_count_and_bar(
-    columns: int, bar: int, timed: bool
-) -> None:
+def test_given_a_narrow_terminal_then_the_progress_line_keeps_count_and_bar(columns, bar, timed):
     lines = re.split(r"[\r\n]+", on_a_terminal(PROGRESS.format(timed=timed), columns))
     lines = [line for line in lines if "capture" in line and "700" in line]
     assert lines
@@ -62,16 +60,14 @@ def test_given_a_narrow_terminal_then_the_progress_line_keeps_count_and_bar(
 
 @pytest.mark.may_skip("a pseudo-terminal is POSIX")
 @posix
-def test_given_a_step_of_unknown_length_then_a_terminal_names_it_and_a_pipe_does_not() -> None:
+def test_given_a_step_of_unknown_length_then_a_terminal_names_it_and_a_pipe_does_not():
     code = "from wavefocus.console import spinner\nwith spinner('verifying the rows'): pass"
     assert "verifying the rows ..." in on_a_terminal(code)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
 
 
-def test_time_left_is_that_of_the_items_and_not_of_what_prepared_them(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_time_left_is_that_of_the_items_and_not_of_what_prepared_them(capsys, monkeypatch):
     now_s = [0.0]
     monkeypatch.setattr("time.monotonic", lambda: now_s[0])
     with progress("render", 1) as report:
@@ -83,7 +79,7 @@ def test_time_left_is_that_of_the_items_and_not_of_what_prepared_them(
     assert "2.5/s, 5 min 20 s left" in second
 
 
-def test_given_a_pause_then_the_progress_line_has_no_time_left() -> None:
+def test_given_a_pause_then_the_progress_line_has_no_time_left():
     notes: list[str] = []
     view = CampaignView(lambda done, total, note="": notes.append(note))
     view(StateChanged(0.0, State.RUNNING, "7 positions to do"))
@@ -96,7 +92,7 @@ def test_given_a_pause_then_the_progress_line_has_no_time_left() -> None:
         assert "left" in notes[-1]
 
 
-def test_given_any_help_then_it_does_not_send_people_to_a_section_of_the_contract() -> None:
+def test_given_any_help_then_it_does_not_send_people_to_a_section_of_the_contract():
     texts = [cli.DESCRIPTION]
     for command in cli.COMMANDS:
         texts += [command.help, *(str(one.settings.get("help", "")) for one in command.arguments)]

@@ -72,7 +72,7 @@ def _error(rig, drive, bank):
 
 
 @pytest.mark.parametrize("strength", [0.2, 0.8])
-def test_a_finger_on_the_focus_is_corrected_to_a_quarter_within_the_energy(strength: float) -> None:
+def test_a_finger_on_the_focus_is_corrected_to_a_quarter_within_the_energy(strength):
     bank = plate_bank(PLACES_MM)
     rig = _Rig(_finger(bank, strength), noise_rms=1e-6)
     drive, found = correct_drive(_focused(bank), bank, ROWS, rig, 2, limits=ANY)
@@ -85,7 +85,7 @@ def test_a_finger_on_the_focus_is_corrected_to_a_quarter_within_the_energy(stren
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0, 3.0])
-def test_a_scan_that_is_noisier_than_its_error_never_makes_it_worse(noise: float) -> None:
+def test_a_scan_that_is_noisier_than_its_error_never_makes_it_worse(noise):
     bank = plate_bank(PLACES_MM)
     greens = _finger(bank, 0.1)
     loud = np.sqrt(np.mean(_Rig(greens)(_focused(bank)).field[0] ** 2))
@@ -95,7 +95,7 @@ def test_a_scan_that_is_noisier_than_its_error_never_makes_it_worse(noise: float
     assert found.stopped in ("noise", "no better")
 
 
-def test_energy_and_limits_hold_and_a_drive_at_its_limit_is_kept() -> None:
+def test_energy_and_limits_hold_and_a_drive_at_its_limit_is_kept():
     bank = plate_bank(PLACES_MM)
     rig = _Rig(_finger(bank))
     first = _focused(bank)
@@ -110,7 +110,7 @@ def test_energy_and_limits_hold_and_a_drive_at_its_limit_is_kept() -> None:
     assert np.abs(drive.drive_v).max() <= peak_v
 
 
-def test_dropouts_are_left_out_and_too_many_end_it() -> None:
+def test_dropouts_are_left_out_and_too_many_end_it():
     bank = plate_bank(PLACES_MM)
     rig = _Rig(_finger(bank), lost=(2,))
     _, found = correct_drive(_focused(bank), bank, ROWS, rig, 2, limits=ANY)
@@ -125,7 +125,7 @@ def test_dropouts_are_left_out_and_too_many_end_it() -> None:
 MANY_MM = [[6.0 * x, 6.0 * y] for y in (-1, 0, 1) for x in (-2, -1, 0, 1, 2)]
 
 
-def test_a_fifth_of_the_places_is_held_out_and_what_does_not_better_them_is_not_kept() -> None:
+def test_a_fifth_of_the_places_is_held_out_and_what_does_not_better_them_is_not_kept():
     bank = plate_bank(MANY_MM)
     rows = np.arange(len(MANY_MM))
     seen = np.setdiff1d(rows, held_out(rows))
@@ -148,7 +148,7 @@ def test_a_fifth_of_the_places_is_held_out_and_what_does_not_better_them_is_not_
     assert "held out" in correction_lines(found)[-1]
 
 
-def test_with_few_places_none_is_held_out_and_one_correction_is_made() -> None:
+def test_with_few_places_none_is_held_out_and_one_correction_is_made():
     bank = plate_bank(PLACES_MM)
     rig = _Rig(_finger(bank, 0.8), noise_rms=1e-6)
     _, found = correct_drive(_focused(bank), bank, ROWS, rig, 3, limits=ANY)
@@ -156,7 +156,7 @@ def test_with_few_places_none_is_held_out_and_one_correction_is_made() -> None:
     assert all(one.held_out is None for one in found.rounds)
 
 
-def test_a_scene_too_long_for_its_places_is_refused() -> None:
+def test_a_scene_too_long_for_its_places_is_refused():
     bank = plate_bank(PLACES_MM)
     with pytest.raises(InputError, match="shorten"):
         correct_drive(_focused(bank), bank, np.tile(ROWS, 20_000), _Rig(_finger(bank)), 1, limits=ANY)

@@ -44,14 +44,14 @@ def silent_record(share: float, delay_s: float, noise_v: float, seed: int = 0) -
 
 
 @pytest.mark.parametrize(("share", "delay_s"), [(1e-4, 0.0), (-1e-3, 2.3e-4), (1e-2, 4e-3), (-1e-3, 0.0193)])
-def test_leak_in_a_record_without_a_response_is_measured_with_its_delay(share: float, delay_s: float) -> None:
+def test_leak_in_a_record_without_a_response_is_measured_with_its_delay(share, delay_s):
     found = silent_record(share, delay_s, 1.5e-4)
     assert found.reaches(1e-4)
     assert found.share == pytest.approx(share, abs=4 * found.error)
     assert found.delay_s == pytest.approx(delay_s, abs=3e-5)
 
 
-def test_records_without_a_leak_name_none_and_loud_ones_resolve_none() -> None:
+def test_records_without_a_leak_name_none_and_loud_ones_resolve_none():
     assert not any(silent_record(0.0, 0.0, 1.5e-4, seed).is_seen for seed in range(100))
     quiet, loud = silent_record(0.0, 0.0, 1.5e-4), silent_record(1e-4, 0.0, 1.0)
     assert quiet.resolves(1e-4)
@@ -73,7 +73,7 @@ def looks(bank: Bank) -> list[CrosstalkMeasured]:
 
 
 @pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> Bank:
+def clean(tmp_path_factory):
     return measured(tmp_path_factory.mktemp("bank") / "plate.h5", 0.0)
 
 
@@ -83,9 +83,7 @@ def one_percent(bank: Bank) -> float:
 
 
 @pytest.mark.parametrize(("times", "delay_s"), [(-1.0, 0.0), (3.0, 0.004)])
-def test_a_leak_from_one_percent_of_the_median_row_is_named_and_marks_all(
-    clean: Bank, tmp_path: Path, times: float, delay_s: float
-) -> None:
+def test_a_leak_from_one_percent_of_the_median_row_is_named_and_marks_all(clean, tmp_path, times, delay_s):
     share = times * one_percent(clean)
     bank = measured(tmp_path / "plate.h5", share, delay_s)
     last = looks(bank)[-1]
@@ -97,7 +95,7 @@ def test_a_leak_from_one_percent_of_the_median_row_is_named_and_marks_all(
     assert bank.quality["leak_db"] == pytest.approx(last.level_db, abs=0.1)
 
 
-def test_leak_of_a_third_of_a_percent_stands_in_the_events_and_marks_nothing(clean: Bank, tmp_path: Path) -> None:
+def test_leak_of_a_third_of_a_percent_stands_in_the_events_and_marks_nothing(clean, tmp_path):
     share = one_percent(clean) / 3
     bank = measured(tmp_path / "plate.h5", share)
     assert [one.named for one in looks(bank)] == [False, False]
@@ -105,7 +103,7 @@ def test_leak_of_a_third_of_a_percent_stands_in_the_events_and_marks_nothing(cle
     assert np.array_equal(bank.status, clean.status)
 
 
-def test_a_campaign_without_a_leak_names_none_and_says_that_it_looked(clean: Bank) -> None:
+def test_a_campaign_without_a_leak_names_none_and_says_that_it_looked(clean):
     assert [one.named for one in looks(clean)] == [False, False]
     assert set(clean.quality["leak_db"][clean.status > 0].tolist()) == {NONE_DB}
 
@@ -139,7 +137,7 @@ class LeakingSetup:
         self.done += count
 
 
-def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(tmp_path: Path) -> None:
+def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(tmp_path):
     bench = LeakingSetup(tmp_path / "plate.h5")
     with ThreadPoolExecutor(1) as worker:
         before, after = bench.watch(0.0), bench.watch(1e-3)
@@ -159,7 +157,7 @@ def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(
     bench.bank.close()
 
 
-def test_leak_at_the_beginning_is_judged_once_there_are_rows(tmp_path: Path) -> None:
+def test_leak_at_the_beginning_is_judged_once_there_are_rows(tmp_path):
     bench = LeakingSetup(tmp_path / "plate.h5")
     with ThreadPoolExecutor(1) as worker:
         watch = bench.watch(1e-3)
@@ -171,7 +169,7 @@ def test_leak_at_the_beginning_is_judged_once_there_are_rows(tmp_path: Path) -> 
     bench.bank.close()
 
 
-def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean: Bank, tmp_path: Path) -> None:
+def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean, tmp_path):
     bank = measured(tmp_path / "plate.h5", 5 * one_percent(clean), capture={"averages": 1, "keep_raw": True})
     again = tmp_path / "again.h5"
     with open_raw(tmp_path / "plate.raw.h5") as raw:
@@ -182,7 +180,7 @@ def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean: Bank, tmp_p
         assert np.allclose(estimated.quality["leak_db"], bank.quality["leak_db"], atol=0.01)
 
 
-def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(tmp_path: Path) -> None:
+def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(tmp_path):
     bench = LeakingSetup(tmp_path / "plate.h5")
     with ThreadPoolExecutor(1) as worker:
         watch = bench.watch(0.0)
@@ -196,7 +194,7 @@ def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(tmp_path: Pat
 
 
 @pytest.mark.parametrize(("noise", "certain"), [(1e-4, True), (1.0, False)])
-def test_leak_is_a_certain_symptom_only_where_it_explains_enough_of_the_excess(noise: float, certain: bool) -> None:
+def test_leak_is_a_certain_symptom_only_where_it_explains_enough_of_the_excess(noise, certain):
     draw = np.random.default_rng(5)
     hertz, positions = np.linspace(40.0, 400.0, 60), 20
     marker_v = draw.standard_normal(2000)

@@ -54,7 +54,7 @@ MAKERS = {"bank": a_bank, "raw": a_raw_file, "drive": a_drive, "field": a_field}
 
 
 @pytest.fixture(scope="module", params=MAKERS)
-def sound(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def sound(request, tmp_path_factory):
     """A sound file of each kind."""
     path = tmp_path_factory.mktemp("sound") / "file.h5"
     MAKERS[request.param](path)
@@ -64,7 +64,7 @@ def sound(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("count", [15, pytest.param(1000, marks=pytest.mark.nightly)])
-def test_single_mutations_then_are_found_where_they_change_a_value(tmp_path: Path, sound: bytes, count: int) -> None:
+def test_single_mutations_then_are_found_where_they_change_a_value(tmp_path, sound, count):
     path, missed = tmp_path / "file.h5", []
     path.write_bytes(sound)
     before = snapshot(path)
@@ -100,9 +100,7 @@ def keys_of(path: Path) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("count", [15, pytest.param(500, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("checked", [True, False])
-def test_a_hostile_attribute_then_never_ends_in_a_traceback(
-    tmp_path: Path, sound: bytes, count: int, *, checked: bool
-) -> None:
+def test_a_hostile_attribute_then_never_ends_in_a_traceback(tmp_path, sound, count, *, checked):
     path = tmp_path / "file.h5"
     path.write_bytes(sound)
     cases = [(*where, value) for where in keys_of(path) for value in VALUES]
@@ -159,17 +157,13 @@ def declared_raw(path: Path) -> None:
         (declared_raw, open_raw),
     ],
 )
-def test_a_small_file_that_declares_terabytes_then_is_refused_with_the_size(
-    tmp_path: Path, make: Callable[[Path], None], read: Callable[[Path], object]
-) -> None:
+def test_a_small_file_that_declares_terabytes_then_is_refused_with_the_size(tmp_path, make, read):
     make(tmp_path / "file.h5")
     with pytest.raises(InputError, match=r"(TiB|GiB).*WAVEFOCUS_MOST_GIB"):
         read(tmp_path / "file.h5")
 
 
-def test_a_chunk_that_unfolds_to_gigabytes_is_refused_before_it_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chunk_that_unfolds_to_gigabytes_is_refused_before_it_is_read(tmp_path, monkeypatch):
     path = tmp_path / "bank.h5"
     declared("green", (1, 4, 1 << 20), (1, 4, 1 << 20), compression="gzip")(path)
     with h5py.File(path, "r+") as file:
@@ -184,7 +178,7 @@ def test_a_chunk_that_unfolds_to_gigabytes_is_refused_before_it_is_read(
         open_bank(path)
 
 
-def test_a_chunk_larger_than_it_declares_is_refused_before_it_is_read(tmp_path: Path) -> None:
+def test_a_chunk_larger_than_it_declares_is_refused_before_it_is_read(tmp_path):
     path = tmp_path / "bank.h5"
     declared("green", (1, 1, 1 << 14), (1, 1, 1 << 14), compression="gzip")(path)
     with h5py.File(path, "r+") as file:

@@ -16,7 +16,7 @@ from wavefocus.rendering.device import Device, cuda_device, host_device
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import Prediction
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 
@@ -34,14 +34,8 @@ STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
     seed=st.integers(0, 2**32),
 )
 def test_given_any_bank_and_scene_then_the_standard_alone_gives_the_drives(
-    sources: list[Source],
-    saturation: float | None,
-    normalise: bool,
-    interpolation: str,
-    scale: float,
-    taps: int,
-    seed: int,
-) -> None:
+    sources, saturation, normalise, interpolation, scale, taps, seed
+):
     bank = noise_bank(taps, seed=seed, scale=scale, band_hz=(50.0, 400.0))
     scene = Scene(
         "s",
@@ -63,7 +57,7 @@ def test_given_any_bank_and_scene_then_the_standard_alone_gives_the_drives(
 
 @pytest.mark.may_skip("a GPU is not everywhere")
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
-def test_given_a_gpu_then_it_gives_the_drives_of_the_cpu() -> None:
+def test_given_a_gpu_then_it_gives_the_drives_of_the_cpu():
     scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(saturation=0.7), Output(interpolation="bilinear"))
     here = render_with_report(scene, noise_bank(500, band_hz=(50.0, 400.0)))[0].drive_v
     there = render_with_report(scene, noise_bank(500, band_hz=(50.0, 400.0)), device=cuda_device())[0].drive_v
@@ -76,9 +70,7 @@ def field_of(bank: GreenArray, drive: Drive, positions: list[int], device: Devic
 
 
 @given(st.integers(1, 40), st.integers(1, 300), st.integers(1, 4), st.integers(-12, 12), st.integers(0, 2**32))
-def test_given_any_bank_and_drive_then_the_standard_alone_gives_the_field(
-    taps: int, samples: int, actuators: int, decade: int, seed: int
-) -> None:
+def test_given_any_bank_and_drive_then_the_standard_alone_gives_the_field(taps, samples, actuators, decade, seed):
     random = np.random.default_rng(seed)
     bank = GreenArray(random.standard_normal((3, actuators, taps)) * 10.0**decade, np.zeros((3, 2)), 1000.0)
     drive = make_drive(random.standard_normal((actuators, samples)))
@@ -92,7 +84,7 @@ def test_given_any_bank_and_drive_then_the_standard_alone_gives_the_field(
 
 @pytest.mark.may_skip("a GPU is not everywhere")
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
-def test_given_a_gpu_then_it_gives_the_field_of_the_cpu() -> None:
+def test_given_a_gpu_then_it_gives_the_field_of_the_cpu():
     random = np.random.default_rng(2)
     bank = GreenArray(random.standard_normal((40, 20, 2000)).astype(np.float32), np.zeros((40, 2)), 1000.0)
     drive = make_drive(random.standard_normal((20, 9000)))
@@ -103,6 +95,6 @@ def test_given_a_gpu_then_it_gives_the_field_of_the_cpu() -> None:
 
 @pytest.mark.may_skip("it is about machines without CuPy")
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is not None, reason="CuPy is installed")
-def test_given_no_cupy_then_a_sentence_says_what_to_install() -> None:
+def test_given_no_cupy_then_a_sentence_says_what_to_install():
     with pytest.raises(InputError, match="pip install cupy"):
         cuda_device()

@@ -56,7 +56,7 @@ def absent(name: str) -> Callable[[], object]:
 SOUND = VirtualSettings(dropout_probability=0.0)
 
 
-def test_given_a_sound_rig_then_all_is_well_looked_at_and_released() -> None:
+def test_given_a_sound_rig_then_all_is_well_looked_at_and_released():
     rig = VirtualRig(SOUND)
     findings = examined(rig)
     assert {one.verdict for one in findings} == {"ok"}
@@ -86,7 +86,7 @@ class KnowsItsConverter:
 
 
 @pytest.mark.parametrize(("device_s", "verdict"), [(14e-6, "warn"), (5.2e-6, "ok"), (None, None)])
-def test_given_a_stated_delay_then_it_is_compared_with_the_devices_own(device_s: float | None, verdict: str) -> None:
+def test_given_a_stated_delay_then_it_is_compared_with_the_devices_own(device_s, verdict):
     rig = VirtualRig(SOUND)
     recorder = KnowsItsConverter(rig.instruments.recorder, device_s)
     findings = examined(rig, recorder=lambda: recorder, play=False)
@@ -98,7 +98,7 @@ def test_given_a_stated_delay_then_it_is_compared_with_the_devices_own(device_s:
         assert f"{device_s:.4g}" in finding.remedy
 
 
-def test_given_nothing_may_be_played_then_nothing_is_and_the_rest_is_looked_at() -> None:
+def test_given_nothing_may_be_played_then_nothing_is_and_the_rest_is_looked_at():
     findings = examined(VirtualRig(SOUND), play=False)
     told = verdicts(findings)
     assert told["player", "loopback"] == told["vibrometer", "response"] == "skipped"
@@ -106,7 +106,7 @@ def test_given_nothing_may_be_played_then_nothing_is_and_the_rest_is_looked_at()
 
 
 @pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
-def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing: str) -> None:
+def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing):
     findings = examined(VirtualRig(SOUND), **{missing: absent(missing)})
     told = verdicts(findings)
     assert failed(findings) == {(missing, "opening")}
@@ -131,9 +131,7 @@ def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing:
         (RigFault("player", "identify", "lost", at_call=1), {("player", "identity"), ("player", "loopback")}),
     ],
 )
-def test_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(
-    fault: RigFault, failing: set[tuple[str, str]]
-) -> None:
+def test_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(fault, failing):
     findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
     at_rest = {key for key in failed(findings) if key[1] == "putting it to rest"}
     assert failed(findings) - at_rest == failing
@@ -141,7 +139,7 @@ def test_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed
     assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
 
 
-def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told() -> None:
+def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told():
     fault = RigFault("recorder", "read", "short_read", at_call=1)
     findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
     told = [one for one in findings if one.verdict != "ok"]
@@ -171,20 +169,18 @@ def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told(
         ({"noise_v": 0.0, "reference_noise_v": 0.0}, {}, ("recorder", "reference noise"), "warn"),
     ],
 )
-def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(
-    settings: dict[str, object], rig: dict[str, object], check: tuple[str, str], verdict: str
-) -> None:
+def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(settings, rig, check, verdict):
     findings = examined(VirtualRig(replace(SOUND, **settings)), rig)
     assert verdicts(findings)[check] == verdict
     assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
 
 
-def test_given_little_light_then_it_is_told() -> None:
+def test_given_little_light_then_it_is_told():
     findings = examined(VirtualRig(SOUND), vibrometer=lambda: reading(0.05), play=False)
     assert verdicts(findings)["vibrometer", "signal level"] == "warn"
 
 
-def test_outputs_that_are_picked_up_then_worst_is_named_apart_from_leak_of_loopback() -> None:
+def test_outputs_that_are_picked_up_then_worst_is_named_apart_from_leak_of_loopback():
     picked_up = replace(SOUND, lost_signal_v=1e-3, crosstalk=5e-4, pickup=((3, 1e-3), (7, -4e-3)))
     findings = {(one.instrument, one.check): one for one in examined(VirtualRig(picked_up))}
     assert findings["recorder", "pickup"].verdict == "fail"
@@ -192,7 +188,7 @@ def test_outputs_that_are_picked_up_then_worst_is_named_apart_from_leak_of_loopb
     assert verdicts(examined(VirtualRig(replace(SOUND, lost_signal_v=1e-3))))["recorder", "pickup"] == "ok"
 
 
-def test_given_a_beam_that_parks_on_the_surface_then_pickup_is_not_measured() -> None:
+def test_given_a_beam_that_parks_on_the_surface_then_pickup_is_not_measured():
     found = examined(VirtualRig(SOUND), {"mirror": {"park_mrad": [0, 0]}})
     (pickup,) = [one for one in found if one.check == "pickup"]
     assert pickup.verdict == "skipped"
@@ -223,9 +219,7 @@ class ReadingMirror:
     ("off_mrad", "verdict", "told"),
     [(0.02, "ok", "read back within 0.020 mrad"), (3.0, "fail", "within 3.000"), (None, "ok", "not read back")],
 )
-def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(
-    off_mrad: float | None, verdict: str, told: str
-) -> None:
+def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(off_mrad, verdict, told):
     rig = VirtualRig(SOUND)
     findings = examined(rig, mirror=lambda: ReadingMirror(rig, off_mrad))
     (finding,) = [one for one in findings if one.check == "corners"]
@@ -233,7 +227,7 @@ def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(
     assert told in finding.what
 
 
-def test_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_asked_again() -> None:
+def test_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_asked_again():
     let_go = threading.Event()
     findings: list[Finding] = []
     collected = RigFindings(findings.append)
@@ -245,7 +239,7 @@ def test_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_asked_ag
     assert "did not come back within 0.05 s" in findings[0].what
 
 
-def test_given_a_defect_of_a_driver_then_it_is_a_finding_too() -> None:
+def test_given_a_defect_of_a_driver_then_it_is_a_finding_too():
     findings: list[Finding] = []
     assert RigFindings(findings.append).ask("recorder", "record", lambda: np.zeros(1)[3], 60.0) is None
     assert findings[0].what.startswith("IndexError: ")

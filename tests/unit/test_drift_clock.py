@@ -21,9 +21,7 @@ from wavefocus.rendering.report.figures import _label_clock
         ("UTC0", "2026-10-24T18:00"),
     ],
 )
-def test_a_night_across_a_change_of_summer_time_then_each_label_has_its_own_offset(
-    monkeypatch: pytest.MonkeyPatch, zone: str, start: str
-) -> None:
+def test_a_night_across_a_change_of_summer_time_then_each_label_has_its_own_offset(monkeypatch, zone, start):
     monkeypatch.setenv("TZ", zone)
     time.tzset()
     try:

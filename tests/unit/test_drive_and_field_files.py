@@ -2,10 +2,8 @@
 
 import dataclasses
 import hashlib
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -59,9 +57,7 @@ def a_field(path: Path, seed: int = 0, **options: bool) -> None:
 
 @settings(max_examples=10)
 @given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 4), st.integers(0, 2**32 - 1))
-def test_a_drive_or_field_written_then_comes_back_bit_for_bit(
-    tmp_path: Path, rows: int, samples: int, foci: int, seed: int
-) -> None:
+def test_a_drive_or_field_written_then_comes_back_bit_for_bit(tmp_path, rows, samples, foci, seed):
     written = drive(rows, samples, foci, seed)
     write_drive(tmp_path / "drive.h5", written, force=True)
     found = read_drive(tmp_path / "drive.h5")
@@ -78,7 +74,7 @@ def test_a_drive_or_field_written_then_comes_back_bit_for_bit(
     assert (read.sample_rate_hz, read.start_s, read.response_unit) == (10_000.0, -0.2, "m/s")
 
 
-def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path: Path) -> None:
+def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path):
     a_drive(tmp_path / "drive.h5")
     a_field(tmp_path / "field.h5")
     attributes = {
@@ -103,9 +99,7 @@ def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path: Path)
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
 @pytest.mark.parametrize("foci", [3, 0])
-def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(
-    tmp_path: Path, engine: Any, foci: int
-) -> None:
+def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(tmp_path, engine, foci):
     write_drive(tmp_path / "drive.h5", drive(foci=foci))
     a_field(tmp_path / "field.h5")
     with xarray.open_datatree(tmp_path / "drive.h5", engine=engine) as tree:
@@ -121,9 +115,7 @@ def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(
 
 
 @pytest.mark.parametrize("write", [a_drive, a_field])
-def test_a_drive_or_field_then_every_dataset_in_it_carries_its_checksum(
-    tmp_path: Path, write: Callable[[Path], None]
-) -> None:
+def test_a_drive_or_field_then_every_dataset_in_it_carries_its_checksum(tmp_path, write):
     write(tmp_path / "file.h5")
     with h5py.File(tmp_path / "file.h5") as file:
         found: dict[str, h5py.Dataset] = {}
@@ -133,7 +125,7 @@ def test_a_drive_or_field_then_every_dataset_in_it_carries_its_checksum(
             assert one.attrs["sha256"] == hashlib.sha256(values.tobytes()).hexdigest(), name
 
 
-def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path: Path) -> None:
+def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path):
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         file.attrs.update(format="wavefocus-drive", format_version=1, sample_rate_hz=10_000, start_s=-0.1)
         file["drive"] = np.ones((2, 3), ">f4")
@@ -144,9 +136,7 @@ def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("write", [a_drive, a_field])
-def test_a_file_written_over_an_older_one_then_replaces_it_and_leaves_nothing_else(
-    tmp_path: Path, write: Callable[..., None]
-) -> None:
+def test_a_file_written_over_an_older_one_then_replaces_it_and_leaves_nothing_else(tmp_path, write):
     for name, seeds in (("over.h5", (1, 2)), ("new.h5", (2,))):
         for seed in seeds:
             write(tmp_path / name, seed, force=True)
@@ -182,9 +172,7 @@ def a_damaged_bank(path: Path) -> None:
         (a_bank, False), (recordings, False), (a_drive, False), (a_field, False), (Path.touch, False),
     ],
 )  # fmt: skip
-def test_what_must_stay_then_is_not_written_over(
-    tmp_path: Path, write: Callable[..., None], make: Callable[[Path], None], force: bool
-) -> None:
+def test_what_must_stay_then_is_not_written_over(tmp_path, write, make, force):
     path = tmp_path / "file.h5"
     make(path)
     before = path.lstat().st_ino, path.read_bytes() if path.is_file() else None
@@ -194,7 +182,7 @@ def test_what_must_stay_then_is_not_written_over(
 
 
 @pytest.mark.parametrize("write", [a_drive, a_field])
-def test_a_folder_that_is_missing_then_is_an_input_error(tmp_path: Path, write: Callable[[Path], None]) -> None:
+def test_a_folder_that_is_missing_then_is_an_input_error(tmp_path, write):
     with pytest.raises(InputError, match=r"nowhere/file\.h5: there is no folder"):
         write(tmp_path / "nowhere" / "file.h5")
 
@@ -215,7 +203,7 @@ def test_a_folder_that_is_missing_then_is_an_input_error(tmp_path: Path, write: 
         ({"field": np.full((3, 5), np.nan), "position_index": [8, 8, 8]}, "/field of position 8 holds NaN"),
     ],
 )
-def test_a_wrong_drive_or_field_then_is_refused_by_name(change: dict[str, object], message: str) -> None:
+def test_a_wrong_drive_or_field_then_is_refused_by_name(change, message):
     sound = field() if set(change) & {"field", "position_index"} else drive()
     with pytest.raises(InputError, match=message):
         dataclasses.replace(sound, **change)
@@ -248,9 +236,7 @@ def test_a_wrong_drive_or_field_then_is_refused_by_name(change: dict[str, object
         (a_field, put("field", np.full((3, 5), np.nan)), "is damaged: the checksum"),
     ],
 )
-def test_a_file_with_something_wrong_then_is_refused_in_one_line(
-    tmp_path: Path, write: Callable[[Path], None], change: Callable[[h5py.File], None], message: str
-) -> None:
+def test_a_file_with_something_wrong_then_is_refused_in_one_line(tmp_path, write, change, message):
     path = tmp_path / "file.h5"
     write(path)
     with h5py.File(path, "r+") as file:
@@ -263,9 +249,7 @@ def test_a_file_with_something_wrong_then_is_refused_in_one_line(
 
 @pytest.mark.parametrize("read", [read_drive, read_field])
 @pytest.mark.parametrize(("content", "message"), [(b"", "is not an HDF5 file"), (None, "does not exist")])
-def test_a_path_without_a_file_of_ours_then_is_refused(
-    tmp_path: Path, read: Callable[[Path], object], content: bytes | None, message: str
-) -> None:
+def test_a_path_without_a_file_of_ours_then_is_refused(tmp_path, read, content, message):
     if content is not None:
         (tmp_path / "file.h5").write_bytes(content)
     with pytest.raises(InputError, match=message):
@@ -275,13 +259,13 @@ def test_a_path_without_a_file_of_ours_then_is_refused(
 # --- fields alone -----------------------------------------------------------------------------------------
 
 
-def test_a_float64_field_written_as_float64_then_keeps_every_digit(tmp_path: Path) -> None:
+def test_a_float64_field_written_as_float64_then_keeps_every_digit(tmp_path):
     values = np.random.default_rng(3).normal(size=(2, 4))
     write_field(tmp_path / "field.h5", Field(values, np.arange(2), 1e4, 0.0, "m/s"), dtype=np.float64)
     assert np.array_equal(read_field(tmp_path / "field.h5").field, values)
 
 
-def test_a_field_at_a_lower_rate_then_says_what_it_lost(tmp_path: Path) -> None:
+def test_a_field_at_a_lower_rate_then_says_what_it_lost(tmp_path):
     path, plain = tmp_path / "low.h5", tmp_path / "plain.h5"
     write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
     a_field(plain)
@@ -303,9 +287,7 @@ def test_a_field_at_a_lower_rate_then_says_what_it_lost(tmp_path: Path) -> None:
         ("band_hz", [3.0], "band_hz"),
     ],
 )
-def test_a_field_at_a_lower_rate_with_a_wrong_attribute_then_is_refused(
-    tmp_path: Path, name: str, value: object, message: str
-) -> None:
+def test_a_field_at_a_lower_rate_with_a_wrong_attribute_then_is_refused(tmp_path, name, value, message):
     path = tmp_path / "low.h5"
     write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
     with h5py.File(path, "r+") as file:
@@ -319,7 +301,7 @@ def rows_of(path: Path, **options: bool) -> AbstractContextManager[FieldWriter]:
     return field_in_rows(path, [4, 7, 9], 2, sample_rate_hz=1e4, start_s=-0.1, response_unit="m/s", **options)
 
 
-def test_rows_written_one_by_one_then_make_the_whole_field(tmp_path: Path) -> None:
+def test_rows_written_one_by_one_then_make_the_whole_field(tmp_path):
     with rows_of(tmp_path / "field.h5") as writer:
         writer.write(np.array([[1.0, 2.0], [3.0, 4.0]]))
         writer.write(np.array([[5.0, 6.0]]))
@@ -330,9 +312,7 @@ def test_rows_written_one_by_one_then_make_the_whole_field(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("error", [InputError, KeyboardInterrupt])
-def test_a_field_that_is_not_finished_then_leaves_the_old_file_and_nothing_else(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
+def test_a_field_that_is_not_finished_then_leaves_the_old_file_and_nothing_else(tmp_path, error):
     path = tmp_path / "field.h5"
     a_field(path)
     before = path.read_bytes()
@@ -357,7 +337,7 @@ def test_a_field_that_is_not_finished_then_leaves_the_old_file_and_nothing_else(
         (np.array([[1.0, np.nan]]), "holds NaN or infinities"),
     ],
 )
-def test_rows_that_do_not_fit_then_are_refused(tmp_path: Path, rows: np.ndarray, message: str) -> None:
+def test_rows_that_do_not_fit_then_are_refused(tmp_path, rows, message):
     with rows_of(tmp_path / "field.h5") as writer:
         with pytest.raises(InputError, match=message):
             writer.write(rows)

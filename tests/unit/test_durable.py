@@ -3,7 +3,6 @@
 import errno
 import os
 import stat
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -29,9 +28,7 @@ KINDS = [PositionedFile] if os.name == "nt" else [PosixFile, PositionedFile]
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(writes=st.lists(st.tuples(st.integers(0, 5000), st.binary(min_size=1, max_size=6000)), max_size=6))
-def test_writes_at_offsets_then_are_read_back_where_they_were_put(
-    tmp_path: Path, kind: Callable[..., PositionedFile], writes: list[tuple[int, bytes]]
-) -> None:
+def test_writes_at_offsets_then_are_read_back_where_they_were_put(tmp_path, kind, writes):
     path = tmp_path / "file"
     path.write_bytes(bytes(16_000))
     expected = bytearray(16_000)
@@ -48,9 +45,7 @@ def test_writes_at_offsets_then_are_read_back_where_they_were_put(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(
-    tmp_path: Path, kind: Callable[..., PositionedFile]
-) -> None:
+def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(tmp_path, kind):
     path = tmp_path / "file"
     with path.open("wb") as holes:
         holes.write(b"front")
@@ -70,9 +65,7 @@ def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_locked_file_then_has_one_owner_until_it_is_closed(
-    tmp_path: Path, kind: Callable[..., PositionedFile]
-) -> None:
+def test_a_locked_file_then_has_one_owner_until_it_is_closed(tmp_path, kind):
     (tmp_path / "file").write_bytes(b"abc")
     first, second, reader = (kind(tmp_path / "file", write=write) for write in (True, True, False))
     assert not reader.locked_elsewhere()
@@ -87,9 +80,7 @@ def test_a_locked_file_then_has_one_owner_until_it_is_closed(
 
 
 @pytest.mark.parametrize("publish", [publish_new, publish_by_link, publish_by_claim])
-def test_a_published_file_then_has_its_name_and_no_other_file_s(
-    tmp_path: Path, publish: Callable[[Path, Path], None]
-) -> None:
+def test_a_published_file_then_has_its_name_and_no_other_file_s(tmp_path, publish):
     (tmp_path / "temporary").write_bytes(b"old")
     publish(tmp_path / "temporary", tmp_path / "final")
     assert not (tmp_path / "temporary").exists()
@@ -100,7 +91,7 @@ def test_a_published_file_then_has_its_name_and_no_other_file_s(
     assert (tmp_path / "temporary").read_bytes() == b"new"
 
 
-def test_a_replacement_that_ends_well_then_takes_the_name(tmp_path: Path) -> None:
+def test_a_replacement_that_ends_well_then_takes_the_name(tmp_path):
     (tmp_path / "file").write_bytes(b"old")
     with replacement(tmp_path / "file") as temporary:
         temporary.write_bytes(b"new")
@@ -109,7 +100,7 @@ def test_a_replacement_that_ends_well_then_takes_the_name(tmp_path: Path) -> Non
     assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_replacement_that_fails_then_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+def test_a_replacement_that_fails_then_leaves_the_old_file_and_nothing_else(tmp_path):
     (tmp_path / "file").write_bytes(b"old")
 
     def write_half() -> None:
@@ -124,7 +115,7 @@ def test_a_replacement_that_fails_then_leaves_the_old_file_and_nothing_else(tmp_
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such permissions")
-def test_a_replacement_then_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
+def test_a_replacement_then_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "ordinary").write_bytes(b"")
     with replacement(tmp_path / "file") as temporary:
         temporary.write_bytes(b"new")
@@ -132,7 +123,7 @@ def test_a_replacement_then_has_the_permissions_of_any_new_file(tmp_path: Path) 
     assert modes[0] == modes[1]
 
 
-def test_a_file_opened_by_the_platforms_best_then_can_be_synced_with_its_folder(tmp_path: Path) -> None:
+def test_a_file_opened_by_the_platforms_best_then_can_be_synced_with_its_folder(tmp_path):
     (tmp_path / "file").write_bytes(b"abc")
     sync_path(tmp_path / "file")
     sync_folder(tmp_path)
@@ -160,20 +151,18 @@ server:/home /home nfs4 rw 0 0
         ("/mnt/the lab/bank.h5", True),
     ],
 )
-def test_a_path_then_counts_as_on_the_network_by_its_nearest_mount(path: str, network: bool) -> None:
+def test_a_path_then_counts_as_on_the_network_by_its_nearest_mount(path, network):
     assert is_network_mount_in(MOUNTS, Path(path)) is network
 
 
-def test_a_local_temporary_folder_then_is_no_network_mount(tmp_path: Path) -> None:
+def test_a_local_temporary_folder_then_is_no_network_mount(tmp_path):
     assert is_network_mount(tmp_path) is False
 
 
 @pytest.mark.may_skip("Windows has other calls for locks")
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other calls for locks")
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP])
-def test_a_drive_that_keeps_no_locks_then_the_file_and_the_remedy_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_drive_that_keeps_no_locks_then_the_file_and_the_remedy_are_named(tmp_path, monkeypatch, number):
     def refused(descriptor: int, operation: int) -> None:
         raise OSError(number, os.strerror(number))
 

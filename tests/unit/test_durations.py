@@ -23,7 +23,7 @@ from wavefocus.console import finish_clock
         (float("nan"), "unknown"),
     ],
 )
-def test_given_seconds_then_words(seconds: float, words: str) -> None:
+def test_given_seconds_then_words(seconds, words):
     assert hours(seconds) == words
 
 
@@ -40,8 +40,8 @@ def test_given_seconds_then_words(seconds: float, words: str) -> None:
     ],
 )
 def test_given_a_change_of_summer_time_then_the_finish_is_by_the_clock_of_then(
-    monkeypatch: pytest.MonkeyPatch, zone: str, start: str, seconds: float, finish: str
-) -> None:
+    monkeypatch, zone, start, seconds, finish
+):
     monkeypatch.setenv("TZ", zone)
     time.tzset()
     try:
@@ -53,5 +53,5 @@ def test_given_a_change_of_summer_time_then_the_finish_is_by_the_clock_of_then(
         time.tzset()
 
 
-def test_given_a_finish_beyond_all_dates_then_there_is_a_time_all_the_same() -> None:
+def test_given_a_finish_beyond_all_dates_then_there_is_a_time_all_the_same():
     assert finish_clock(1e300)

@@ -25,7 +25,7 @@ def words(text: str, kind: str = "scene") -> list[str]:
     return [one.text for one in completions(text, len(text), MODELS[kind])[1]]
 
 
-def test_given_mistakes_then_each_is_at_its_line_in_the_words_of_the_command_line() -> None:
+def test_given_mistakes_then_each_is_at_its_line_in_the_words_of_the_command_line():
     found = [(one.line, one.sentence) for one in mistakes_in(SCENE, SceneConfig)]
     assert [line for line, _ in found] == [7, 8, 8]
     assert "source[1].path.end_mm[1]" in found[0][1]
@@ -50,19 +50,17 @@ def test_given_mistakes_then_each_is_at_its_line_in_the_words_of_the_command_lin
         ("[capture]\nkeep_raw = ", "run", "true", []),
     ],
 )
-def test_given_a_place_then_the_keys_and_values_that_fit_are_listed(
-    text: str, kind: str, word: str, others: list[str]
-) -> None:
+def test_given_a_place_then_the_keys_and_values_that_fit_are_listed(text, kind, word, others):
     assert word in words(text, kind)
     assert not set(others) & set(words(text, kind))
 
 
-def test_given_a_comment_or_no_table_then_nothing_is_listed() -> None:
+def test_given_a_comment_or_no_table_then_nothing_is_listed():
     assert words("[scene]\nname = 3  # ki") == []
     assert words("[nonsense]\na") == []
 
 
-def test_given_a_key_or_a_heading_then_its_explanation_has_unit_and_bounds() -> None:
+def test_given_a_key_or_a_heading_then_its_explanation_has_unit_and_bounds():
     assert "(mm/s, 0 or more)" in help_at("[[source]]\nspeed_mm_s = 3", 14, SceneConfig)
     assert help_at('[[source]]\npath = { kind = "line", start_mm = [0, 0] }', 37, SceneConfig).startswith("start_mm: ")
     assert "what it emits" in help_at("[[source]]\n", 4, SceneConfig)
@@ -73,14 +71,14 @@ def test_given_a_key_or_a_heading_then_its_explanation_has_unit_and_bounds() -> 
     ("kind", "heading"),
     [(kind, key) for kind, model in MODELS.items() for key in model.model_fields if tables_of(model, key)],
 )
-def test_given_any_table_to_insert_then_it_is_toml_and_each_of_its_keys_is_known(kind: str, heading: str) -> None:
+def test_given_any_table_to_insert_then_it_is_toml_and_each_of_its_keys_is_known(kind, heading):
     text = commented_table(kind, heading)
     assert heading in parse_toml(text, "")
     assert not [one for one in mistakes_in(text, MODELS[kind]) if "unknown key" in one.sentence]
     assert text.count("#") >= len(tables_of(MODELS[kind], heading)[0].model_fields) // 2
 
 
-def test_given_sections_of_runs_and_rigs_then_inserted_ones_are_without_mistakes() -> None:
+def test_given_sections_of_runs_and_rigs_then_inserted_ones_are_without_mistakes():
     for kind, headings in (("run", ("grid", "sweep", "capture", "drift")), ("rig", ("mirror", "watch", "recovery"))):
         for heading in headings:
             assert mistakes_in(commented_table(kind, heading), MODELS[kind]) == []

@@ -3,8 +3,6 @@
 import signal
 import sys
 import threading
-from collections.abc import Generator
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +13,7 @@ LONG_S = 60.0
 
 
 @pytest.fixture
-def interruptible() -> Generator[None]:
+def interruptible():
     """Where the tests run in a shell's background, SIGINT is ignored from the start."""
     former, hook = signal.signal(signal.SIGINT, signal.default_int_handler), sys.unraisablehook
     yield
@@ -24,7 +22,7 @@ def interruptible() -> Generator[None]:
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_given_the_file_then_the_block_is_interrupted_and_the_file_taken_away(tmp_path: Path) -> None:
+def test_given_the_file_then_the_block_is_interrupted_and_the_file_taken_away(tmp_path):
     order = tmp_path / "verify.stop"
 
     def work() -> None:
@@ -37,7 +35,7 @@ def test_given_the_file_then_the_block_is_interrupted_and_the_file_taken_away(tm
     assert not order.exists()
 
 
-def test_given_a_file_of_before_then_it_is_no_order(tmp_path: Path) -> None:
+def test_given_a_file_of_before_then_it_is_no_order(tmp_path):
     order = tmp_path / "verify.stop"
     order.touch()
     with ended_by_file(order):
@@ -46,7 +44,7 @@ def test_given_a_file_of_before_then_it_is_no_order(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_order_that_falls_into_a_finaliser_then_it_is_given_again(tmp_path: Path) -> None:
+def test_order_that_falls_into_a_finaliser_then_it_is_given_again(tmp_path):
     order = tmp_path / "verify.stop"
     fallen = []
 

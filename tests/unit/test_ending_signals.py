@@ -10,7 +10,7 @@ from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.ending import TERMINAL_GONE, EndingSignals, stop_on_signals
 
 
-def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing() -> None:
+def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing():
     windows = SimpleNamespace(SIGINT=2, SIGTERM=15, SIGBREAK=21)
     signals = EndingSignals.here(windows)
     assert (signals.finish, signals.terminal_gone, signals.at_once) == ((2,), (), (15, 21))
@@ -22,7 +22,7 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
 
 @POSIX
 @pytest.mark.may_skip("Windows has no SIGHUP")
-def test_terminal_that_is_gone_then_position_is_finished_and_twice_changes_nothing() -> None:
+def test_terminal_that_is_gone_then_position_is_finished_and_twice_changes_nothing():
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup the tests inherit that it is ignored
     try:
         stop = StopRequest()
@@ -37,7 +37,7 @@ def test_terminal_that_is_gone_then_position_is_finished_and_twice_changes_nothi
 
 @POSIX
 @pytest.mark.may_skip("Windows has no SIGHUP")
-def test_given_nohup_then_a_terminal_that_is_gone_stays_ignored() -> None:
+def test_given_nohup_then_a_terminal_that_is_gone_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         stop = StopRequest()
@@ -49,7 +49,7 @@ def test_given_nohup_then_a_terminal_that_is_gone_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_given_two_who_stop_it_then_the_first_is_named() -> None:
+def test_given_two_who_stop_it_then_the_first_is_named():
     stop = StopRequest()
     stop.finish_position(TERMINAL_GONE)
     stop.finish_position()

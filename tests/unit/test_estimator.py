@@ -129,7 +129,7 @@ def limit_db(records: Records, truth: Float64Array, excitation: PlayedExcitation
 
 
 @pytest.mark.parametrize(("kind", "ppm"), [("modes", 200.0), ("random", 0.0)])
-def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, ppm: float) -> None:
+def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind, ppm):
     truth = damped_modes(12, TAPS, SMALL) if kind == "modes" else random_filters(12, TAPS)
     records = records_of(truth, ppm=ppm)
     excess = error_db(records.estimate().green, truth) - limit_db(records, truth)
@@ -138,7 +138,7 @@ def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, p
 
 
 @pytest.mark.nightly
-def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> None:
+def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm():
     default = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
     estimator = SequentialEstimator(default, 2000)
     truth = damped_modes(6, 2000, default)
@@ -151,14 +151,14 @@ def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> N
 
 @settings(max_examples=5)
 @given(st.floats(0, 250), st.floats(-400, 400), st.integers(0, 99))
-def test_start_and_clock_ratio_are_found(offset: float, ppm: float, seed: int) -> None:
+def test_start_and_clock_ratio_are_found(offset, ppm, seed):
     estimate = records_of(damped_modes(2, TAPS, SMALL), offset=offset, ppm=ppm, seed=seed).estimate()
     assert estimate.offset_samples == pytest.approx(np.full(2, offset), abs=0.01)
     # A record of a third of the default's length tells the ratio a tenth as well.
     assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(2, ppm), abs=1.0)
 
 
-def test_sweeps_that_one_clock_did_not_play_are_refused_and_lost_samples_are_named() -> None:
+def test_sweeps_that_one_clock_did_not_play_are_refused_and_lost_samples_are_named():
     records = records_of(damped_modes(4, TAPS, SMALL), ppm=50.0)
     gap = int(100.4) + 2 * SMALL.period_samples - 5
     for channel in (records.reference, records.response):
@@ -169,7 +169,7 @@ def test_sweeps_that_one_clock_did_not_play_are_refused_and_lost_samples_are_nam
 
 
 @pytest.mark.parametrize("averages", [1, 3])
-def test_coupling_capacitors_do_not_pass_for_a_clock(averages: int) -> None:
+def test_coupling_capacitors_do_not_pass_for_a_clock(averages):
     played_thus = dataclasses.replace(SMALL, averages=averages)
     truth = damped_modes(4, TAPS, SMALL)
     records = records_of(truth, played_thus, snr_db=None, ppm=30.0)
@@ -182,7 +182,7 @@ def test_coupling_capacitors_do_not_pass_for_a_clock(averages: int) -> None:
     assert error_db(estimate.green, truth).max() < -70
 
 
-def test_delay_between_channels_gain_and_response_unit_are_undone() -> None:
+def test_delay_between_channels_gain_and_response_unit_are_undone():
     truth = damped_modes(4, TAPS, SMALL)
     records = records_of(truth, snr_db=None, response_late=0.4)
     records.reference *= 0.8
@@ -191,7 +191,7 @@ def test_delay_between_channels_gain_and_response_unit_are_undone() -> None:
     assert error_db(records.estimate(estimator).green, truth).max() < -80
 
 
-def test_single_sweep_gives_a_response_but_says_nothing_of_repeats() -> None:
+def test_single_sweep_gives_a_response_but_says_nothing_of_repeats():
     once = dataclasses.replace(SMALL, averages=1)
     truth = damped_modes(4, TAPS, once)
     records = records_of(truth, once, ppm=100.0)
@@ -200,7 +200,7 @@ def test_single_sweep_gives_a_response_but_says_nothing_of_repeats() -> None:
     assert np.isnan(estimate.coherence).all()
 
 
-def test_noise_and_ratios_are_told_as_they_are() -> None:
+def test_noise_and_ratios_are_told_as_they_are():
     truth = damped_modes(12, TAPS, SMALL)
     records = records_of(truth)
     estimate = records.estimate()
@@ -213,28 +213,28 @@ def test_noise_and_ratios_are_told_as_they_are() -> None:
     assert (estimate.clip_count == 0).all()
 
 
-def test_samples_at_the_end_of_the_range_are_counted_on_both_channels() -> None:
+def test_samples_at_the_end_of_the_range_are_counted_on_both_channels():
     records = records_of(damped_modes(2, TAPS, SMALL))
     records.reference[0, 10] = -RANGE[0]
     records.response[0, 20:23] = 0.9995 * RANGE[1]
     assert records.estimate().clip_count.tolist() == [4, 0]
 
 
-def test_the_same_record_gives_the_same_bytes_whatever_came_before() -> None:
+def test_the_same_record_gives_the_same_bytes_whatever_came_before():
     records = records_of(damped_modes(3, TAPS, SMALL))
     first = SequentialEstimator(SMALL, TAPS)
     records_of(random_filters(3, TAPS), ppm=-200.0).estimate(first)
     assert records.estimate(first).green.tobytes() == records.estimate(SequentialEstimator(SMALL, TAPS)).green.tobytes()
 
 
-def test_a_record_without_reference_is_named() -> None:
+def test_a_record_without_reference_is_named():
     records = records_of(damped_modes(3, TAPS, SMALL))
     records.reference[1] = np.random.default_rng(0).standard_normal(records.reference.shape[1])
     with pytest.raises(ReferenceMissingError, match="record 1 "):
         records.estimate()
 
 
-def test_a_record_cut_before_its_end_is_refused() -> None:
+def test_a_record_cut_before_its_end_is_refused():
     records = records_of(damped_modes(2, TAPS, SMALL), offset=700.0)
     cut = Records(records.reference[:, 600:], records.response[:, 600:], records.noise_v)
     assert cut.estimate().offset_samples == pytest.approx([100.0, 100.0], abs=0.01)
@@ -264,7 +264,7 @@ def repeated_signals() -> dict[str, Float64Array]:
 
 
 @pytest.mark.parametrize("name", repeated_signals())
-def test_any_repeated_excitation_of_the_band_is_estimated(name: str) -> None:
+def test_any_repeated_excitation_of_the_band_is_estimated(name):
     ppm = -480.0
     signal = repeated_signals()[name]
     base_v = np.pad(signal / np.abs(signal).max(), (0, SMALL.decay_samples))
@@ -276,7 +276,7 @@ def test_any_repeated_excitation_of_the_band_is_estimated(name: str) -> None:
 
 
 @pytest.mark.parametrize("cut", [False, True], ids=["square term", "cut before the noise"])
-def test_what_bends_where_no_third_harmonic_can_be_measured_is_unexplained(cut: bool) -> None:
+def test_what_bends_where_no_third_harmonic_can_be_measured_is_unexplained(cut):
     time_s = np.arange(TAPS) / SMALL.sample_rate_hz
     low = np.exp(-120 * time_s) * np.sin(2 * np.pi * np.array([[62.0], [75.0], [88.0]]) * time_s)
     records = records_of(low, snr_db=None)
@@ -294,7 +294,7 @@ def test_what_bends_where_no_third_harmonic_can_be_measured_is_unexplained(cut: 
     assert "sweep.amplitude_v" in judgement.reason
 
 
-def test_records_that_cannot_be_are_refused() -> None:
+def test_records_that_cannot_be_are_refused():
     records = np.zeros((2, 12_000), dtype=np.float32)
     for reference, response in (
         (records[0], records[0]),
@@ -307,7 +307,7 @@ def test_records_that_cannot_be_are_refused() -> None:
             ESTIMATOR.estimate(reference, response, range_v=RANGE)
 
 
-def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found() -> None:
+def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found():
     ppm = -300.0
     audio = PlayedExcitation(48_000.0, 50.0, 18_000.0, 0.8, 0.1, 1.0, 2)
     truth = damped_modes(2, 4000, audio)

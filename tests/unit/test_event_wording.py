@@ -55,15 +55,13 @@ IN_THE_WINDOW: tuple[Event, ...] = (
 SHOWN_OTHERWISE = {Progress, RecordTaken}
 
 
-def test_each_kind_of_event_has_an_example_here() -> None:
+def test_each_kind_of_event_has_an_example_here():
     kinds = {type(event) for event in (*AT_THE_TERMINAL, *IN_THE_WINDOW)} | SHOWN_OTHERWISE
     assert {kind.__name__ for kind in Event.__subclasses__()} == {kind.__name__ for kind in kinds}
 
 
 @pytest.mark.parametrize("event", [*AT_THE_TERMINAL, *IN_THE_WINDOW], ids=lambda event: type(event).__name__)
-def test_given_an_event_then_terminal_and_window_show_its_one_sentence(
-    event: Event, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_an_event_then_terminal_and_window_show_its_one_sentence(event, capsys):
     text = sentence(event)
     assert text != tag(event)
     assert "nan" not in text

@@ -1,8 +1,6 @@
 """The signal of a sequential record."""
 
 import dataclasses
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ from wavefocus.storage.errors import InputError
 DEFAULT = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)
 
 
-def test_default_excitation_has_three_periods_of_sweep_and_silence() -> None:
+def test_default_excitation_has_three_periods_of_sweep_and_silence():
     assert DEFAULT.period_samples == 12_000
     assert DEFAULT.signal_v().shape == (36_000,)
     assert np.array_equal(DEFAULT.signal_v()[12_000:24_000], DEFAULT.base_v())
@@ -23,7 +21,7 @@ def test_default_excitation_has_three_periods_of_sweep_and_silence() -> None:
     assert DEFAULT.band_hz == (20.0, 500.0)
 
 
-def test_spectrum_is_flat_inside_the_band_and_gone_beyond_it() -> None:
+def test_spectrum_is_flat_inside_the_band_and_gone_beyond_it():
     power = np.abs(np.fft.rfft(DEFAULT.base_v())) ** 2
     hertz = np.arange(power.size) / 1.2
     middle = np.median(power[(hertz >= 20) & (hertz <= 500)])
@@ -32,7 +30,7 @@ def test_spectrum_is_flat_inside_the_band_and_gone_beyond_it() -> None:
     assert 10 * np.log10((power[hertz > 700] / middle).max()) < -40
 
 
-def test_sweep_starts_and_ends_softly() -> None:
+def test_sweep_starts_and_ends_softly():
     sweep = DEFAULT.base_v()[:10_000]
     assert np.abs(sweep[:3]).max() < 1e-3
     assert np.abs(sweep[-3:]).max() < 1e-3
@@ -47,13 +45,13 @@ def test_sweep_starts_and_ends_softly() -> None:
         {"sample_rate_hz": float("inf")}, {"fade_s": 0.6},
     ],
 )  # fmt: skip
-def test_nonsense_is_refused_by_name(change: dict[str, Any]) -> None:
+def test_nonsense_is_refused_by_name(change):
     with pytest.raises(InputError, match=next(iter(change))):
         dataclasses.replace(DEFAULT, **change)
 
 
 @pytest.mark.parametrize("waveform", WAVEFORMS)
-def test_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found(waveform: str) -> None:
+def test_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found(waveform):
     excitation = dataclasses.replace(DEFAULT, waveform=waveform, averages=2)
     base = excitation.base_v()
     assert np.abs(base).max() == pytest.approx(0.5, abs=1e-12)
@@ -82,7 +80,7 @@ def test_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found
 
 
 @pytest.mark.parametrize("schedule", ["sequential", "staggered"])
-def test_given_a_multisine_in_the_run_then_a_campaign_ends_with_valid_rows(tmp_path: Path, schedule: str) -> None:
+def test_given_a_multisine_in_the_run_then_a_campaign_ends_with_valid_rows(tmp_path, schedule):
     run = {"sweep": {"waveform": "multisine", "duration_s": 0.3}, "capture": {"averages": 1, "excitation": schedule}}
     rig = wf.virtual_rig(actuators=2, position_mm=[[0, 0], [5, 0]], run=run)
     with rig.measure(tmp_path / "bank.h5") as bank:

@@ -1,7 +1,6 @@
 """A file of the wrong kind, and a mistyped command: named at once, with what is meant."""
 
 import json
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -24,7 +23,7 @@ LOADS = {"run": load_run, "rig": load_rig, "scene": load_scene, "trials": load_t
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def lab(tmp_path_factory):
     """What `wavefocus init` writes, a calibration, and HDF5 files of other kinds."""
     folder = tmp_path_factory.mktemp("files") / "lab"
     assert run(["init", str(folder)]) == 0
@@ -38,7 +37,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("wanted", LOADS)
 @pytest.mark.parametrize("found", LOADS)
-def test_given_another_kind_of_toml_file_then_both_kinds_are_named(lab: Path, wanted: str, found: str) -> None:
+def test_given_another_kind_of_toml_file_then_both_kinds_are_named(lab, wanted, found):
     if wanted == found:
         return
     with pytest.raises(InputError, match=rf"{found}\.toml: this is a {found} file; a {wanted} file is needed"):
@@ -50,19 +49,17 @@ def test_given_another_kind_of_toml_file_then_both_kinds_are_named(lab: Path, wa
     ("name", "found"),
     [("bank", "bank"), ("drive", "drive file"), ("raw", "file of raw recordings"), ("field", "field file")],
 )
-def test_given_an_hdf5_file_in_place_of_a_toml_file_then_both_kinds_are_named(
-    lab: Path, wanted: str, name: str, found: str
-) -> None:
+def test_given_an_hdf5_file_in_place_of_a_toml_file_then_both_kinds_are_named(lab, wanted, name, found):
     with pytest.raises(InputError, match=rf"{name}\.h5: this is a {found}; a {wanted} file is needed"):
         LOADS[wanted](lab / f"{name}.h5")
 
 
-def test_given_a_toml_file_in_place_of_a_bank_then_a_bank_is_asked_for(lab: Path) -> None:
+def test_given_a_toml_file_in_place_of_a_bank_then_a_bank_is_asked_for(lab):
     with pytest.raises(InputError, match=r"run\.toml is a TOML file; .*bank, is needed"):
         open_bank(lab / "run.toml")
 
 
-def test_given_a_run_file_with_a_key_of_a_rig_then_the_key_is_named(lab: Path, tmp_path: Path) -> None:
+def test_given_a_run_file_with_a_key_of_a_rig_then_the_key_is_named(lab, tmp_path):
     (tmp_path / "run.toml").write_text("[grid]\nspacing_mm = 4.0\n[sweep]\nstop_hz = 400.0\n[mirror]\nsettle_s = 1.0\n")
     with pytest.raises(InputError, match=r"mirror = .*unknown key"):
         load_run(tmp_path / "run.toml")
@@ -82,20 +79,18 @@ def test_given_a_run_file_with_a_key_of_a_rig_then_the_key_is_named(lab: Path, t
         (["export", "b.h5", "o", "--to", "nectdf"], "netcdf"),
     ],
 )
-def test_given_a_mistyped_word_then_the_nearest_is_named(arguments: list[str], meant: str) -> None:
+def test_given_a_mistyped_word_then_the_nearest_is_named(arguments, meant):
     with pytest.raises(UsageError, match=f"did you mean {meant}\\?"):
         run_command(arguments)
 
 
-def test_given_a_word_that_is_near_to_none_then_none_is_named() -> None:
+def test_given_a_word_that_is_near_to_none_then_none_is_named():
     assert nearest("xyzzy", [one.name for one in COMMANDS]) == ""
     assert run(["xyzzy"]) == 2
 
 
 @pytest.mark.parametrize("words", GONE)
-def test_a_command_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
-    words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_of_an_earlier_version_then_one_sentence_names_what_serves_instead(words, capsys):
     assert run([*words.split(), "plate.h5", "--out", "x"]) == 2
     assert capsys.readouterr().err == f"wavefocus: {words} is gone: {GONE[words]}\n"
 
@@ -107,9 +102,7 @@ LINES = {
 
 
 @pytest.mark.parametrize("words", OPTIONS)
-def test_an_option_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
-    words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_option_of_an_earlier_version_then_one_sentence_names_what_serves_instead(words, capsys):
     command, _, option = words.rpartition(" ")
     command = command or "plan"
     assert run([*LINES[command].split(), option, "x"]) == 2
@@ -117,7 +110,7 @@ def test_an_option_of_an_earlier_version_then_one_sentence_names_what_serves_ins
 
 
 @pytest.mark.parametrize("key", ["refine_to", "refine_positions"])
-def test_a_key_of_an_earlier_version_is_refused_in_files_and_read_in_banks(lab: Path, tmp_path: Path, key: str) -> None:
+def test_a_key_of_an_earlier_version_is_refused_in_files_and_read_in_banks(lab, tmp_path, key):
     (tmp_path / "run.toml").write_text(f"[grid]\n{key} = 1\n")
     with pytest.raises(InputError, match=rf"grid: {key} is gone: {KEYS[key]}$"):
         load_run(tmp_path / "run.toml")

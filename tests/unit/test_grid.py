@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +12,11 @@ from wavefocus.storage.errors import InputError
 PLATE = Outline.stadium(250.0, 150.0)
 
 
-def test_default_grid_has_the_papers_1500_positions() -> None:
+def test_default_grid_has_the_papers_1500_positions():
     assert surface_grid(PLATE, 14.3, 4).shape == (1500, 2)
 
 
-def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction() -> None:
+def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction():
     grid = surface_grid(PLATE, 14.3, 4)
     step_mm = np.diff(grid, axis=0)
     same_row = step_mm[:, 1] == 0
@@ -29,9 +28,7 @@ def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction(
 
 
 @given(width_mm=st.floats(5, 100), extra_mm=st.floats(0, 100), margin=st.floats(0, 0.45), spacing_mm=st.floats(1, 8))
-def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
-    width_mm: float, extra_mm: float, margin: float, spacing_mm: float
-) -> None:
+def test_any_grid_fills_the_inset_stadium_and_stays_in_it(width_mm, extra_mm, margin, spacing_mm):
     length_mm, margin_mm = width_mm + extra_mm, margin * width_mm
     plate = Outline.stadium(length_mm, width_mm)
     try:
@@ -54,13 +51,13 @@ def test_any_grid_fills_the_inset_stadium_and_stays_in_it(
     ("margin_mm", "spacing_mm", "key"),
     [(75, 4, "margin_mm = 75"), (14.3, 1e-9, "spacing_mm = 1e-09"), (14.3, 300, "spacing_mm = 300")],
 )
-def test_grid_without_a_possible_position_names_key_and_value(margin_mm: float, spacing_mm: float, key: str) -> None:
+def test_grid_without_a_possible_position_names_key_and_value(margin_mm, spacing_mm, key):
     with pytest.raises(InputError, match=key):
         surface_grid(PLATE, margin_mm, spacing_mm)
 
 
 @given(spacing_mm=st.floats(8.0, 40.0), margin_mm=st.floats(0.0, 30.0))
-def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stadium(spacing_mm, margin_mm) -> None:
+def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stadium(spacing_mm, margin_mm):
     grid_mm = surface_grid(PLATE, margin_mm, spacing_mm, "hexagonal")
     assert PLATE.contains(grid_mm, margin_mm).all()
     distance_mm = np.hypot(*(grid_mm[:, None] - grid_mm).transpose(2, 0, 1))
@@ -76,7 +73,7 @@ def _equal_arcs(outline: Outline, count: int) -> np.ndarray:
 
 
 @given(width_mm=st.floats(10, 200), extra_mm=st.floats(0, 200), count=st.integers(1, 60))
-def test_any_rim_lies_on_the_outline_with_equal_arcs(width_mm: float, extra_mm: float, count: int) -> None:
+def test_any_rim_lies_on_the_outline_with_equal_arcs(width_mm, extra_mm, count):
     outline, radius_mm = Outline.stadium(width_mm + extra_mm, width_mm), width_mm / 2
     rim = _equal_arcs(outline, count)
     beyond_mm = np.maximum(np.abs(rim[:, 0]) - extra_mm / 2, 0)
@@ -87,7 +84,7 @@ def test_any_rim_lies_on_the_outline_with_equal_arcs(width_mm: float, extra_mm: 
     np.testing.assert_allclose(chord_mm.reshape(count, 2000).sum(axis=1), perimeter_mm / count, rtol=1e-4)
 
 
-def test_given_outlines_then_area_depth_and_points_within_are_theirs() -> None:
+def test_given_outlines_then_area_depth_and_points_within_are_theirs():
     assert PLATE.area_mm2 == pytest.approx(np.pi * 75.0**2 + 100.0 * 150.0)
     assert Outline.of("disk", 80.0, 80.0).area_mm2 == pytest.approx(np.pi * 1600.0)
     depth = Outline.rectangle(100.0, 50.0).depth_mm([[0, 0], [49, 0], [60, 0], [45, -24]])
@@ -106,12 +103,12 @@ def test_given_outlines_then_area_depth_and_points_within_are_theirs() -> None:
         (Segment((1, 0), (0, -1), (0, 0)), Segment((0, -1), (1, 0))),  # an arc of three quarters
     ],
 )
-def test_given_no_outline_of_a_plate_then_it_is_refused(segments: tuple[Segment, ...]) -> None:
+def test_given_no_outline_of_a_plate_then_it_is_refused(segments):
     with pytest.raises(ValueError, match="outline"):
         Outline(segments)
 
 
-def test_positions_file_is_read_in_its_own_order(tmp_path: Path) -> None:
+def test_positions_file_is_read_in_its_own_order(tmp_path):
     file = tmp_path / "grid.csv"
     file.write_bytes(b"\xef\xbb\xbf# from the bench\r\nx_mm, y_mm\r\n\r\n3.5, -2\r\n-1e1,0\r\n")
     assert read_positions_file(file, PLATE).tolist() == [[3.5, -2], [-10, 0]]
@@ -133,7 +130,7 @@ def test_positions_file_is_read_in_its_own_order(tmp_path: Path) -> None:
         ("x_mm,y_mm\n0,0\n0,76\n", "line 3: (0, 76) mm lies outside the surface"),
     ],
 )
-def test_mistake_in_a_positions_file_names_file_and_line(tmp_path: Path, text: str, complaint: str) -> None:
+def test_mistake_in_a_positions_file_names_file_and_line(tmp_path, text, complaint):
     file = tmp_path / "grid.csv"
     file.write_text(text)
     with pytest.raises(InputError) as told:
@@ -142,7 +139,7 @@ def test_mistake_in_a_positions_file_names_file_and_line(tmp_path: Path, text: s
     assert "\n" not in str(told.value)
 
 
-def test_positions_file_that_is_no_text_is_told_with_the_line(tmp_path: Path) -> None:
+def test_positions_file_that_is_no_text_is_told_with_the_line(tmp_path):
     file = tmp_path / "grid.csv"
     file.write_bytes(b"x_mm,y_mm\n1,\xff\n")
     with pytest.raises(InputError, match="line 2: not UTF-8"):

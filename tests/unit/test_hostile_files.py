@@ -1,9 +1,7 @@
 """Files that would block, never end or take minutes, next to a bank and as input: refused or passed over at once."""
 
 import os
-from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,9 +32,7 @@ posix = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are PO
         (log_path, lambda bank: list(last_events(bank)), []),
     ],
 )
-def test_given_a_pipe_in_place_of_a_file_beside_a_bank_then_it_holds_nothing(
-    tmp_path: Path, name: Callable[[Path], Path], read: Callable[[Path], object], nothing: object
-) -> None:
+def test_given_a_pipe_in_place_of_a_file_beside_a_bank_then_it_holds_nothing(tmp_path, name, read, nothing):
     bank = tmp_path / "plate.h5"
     os.mkfifo(name(bank))
     assert read(bank) == nothing
@@ -44,7 +40,7 @@ def test_given_a_pipe_in_place_of_a_file_beside_a_bank_then_it_holds_nothing(
 
 @pytest.mark.may_skip("named pipes are POSIX")
 @posix
-def test_given_pipes_as_inputs_then_they_are_refused(tmp_path: Path) -> None:
+def test_given_pipes_as_inputs_then_they_are_refused(tmp_path):
     pipe = tmp_path / "pipe.toml"
     os.mkfifo(pipe)
     assert input_files(pipe) == [pipe]
@@ -60,7 +56,7 @@ def test_given_pipes_as_inputs_then_they_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.may_skip("named pipes are POSIX")
 @posix
-def test_given_a_pipe_as_owner_file_then_status_does_not_wait_for_it(tmp_path: Path) -> None:
+def test_given_a_pipe_as_owner_file_then_status_does_not_wait_for_it(tmp_path):
     import h5py
 
     bank = tmp_path / "plate.h5"
@@ -72,7 +68,7 @@ def test_given_a_pipe_as_owner_file_then_status_does_not_wait_for_it(tmp_path: P
     assert run(["status", str(bank)]) == 0
 
 
-def test_given_a_deeply_nested_line_of_drift_then_the_others_are_read(tmp_path: Path) -> None:
+def test_given_a_deeply_nested_line_of_drift_then_the_others_are_read(tmp_path):
     bank = tmp_path / "plate.h5"
     drift_path(bank).write_text("[" * 100_000 + "\n" + '{"a":' * 100_000 + "\n")
     assert read_drift(bank) == []
@@ -92,7 +88,7 @@ LONG = MAX_KEY_PARTS + 1
     ],
     ids=["key", "heading", "quoted", "inline", "just too long"],
 )
-def test_given_a_key_of_too_many_parts_then_it_is_refused_with_its_line(text: str) -> None:
+def test_given_a_key_of_too_many_parts_then_it_is_refused_with_its_line(text):
     with pytest.raises(InputError, match=r"^deep\.toml: not TOML: line [12]: a key of more than 16 parts"):
         parse_toml(text, "deep.toml")
 
@@ -100,11 +96,11 @@ def test_given_a_key_of_too_many_parts_then_it_is_refused_with_its_line(text: st
 @pytest.mark.parametrize(
     "text", ["a.b.c.d = 1", 'text = "' + "one. " * 100 + '"', "x = [" + "1.5, " * 100 + "]", "x = 1 # " + ". " * 100]
 )
-def test_given_dots_that_make_no_long_key_then_it_is_read(text: str) -> None:
+def test_given_dots_that_make_no_long_key_then_it_is_read(text):
     assert parse_toml(text, "plain.toml")
 
 
-def test_given_a_table_of_many_places_then_each_actuator_has_its_own_number(tmp_path: Path) -> None:
+def test_given_a_table_of_many_places_then_each_actuator_has_its_own_number(tmp_path):
     soundfile.write(tmp_path / "a.wav", np.full((8, 1), 0.5, np.float32), 8000, subtype="FLOAT")
     places = tmp_path / "places.csv"
     places.write_text("file,x_mm,y_mm,actuator\n" + "".join(f"a.wav,0,0,a{number}\n" for number in range(5000)))

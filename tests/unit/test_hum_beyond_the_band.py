@@ -56,7 +56,7 @@ def _judged(estimate: Estimate) -> tuple[float, Judgement]:
     return float(error_db), judge(estimate, False, QualityLimits())
 
 
-def test_given_hum_below_the_band_that_leaves_the_rows_right_then_they_are_valid() -> None:
+def test_given_hum_below_the_band_that_leaves_the_rows_right_then_they_are_valid():
     estimate = _sequential(23.0, -40.0)
     error_db, judgement = _judged(estimate)
     assert error_db < -50
@@ -65,7 +65,7 @@ def test_given_hum_below_the_band_that_leaves_the_rows_right_then_they_are_valid
 
 
 @pytest.mark.parametrize(("measure", "hum_hz"), [(_sequential, 30.0), (_staggered, 120.0)])
-def test_given_hum_that_makes_the_rows_wrong_then_they_are_poor_and_it_is_named(measure, hum_hz: float) -> None:
+def test_given_hum_that_makes_the_rows_wrong_then_they_are_poor_and_it_is_named(measure, hum_hz):
     error_db, judgement = _judged(measure(hum_hz, -5.0))
     assert error_db > -35
     assert judgement.status & Status.POOR_SIGNAL

@@ -1,6 +1,5 @@
 """Frequency responses that no causal system has are named: conjugated or leading, aliased in time; others are not."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ def modes(taps: int, decay_s: float, delay_s: float = 0.0, seed: int = 1) -> np.
 
 
 @pytest.fixture
-def found(tmp_path: Path) -> Any:
+def found(tmp_path):
     """Names of the warnings of an import of frequency responses from `first` steps on."""
     places = tmp_path / "places.csv"
     places.write_text("x_m,y_m\n" + "".join(f"{0.004 * (i % 3)},{0.004 * (i // 3)}\n" for i in range(POSITIONS)))
@@ -46,9 +45,7 @@ def found(tmp_path: Path) -> Any:
         ("conjugated", 0.02, ["conjugated"]), ("leading", 0.02, ["conjugated"]), ("aliased", 0.5, ["aliased"]),
     ],
 )  # fmt: skip
-def test_only_responses_that_are_not_causal_then_are_named(
-    found: Any, band: tuple[int, int] | None, kind: str, decay_s: float, wanted: list[str]
-) -> None:
+def test_only_responses_that_are_not_causal_then_are_named(found, band, kind, decay_s, wanted):
     period = 1000
     green = modes(8000, decay_s, delay_s=0.05 if kind == "late" else 0.0)
     spectra = np.fft.rfft(green, 8000)[..., :: 8000 // period]  # samples of the spectrum: the response wraps round
@@ -66,7 +63,7 @@ def test_only_responses_that_are_not_causal_then_are_named(
     assert all(text in facts["paragraph"] for text in facts["warnings"])
 
 
-def test_one_actuator_that_is_conjugated_then_is_named(found: Any) -> None:
+def test_one_actuator_that_is_conjugated_then_is_named(found):
     spectra = np.fft.rfft(modes(400, 0.02), 1000)
     spectra[:, 1] = spectra[:, 1].conj()
     names, facts = found(spectra, 2.0)

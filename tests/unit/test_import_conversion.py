@@ -23,7 +23,7 @@ STEP_HZ = RATE_HZ / PERIOD
 
 
 @pytest.fixture(scope="module")
-def green() -> np.ndarray:
+def green():
     """Causal responses of a few decaying modes, (positions, actuators, taps)."""
     random, time_s = np.random.default_rng(1), np.arange(TAPS) / RATE_HZ
     shape = (POSITIONS, ACTUATORS, 5, 1)
@@ -33,7 +33,7 @@ def green() -> np.ndarray:
 
 
 @pytest.fixture
-def imported(tmp_path: Path) -> Any:
+def imported(tmp_path):
     """Import an array; returns Green's functions, the report and the band."""
     places = tmp_path / "places.csv"
     places.write_text("x_m,y_m\n" + "".join(f"{0.004 * (i % 3)},{0.004 * (i // 3)}\n" for i in range(POSITIONS)))
@@ -60,9 +60,7 @@ def listed(tmp_path: Path, frequency_hz: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["one-sided", "negative first", "to the rate", "odd"])
-def test_given_a_whole_frequency_axis_then_the_response_comes_back(
-    green: np.ndarray, imported: Any, tmp_path: Path, kind: str
-) -> None:
+def test_given_a_whole_frequency_axis_then_the_response_comes_back(green, imported, tmp_path, kind):
     period = PERIOD + (kind == "odd")
     spectra, axis_hz = np.fft.fft(green, period), np.fft.fftfreq(period, 1 / RATE_HZ)
     if kind == "one-sided":
@@ -77,9 +75,7 @@ def test_given_a_whole_frequency_axis_then_the_response_comes_back(
     assert made.facts["residual_db"] < -130
 
 
-def test_given_a_band_then_the_causal_fit_explains_it_and_states_what_it_does_not(
-    green: np.ndarray, imported: Any
-) -> None:
+def test_given_a_band_then_the_causal_fit_explains_it_and_states_what_it_does_not(green, imported):
     bins = np.arange(20, 181)
     spectra = np.fft.rfft(green, PERIOD)[..., bins]
     frequencies = (bins[0] * STEP_HZ, STEP_HZ)
@@ -95,7 +91,7 @@ def test_given_a_band_then_the_causal_fit_explains_it_and_states_what_it_does_no
 
 
 @pytest.mark.parametrize("missing", ["left out", "NaN"])
-def test_given_no_value_at_0_hz_then_the_causal_fit_finds_it(green: np.ndarray, imported: Any, missing: str) -> None:
+def test_given_no_value_at_0_hz_then_the_causal_fit_finds_it(green, imported, missing):
     spectra = np.fft.rfft(green, PERIOD)
     if missing == "NaN":
         spectra[..., 0] = np.nan
@@ -108,9 +104,7 @@ def test_given_no_value_at_0_hz_then_the_causal_fit_finds_it(green: np.ndarray, 
 
 
 @pytest.mark.parametrize(("unit", "power", "size"), [("g/N", 1, 9.80665), ("um/V", -1, 1e-6)])
-def test_given_other_motions_then_they_become_velocities_when_asked(
-    green: np.ndarray, imported: Any, unit: str, power: int, size: float
-) -> None:
+def test_given_other_motions_then_they_become_velocities_when_asked(green, imported, unit, power, size):
     omega = 2 * np.pi * STEP_HZ * np.arange(PERIOD // 2 + 1)
     spectra = np.fft.rfft(green, PERIOD) / size
     spectra[..., 1:] *= (1j * omega[1:]) ** power
@@ -123,9 +117,7 @@ def test_given_other_motions_then_they_become_velocities_when_asked(
     assert (bank.response_unit, bank.drive_unit) == (unit, unit[-1])
 
 
-def test_samples_of_acceleration_then_they_are_integrated_in_the_band_that_is_named(
-    green: np.ndarray, imported: Any
-) -> None:
+def test_samples_of_acceleration_then_they_are_integrated_in_the_band_that_is_named(green, imported):
     with pytest.raises(InputError, match="--band"):
         imported(green, sample_rate_hz=RATE_HZ, unit="m/s^2/N", to_velocity=True)
     found, made, _ = imported(
@@ -147,9 +139,7 @@ def test_samples_of_acceleration_then_they_are_integrated_in_the_band_that_is_na
         (-STEP_HZ * (1 + np.arange(PERIOD // 2 + 1)), "0 Hz or above"),
     ],
 )
-def test_given_an_axis_that_no_transform_has_then_it_is_refused(
-    green: np.ndarray, imported: Any, tmp_path: Path, axis_hz: np.ndarray, told: str
-) -> None:
+def test_given_an_axis_that_no_transform_has_then_it_is_refused(green, imported, tmp_path, axis_hz, told):
     with pytest.raises(InputError, match=told):
         imported(np.fft.rfft(green, PERIOD), frequencies=listed(tmp_path, axis_hz))
 
@@ -168,14 +158,12 @@ def test_given_an_axis_that_no_transform_has_then_it_is_refused(
         ({"names": {"greens": "h"}}, "--names"),
     ],
 )
-def test_given_an_option_out_of_range_then_it_is_named(
-    green: np.ndarray, imported: Any, options: dict[str, Any], told: str
-) -> None:
+def test_given_an_option_out_of_range_then_it_is_named(green, imported, options, told):
     with pytest.raises(InputError, match=told):
         imported(np.fft.rfft(green, PERIOD), **{"frequencies": (0.0, STEP_HZ), **options})
 
 
-def test_given_the_bank_is_an_input_then_it_is_refused_even_with_force(tmp_path: Path) -> None:
+def test_given_the_bank_is_an_input_then_it_is_refused_even_with_force(tmp_path):
     file = listed(tmp_path, STEP_HZ * np.arange(PERIOD // 2 + 1))
     before = file.read_bytes()
     options = ImportOptions(frequencies=file)
@@ -187,12 +175,12 @@ def test_given_the_bank_is_an_input_then_it_is_refused_even_with_force(tmp_path:
 @pytest.mark.parametrize(
     "option", [["--band", "50"], ["--band", "a,b"], ["--band", "50,inf"], ["--names", "green"], ["--names", "=h"]]
 )
-def test_given_an_option_that_cannot_be_read_then_the_command_line_is_wrong(option: list[str]) -> None:
+def test_given_an_option_that_cannot_be_read_then_the_command_line_is_wrong(option):
     with pytest.raises(UsageError, match=option[0]):
         parser().parse_args(["import", "a.npy", "--bank", "a.h5", *option])
 
 
-def test_given_fewer_taps_then_the_energy_that_is_lost_is_stated(green: np.ndarray, imported: Any) -> None:
+def test_given_fewer_taps_then_the_energy_that_is_lost_is_stated(green, imported):
     found, made, _ = imported(green, sample_rate_hz=RATE_HZ, taps=50)
     assert np.array_equal(found, green[..., :50].astype(np.float32))
     lost_db = 10 * np.log10(np.square(green[..., 50:]).sum() / np.square(green).sum())
@@ -200,9 +188,7 @@ def test_given_fewer_taps_then_the_energy_that_is_lost_is_stated(green: np.ndarr
 
 
 @pytest.mark.parametrize("kind", ["mat", "mat 7.3", "npz", "netcdf", "netcdf in parts", "netcdf 3", "npz, directions"])
-def test_given_frequency_responses_as_named_arrays_then_every_format_gives_the_same(
-    green: np.ndarray, tmp_path: Path, kind: str
-) -> None:
+def test_given_frequency_responses_as_named_arrays_then_every_format_gives_the_same(green, tmp_path, kind):
     spectra = np.fft.rfft(green, PERIOD)
     arrays: dict[str, Any] = {
         "position_mm": np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(POSITIONS)]),

@@ -45,14 +45,14 @@ def hdf5(path: Path, time_unit: str = "s", place_unit: str = "mm", rate_hz: floa
 
 @pytest.mark.parametrize("attribute", ["_FillValue", "missing_value"])
 @pytest.mark.parametrize("taps", [slice(50, None), slice(0, 100)])
-def test_fill_values_of_another_type_are_never_valid(tmp_path: Path, attribute: str, taps: slice) -> None:
+def test_fill_values_of_another_type_are_never_valid(tmp_path, attribute, taps):
     green = GREEN.copy()
     green[2, 1, taps] = 1e20
     with pytest.raises(InputError, match="position 2"):
         import_bank(classic(tmp_path / "a.nc", green, **{attribute: 1e20}), tmp_path / "a.h5", OPTIONS)
 
 
-def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_path: Path) -> None:
+def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_path):
     green = GREEN.copy()
     green[2] = 1e20
     made = import_bank(classic(tmp_path / "a.nc", green), tmp_path / "a.h5", OPTIONS)
@@ -71,13 +71,13 @@ def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_
         ({"rate_hz": 1.0}, "sample rate is 1 Hz"),
     ],
 )
-def test_units_and_rates_that_cannot_be_meant_are_refused(tmp_path: Path, options: dict, words: str) -> None:
+def test_units_and_rates_that_cannot_be_meant_are_refused(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         import_bank(hdf5(tmp_path / "a.nc", **options), tmp_path / "a.h5", OPTIONS)
     assert not (tmp_path / "a.h5").exists()
 
 
-def test_an_accelerance_is_whole_by_default_and_taps_that_cut_it_are_a_warning(tmp_path: Path) -> None:
+def test_an_accelerance_is_whole_by_default_and_taps_that_cut_it_are_a_warning(tmp_path):
     rate_hz, period = 2000.0, 800
     time_s = np.arange(period) / rate_hz
     velocity = np.sin(2 * np.pi * 90 * time_s) * np.exp(-time_s / 0.1)
@@ -97,9 +97,7 @@ def test_an_accelerance_is_whole_by_default_and_taps_that_cut_it_are_a_warning(t
     assert any("--taps" in warning for warning in cut.facts["warnings"])
 
 
-def test_the_source_of_an_import_is_named_where_it_is_this_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_source_of_an_import_is_named_where_it_is_this_folder(tmp_path, monkeypatch, capsys):
     import_bank(hdf5(tmp_path / "night.nc"), tmp_path / "a.h5", OPTIONS)
     assert run(["export", str(tmp_path / "a.h5"), str(tmp_path / "sounds"), "--to", "wav"]) == 0
     monkeypatch.chdir(tmp_path / "sounds")
@@ -108,7 +106,7 @@ def test_the_source_of_an_import_is_named_where_it_is_this_folder(
     assert "Imported from sounds (wav)" in capsys.readouterr().out
 
 
-def test_a_row_of_a_foreign_bank_that_is_400_db_from_the_others_is_not_valid(tmp_path: Path) -> None:
+def test_a_row_of_a_foreign_bank_that_is_400_db_from_the_others_is_not_valid(tmp_path):
     path = hdf5(tmp_path / "a.h5")
     with h5py.File(path, "r+") as file:
         file.attrs["sample_rate_hz"] = 1000.0

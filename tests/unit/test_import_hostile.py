@@ -145,9 +145,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 
 @pytest.mark.parametrize(("make", "told"), HOSTILE.values(), ids=HOSTILE)
-def test_given_a_hostile_file_then_one_sentence_says_why(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], told: str
-) -> None:
+def test_given_a_hostile_file_then_one_sentence_says_why(tmp_path, capsys, make, told):
     source = make(tmp_path)
     before = sorted(tmp_path.iterdir())
     capsys.readouterr()
@@ -208,7 +206,7 @@ def mutations(tmp_path: Path, kind: str, count: int) -> Iterator[tuple[Path, str
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_given_a_damaged_file_then_it_is_read_or_refused(tmp_path: Path, kind: str) -> None:
+def test_given_a_damaged_file_then_it_is_read_or_refused(tmp_path, kind):
     outcomes = []
     for copy, form, options in mutations(tmp_path, kind, 20):
         try:
@@ -223,9 +221,7 @@ def test_given_a_damaged_file_then_it_is_read_or_refused(tmp_path: Path, kind: s
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("kind", FORMATS)
-def test_given_hundreds_of_damaged_files_then_each_import_ends_well(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
-) -> None:
+def test_given_hundreds_of_damaged_files_then_each_import_ends_well(tmp_path, capsys, kind):
     for copy, form, options in mutations(tmp_path, kind, 300):
         given = ["--from", form]
         if options.places is not None:

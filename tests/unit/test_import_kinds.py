@@ -47,14 +47,14 @@ def matlab(path: Path, variables: dict[str, Any], after: bytes = b"", *, compres
 
 
 @pytest.mark.parametrize("name", ["who", "comment", "description_of_the_test"])
-def test_a_string_object_that_nobody_needs_then_is_passed_over(tmp_path: Path, name: str) -> None:
+def test_a_string_object_that_nobody_needs_then_is_passed_over(tmp_path, name):
     assert np.allclose(imported(matlab(tmp_path / "a.mat", NEEDED, string_object(name))), GREEN)
 
 
 @pytest.mark.parametrize(
     "value", [np.array([1.0, "a"], object), scipy.sparse.eye(3), np.array([(1.0,), (2.0,)], [("gain", "O")])]
 )
-def test_a_variable_that_is_needed_and_of_another_kind_then_is_named(tmp_path: Path, value: Any) -> None:
+def test_a_variable_that_is_needed_and_of_another_kind_then_is_named(tmp_path, value):
     with pytest.raises(InputError, match="'green' is not an array of numbers"):
         imported(matlab(tmp_path / "a.mat", NEEDED | {"green": value}))
     with pytest.raises(InputError, match="'green' is not an array of numbers"):
@@ -62,7 +62,7 @@ def test_a_variable_that_is_needed_and_of_another_kind_then_is_named(tmp_path: P
 
 
 @pytest.mark.parametrize("version", ["5", "7.3"])
-def test_fields_of_a_struct_then_are_named_with_dots(tmp_path: Path, version: str) -> None:
+def test_fields_of_a_struct_then_are_named_with_dots(tmp_path, version):
     path = tmp_path / "a.mat"
     inner = {"h": GREEN, "xyz": PLACES_MM}
     if version == "5":
@@ -81,7 +81,7 @@ def test_fields_of_a_struct_then_are_named_with_dots(tmp_path: Path, version: st
 
 
 @pytest.mark.parametrize("where", ["/Comment", "/Title", "SourcePosition/Units", "ListenerView/Type"])
-def test_a_sofa_file_with_an_empty_attribute_then_is_read(tmp_path: Path, where: str) -> None:
+def test_a_sofa_file_with_an_empty_attribute_then_is_read(tmp_path, where):
     path = tmp_path / "a.sofa"
     sofa = sofar.Sofa("SimpleFreeFieldHRIR")
     sofa.Data_IR, sofa.Data_SamplingRate = GREEN, 48_000.0
@@ -97,7 +97,7 @@ def test_a_sofa_file_with_an_empty_attribute_then_is_read(tmp_path: Path, where:
     assert np.allclose(imported(path), GREEN.transpose(1, 0, 2))
 
 
-def test_a_bank_with_empty_attributes_then_has_defaults(tmp_path: Path) -> None:
+def test_a_bank_with_empty_attributes_then_has_defaults(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["green"], file["position_mm"] = GREEN, PLACES_MM
         file.attrs["sample_rate_hz"] = 1000.0
@@ -109,7 +109,7 @@ def test_a_bank_with_empty_attributes_then_has_defaults(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"wvpk" + bytes(60), b"hello", b""])
-def test_a_sound_file_that_is_not_read_then_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+def test_a_sound_file_that_is_not_read_then_is_refused_by_name(tmp_path, content):
     (tmp_path / "sounds").mkdir()
     (tmp_path / "sounds" / "a.wav").write_bytes(content)
     (tmp_path / "places.csv").write_text("file,x_mm,y_mm\na.wav,0,0\n")
@@ -118,7 +118,7 @@ def test_a_sound_file_that_is_not_read_then_is_refused_by_name(tmp_path: Path, c
 
 
 @pytest.mark.parametrize("kind", ["PCM_U8", "PCM_24", "FLOAT", "ULAW", "IMA_ADPCM"])
-def test_a_sound_file_that_is_read_then_says_how_its_samples_are_stored(tmp_path: Path, kind: str) -> None:
+def test_a_sound_file_that_is_read_then_says_how_its_samples_are_stored(tmp_path, kind):
     (tmp_path / "sounds").mkdir()
     soundfile.write(tmp_path / "sounds" / "a.wav", 0.5 * np.sin(np.arange(600) / 9), 8000, subtype=kind)
     (tmp_path / "places.csv").write_text("file,x_mm,y_mm\na.wav,0,0\n")

@@ -35,7 +35,7 @@ def places_mm(tmp_path: Path, content: str | bytes) -> list[list[float]]:
         "x_mm,y_m,z_um\n0.5,0.001,0\n4.5,0.00125,0\n-8.5,1,0\n",
     ],
 )
-def test_a_table_as_spreadsheets_write_it_then_has_these_places(tmp_path: Path, content: str) -> None:
+def test_a_table_as_spreadsheets_write_it_then_has_these_places(tmp_path, content):
     assert places_mm(tmp_path, content) == WANTED_MM
 
 
@@ -53,7 +53,7 @@ def test_a_table_as_spreadsheets_write_it_then_has_these_places(tmp_path: Path, 
         ("azimuth_deg,elevation_deg,radius_m,radius_mm\n0,0,1,1\n", "radius_m and radius_mm"),
     ],
 )
-def test_a_table_that_can_be_read_in_two_ways_then_is_refused(tmp_path: Path, content: str, message: str) -> None:
+def test_a_table_that_can_be_read_in_two_ways_then_is_refused(tmp_path, content, message):
     with pytest.raises(InputError, match=message):
         places_mm(tmp_path, content)
 
@@ -75,14 +75,12 @@ def archive(path: Path, **changes: Any) -> Path:
         ({"drive_unit": "N"}, "drive_unit is 'N'"),
     ],
 )
-def test_facts_that_an_archive_states_twice_and_otherwise_then_are_refused(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+def test_facts_that_an_archive_states_twice_and_otherwise_then_are_refused(tmp_path, changes, message):
     with pytest.raises(InputError, match=message):
         wf.import_bank(archive(tmp_path / "a.npz", **changes), tmp_path / "a.h5")
 
 
-def test_facts_that_an_archive_states_twice_are_taken_and_its_rate_stands(tmp_path: Path) -> None:
+def test_facts_that_an_archive_states_twice_are_taken_and_its_rate_stands(tmp_path):
     source = archive(tmp_path / "a.npz", position_m=np.array([[0, 0], [0.04, 0], [0, 0.04], [0.04, 0.04]]),
                      time_s=np.arange(16) / 1000)  # fmt: skip
     with wf.import_bank(source, tmp_path / "a.h5") as bank:
@@ -94,9 +92,7 @@ def test_facts_that_an_archive_states_twice_are_taken_and_its_rate_stands(tmp_pa
 @pytest.mark.parametrize(
     ("height_mm", "known"), [(0.0, True), (2.0, True), (-2.0, True), (60.0, False), (-60.0, False), (600.0, False)]
 )
-def test_actuators_off_the_surface_then_have_no_place_and_are_named(
-    tmp_path: Path, height_mm: float, known: bool
-) -> None:
+def test_actuators_off_the_surface_then_have_no_place_and_are_named(tmp_path, height_mm, known):
     places = np.array([[50.0, 0.0, height_mm], [0.0, 50.0, 0.0]])
     with wf.import_bank(archive(tmp_path / "a.npz", actuator_mm=places), tmp_path / "a.h5") as bank:
         assert bank.actuator_mm[1].tolist() == [0.0, 50.0]
@@ -105,7 +101,7 @@ def test_actuators_off_the_surface_then_have_no_place_and_are_named(
         assert [("off the surface" in one and "the first is 0" in one) for one in warnings] == ([] if known else [True])
 
 
-def test_sources_above_and_below_a_listener_then_are_not_one_place(tmp_path: Path) -> None:
+def test_sources_above_and_below_a_listener_then_are_not_one_place(tmp_path):
     sofa = sofar.Sofa("SimpleFreeFieldHRIR")
     sofa.Data_IR, sofa.Data_SamplingRate = np.random.default_rng(1).standard_normal((4, 2, 16)), 48_000.0
     sofa.ReceiverPosition = np.array([[0, 0.09, 0], [0, -0.09, 0]])

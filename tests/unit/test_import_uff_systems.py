@@ -96,9 +96,7 @@ def own_coordinates(kind: int, turn: Rotation, shift_m: np.ndarray) -> np.ndarra
     [(18, 0, 15, False), (18, 1, 2411, True), (18, 2, 15, True), (2420, 0, 2411, True), (2420, 1, 15, False),
      (2420, 2, 2411, False)],
 )  # fmt: skip
-def test_places_in_a_system_of_their_own_then_are_those_of_the_file(
-    tmp_path: Path, number: int, kind: int, nodes: int, binary: bool
-) -> None:
+def test_places_in_a_system_of_their_own_then_are_those_of_the_file(tmp_path, number, kind, nodes, binary):
     path = tmp_path / "a.uff"
     units(path)
     if number == 2420:
@@ -113,7 +111,7 @@ def test_places_in_a_system_of_their_own_then_are_those_of_the_file(
     assert np.abs(spectra - RESPONSES[:, 2]).max() < 1e-4
 
 
-def test_a_system_in_another_system_then_is_turned_by_both(tmp_path: Path) -> None:
+def test_a_system_in_another_system_then_is_turned_by_both(tmp_path):
     path = tmp_path / "a.uff"
     units(path)
     inner, inner_shift = Rotation.from_euler("zyx", [-70, 10, 5], degrees=True), np.array([0.1, 0.2, 0.0])
@@ -126,7 +124,7 @@ def test_a_system_in_another_system_then_is_turned_by_both(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("kind", [0, 1])
-def test_responses_in_directions_of_their_nodes_then_are_turned_to_those_of_the_file(tmp_path: Path, kind: int) -> None:
+def test_responses_in_directions_of_their_nodes_then_are_turned_to_those_of_the_file(tmp_path, kind):
     path = tmp_path / "a.uff"
     units(path)
     add_2420(path, 5, kind, TURN, SHIFT_M)
@@ -146,7 +144,7 @@ def test_responses_in_directions_of_their_nodes_then_are_turned_to_those_of_the_
         assert np.abs(imported(path, direction="z")[1] - np.array(own)[:, 2]).max() < 1e-4
 
 
-def test_a_node_whose_normal_points_down_then_has_its_sign_changed(tmp_path: Path) -> None:
+def test_a_node_whose_normal_points_down_then_has_its_sign_changed(tmp_path):
     path = tmp_path / "a.uff"
     units(path)
     add_2420(path, 5, 0, Rotation.from_euler("x", 180, degrees=True), np.zeros(3))
@@ -155,7 +153,7 @@ def test_a_node_whose_normal_points_down_then_has_its_sign_changed(tmp_path: Pat
     assert np.abs(imported(path)[1] + RESPONSES[:, 2]).max() < 1e-4
 
 
-def test_what_cannot_be_turned_then_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_turned_then_is_refused(tmp_path):
     path = tmp_path / "a.uff"
     units(path)
     add_2420(path, 5, 1, TURN, SHIFT_M)
@@ -174,7 +172,7 @@ def test_what_cannot_be_turned_then_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [2, 12])
-def test_spectra_then_are_no_frequency_responses(tmp_path: Path, kind: int) -> None:
+def test_spectra_then_are_no_frequency_responses(tmp_path, kind):
     path = tmp_path / "a.uff"
     units(path)
     add_nodes(path, PLACES_M)
@@ -187,7 +185,7 @@ def test_spectra_then_are_no_frequency_responses(tmp_path: Path, kind: int) -> N
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_a_last_line_that_is_filled_up_with_zeros_then_is_read(tmp_path: Path, uneven: bool) -> None:
+def test_a_last_line_that_is_filled_up_with_zeros_then_is_read(tmp_path, uneven):
     per_line, width = (6, 13) if uneven else (4, 20)
     lines = []
     for row in RESPONSES:
@@ -215,7 +213,7 @@ def test_a_last_line_that_is_filled_up_with_zeros_then_is_read(tmp_path: Path, u
 
 
 @pytest.mark.parametrize("kind", [15, 2411])
-def test_coordinates_whose_signs_take_the_space_between_them_then_are_read(tmp_path: Path, kind: int) -> None:
+def test_coordinates_whose_signs_take_the_space_between_them_then_are_read(tmp_path, kind):
     path = tmp_path / "a.uff"
     places = PLACES_M - [0.1, 0.2, 0.0]
     units(path)

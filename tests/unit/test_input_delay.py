@@ -1,7 +1,6 @@
 """The delay between the recorder's inputs: which value counts, and that all rows of a bank are corrected by one."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,9 +39,7 @@ def opened(device_s: float | None, calibrated_s: float | None = None) -> tuple[S
     ("device_s", "calibrated_s", "used_s"),
     [(14e-6, None, 14e-6), (5.2e-6, None, 5e-6), (None, None, 5e-6), (14e-6, 13e-6, 13e-6), (0.0, None, 0.0)],
 )
-def test_given_no_bank_then_the_calibrated_delay_counts_else_the_devices_own(
-    device_s: float | None, calibrated_s: float | None, used_s: float, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_no_bank_then_the_calibrated_delay_counts_else_the_devices_own(device_s, calibrated_s, used_s, capsys):
     with setup_in_use(*opened(device_s, calibrated_s), RATE_HZ) as setup:
         assert setup.inter_channel_delay_s == pytest.approx(used_s)
     assert bool(capsys.readouterr().err) == (device_s is not None and abs(device_s - (calibrated_s or 5e-6)) > 0.5e-6)
@@ -67,14 +64,8 @@ def test_given_no_bank_then_the_calibrated_delay_counts_else_the_devices_own(
     ],
 )
 def test_bank_that_is_begun_then_its_rest_is_measured_with_its_own_delay_or_refused(
-    begun_s: float | None,
-    device_s: float | None,
-    calibrated_s: float | None,
-    used_s: float | None,
-    is_said: bool,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    begun_s, device_s, calibrated_s, used_s, is_said, tmp_path, capsys
+):
     path = tmp_path / "plate.h5"
     places = (np.zeros((2, 2)), np.zeros((2, 2)))
     header = BankHeader(RATE_HZ, 8, (20.0, 500.0), *places, "{}", "{}", "0" * 64, "", inter_channel_delay_s=begun_s)

@@ -21,7 +21,7 @@ def absent(name: str) -> Callable[[], Mirror]:
     return refuse
 
 
-def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there() -> None:
+def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there():
     openers = openers_of(default_rig())
     assert openers.connect is not None
     opened, vibrometer = open_instruments(openers)
@@ -30,7 +30,7 @@ def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there() -
 
 
 @pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
-def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missing: str) -> None:
+def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missing):
     openers = openers_of(default_rig())
     roles = ("mirror", "recorder", "player")
     before = {name: getattr(openers, name)() for name in roles}
@@ -46,7 +46,7 @@ def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missi
             assert role.identify()
 
 
-def test_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_released() -> None:
+def test_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_released():
     rig = RigConfig.model_validate({"emulation": {"seed": 2}})
     openers = openers_of(rig)
     mirror = openers.mirror()
@@ -58,7 +58,7 @@ def test_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_release
     assert mirror.motion.aims(later_ns, later_ns + 1) == [(later_ns, rig.mirror.park_mrad)]
 
 
-def test_a_driver_that_hangs_while_it_opens_is_named_and_nothing_more_is_opened() -> None:
+def test_a_driver_that_hangs_while_it_opens_is_named_and_nothing_more_is_opened():
     opened = []
 
     def note() -> Recorder:

@@ -69,7 +69,7 @@ tries = 1
 
 
 @pytest.fixture
-def blueprint(tmp_path: Path) -> Blueprint:
+def blueprint(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     (tmp_path / "run.toml").write_text(RUN + FAULTS, encoding="utf-8")
     (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n8,0\n", encoding="utf-8")
@@ -142,9 +142,7 @@ def moments(events: list[Event]) -> list[int]:
     [*ACTS.values(), *(pytest.param(act, 1, marks=pytest.mark.nightly) for act, _ in ACTS.values())],
     ids=[*ACTS, *(f"{name}, each" for name in ACTS)],
 )
-def test_a_request_at_any_event_changes_states_by_the_table_and_ends(
-    blueprint: Blueprint, tmp_path: Path, act: Callable[[TrialSession], object], every: int
-) -> None:
+def test_a_request_at_any_event_changes_states_by_the_table_and_ends(blueprint, tmp_path, act, every):
     whole = TrialSession(blueprint, tmp_path / "whole.h5", -1, act)
     states = [one.state for one in whole.events if isinstance(one, StateChanged)]
     assert states[-1] is State.FINISHED

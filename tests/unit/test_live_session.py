@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,7 +117,7 @@ def end(session: LiveSession) -> None:
     session.order(EndLive(), time.monotonic())
 
 
-def test_with_sufficient_look_ahead_the_recorded_scene_renders_to_what_was_played(tmp_path: Path) -> None:
+def test_with_sufficient_look_ahead_the_recorded_scene_renders_to_what_was_played(tmp_path):
     script: dict[int, Callable] = {piece: move("a", 0.5 * piece, 3.0) for piece in range(30)}
     script[7] = lambda session: (script_move(session), session.order(UseSignal("a", SINE, VALUES, True), 0.0))
     script_move, second = move("a", 3.0, 3.0), move("b", -9.0, 8.0, 0.5 * AMPLITUDE)
@@ -145,7 +144,7 @@ SINE = Sine(120.0, 0.3)
 VALUES = SINE.samples(RATE_HZ)
 
 
-def test_given_limits_then_no_frame_is_beyond_them_and_it_is_said() -> None:
+def test_given_limits_then_no_frame_is_beyond_them_and_it_is_said():
     script = {piece: move("a", 0.0, 0.0, 1e6) for piece in range(40)}
     bench = Bench({**script, 40: end}, limits=DriveLimits(0.01), interface_hz=4800)
     assert 0.005 < np.abs(bench.frames).max() <= 0.01
@@ -153,7 +152,7 @@ def test_given_limits_then_no_frame_is_beyond_them_and_it_is_said() -> None:
     assert bench.session.ended().limited_s > 0
 
 
-def test_a_player_that_runs_dry_or_is_lost_begins_again_and_counts_sources() -> None:
+def test_a_player_that_runs_dry_or_is_lost_begins_again_and_counts_sources():
     def dry(session: LiveSession) -> None:
         raise TransientInstrumentError("player", "playing", "underflow", "")
 
@@ -168,7 +167,7 @@ def test_a_player_that_runs_dry_or_is_lost_begins_again_and_counts_sources() -> 
     assert any(isinstance(one, LiveState) and one.underruns == 1 for one in bench.messages)
 
 
-def test_given_a_place_off_the_grid_then_it_is_refused_and_the_source_goes_on() -> None:
+def test_given_a_place_off_the_grid_then_it_is_refused_and_the_source_goes_on():
     answer: Future[None] = Future()
     off = MoveSource("a", (1e6, 0.0))
     bench = Bench({
@@ -183,13 +182,13 @@ def test_given_a_place_off_the_grid_then_it_is_refused_and_the_source_goes_on() 
     assert bench.frames[:, 4 * BLOCK : 8 * BLOCK].any()
 
 
-def test_given_positions_that_stop_then_the_source_fades_and_it_is_said() -> None:
+def test_given_positions_that_stop_then_the_source_fades_and_it_is_said():
     bench = Bench({0: move("a", 0.0), 1: move("a", 0.0), 80: end})
     assert bench.notices() == ["late"]
     assert not bench.frames[:, 60 * BLOCK :].any()
 
 
-def test_in_a_flood_of_positions_the_newest_waits_and_the_first_arrival_counts() -> None:
+def test_in_a_flood_of_positions_the_newest_waits_and_the_first_arrival_counts():
     inbox = Inbox()
     for index in range(10 * MAX_WAITING):
         inbox.put(MoveSource(f"{index % 3}", (float(index), 0.0), 2.0 if index < 3 else None), float(index))
@@ -206,7 +205,7 @@ def test_in_a_flood_of_positions_the_newest_waits_and_the_first_arrival_counts()
     assert [type(one.order) for one in inbox.take()][-1] is EndLive
 
 
-def test_given_an_end_between_positions_then_their_order_stays() -> None:
+def test_given_an_end_between_positions_then_their_order_stays():
     inbox = Inbox()
     for order in (MoveSource("a", (1.0, 0.0)), EndSource("a"), MoveSource("a", (2.0, 0.0))):
         inbox.put(order, 0.0)
@@ -228,13 +227,13 @@ def test_given_an_end_between_positions_then_their_order_stays() -> None:
         {"order": "signal", "name": "a", "signal": {"kind": "sine", "frequency_hz": 200.0, "duration_s": 1e12}},
     ],
 )
-def test_given_a_wrong_order_then_a_short_sentence_refuses_it(order: dict, tmp_path: Path) -> None:
+def test_given_a_wrong_order_then_a_short_sentence_refuses_it(order, tmp_path):
     with pytest.raises(InputError) as refusal:
         order_of(order, RATE_HZ, tmp_path)
     assert 0 < len(str(refusal.value)) < 500
 
 
-def test_given_slow_blocks_then_the_latest_sources_are_left_out_and_taken_back() -> None:
+def test_given_slow_blocks_then_the_latest_sources_are_left_out_and_taken_back():
     pace, seen = Pace(0.005, 0.02), []
     for block in range(400):
         if pace.add(0.006, 0.005 if block % 20 else 0.015, sources=3):
@@ -247,7 +246,7 @@ def test_given_slow_blocks_then_the_latest_sources_are_left_out_and_taken_back()
     assert back == [2, None]
 
 
-def test_given_one_stall_of_the_machine_then_the_effort_stays() -> None:
+def test_given_one_stall_of_the_machine_then_the_effort_stays():
     pace = Pace(0.005, 0.02)
     assert not any(
         pace.add(0.1 if block == 50 else 0.002, 0.001 if 50 <= block < 80 else 0.015, sources=1) for block in range(200)
@@ -255,7 +254,7 @@ def test_given_one_stall_of_the_machine_then_the_effort_stays() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="Linux has real-time priorities")
-def test_threads_that_hold_pythons_lock_have_the_priority_of_the_session() -> None:
+def test_threads_that_hold_pythons_lock_have_the_priority_of_the_session():
     over, policies = threading.Event(), list[int]()
     other = threading.Thread(target=over.wait)
 

@@ -96,9 +96,7 @@ LOSSES: list[tuple[Callable[[Path], None], set[int]]] = [
 @pytest.mark.parametrize(
     ("name", "lose", "kept"), [("night", *loss) for loss in LOSSES] + [("night.raw", *loss) for loss in LOSSES[2:4]]
 )
-def test_a_file_lost_while_it_is_measured_ends_the_session_and_is_rescued(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, lose: Callable[[Path], None], kept: set[int]
-) -> None:
+def test_a_file_lost_while_it_is_measured_ends_the_session_and_is_rescued(tmp_path, monkeypatch, name, lose, kept):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "data" / f"{name}.h5"
     path.parent.mkdir()
@@ -116,7 +114,7 @@ def test_a_file_lost_while_it_is_measured_ends_the_session_and_is_rescued(
     assert kept_in(rescue) == kept | {3}
 
 
-def test_a_bank_truncated_at_its_end_then_keeps_the_rows_before(tmp_path: Path) -> None:
+def test_a_bank_truncated_at_its_end_then_keeps_the_rows_before(tmp_path):
     path = tmp_path / "night.h5"
     with a_writer(path) as writer:
         commit(writer, 0)
@@ -126,7 +124,7 @@ def test_a_bank_truncated_at_its_end_then_keeps_the_rows_before(tmp_path: Path) 
     assert 1 in kept_in(tmp_path / "night.rescue.h5")
 
 
-def test_a_bank_lost_after_its_last_commit_then_is_found_on_closing(tmp_path: Path) -> None:
+def test_a_bank_lost_after_its_last_commit_then_is_found_on_closing(tmp_path):
     path = tmp_path / "night.h5"
     writer = a_writer(path)
     commit(writer, 0)
@@ -136,7 +134,7 @@ def test_a_bank_lost_after_its_last_commit_then_is_found_on_closing(tmp_path: Pa
     assert kept_in(tmp_path / "night.rescue.h5") == {0}
 
 
-def test_a_second_loss_then_leaves_the_first_rescue_file(tmp_path: Path) -> None:
+def test_a_second_loss_then_leaves_the_first_rescue_file(tmp_path):
     path = tmp_path / "night.h5"
     for _ in range(2):
         with a_writer(path) as writer:
@@ -146,7 +144,7 @@ def test_a_second_loss_then_leaves_the_first_rescue_file(tmp_path: Path) -> None
     assert {one.name for one in tmp_path.glob("*.rescue*.h5")} == {"night.rescue.h5", "night.rescue2.h5"}
 
 
-def test_a_renamed_bank_then_gets_its_name_back_and_goes_on(tmp_path: Path) -> None:
+def test_a_renamed_bank_then_gets_its_name_back_and_goes_on(tmp_path):
     path = tmp_path / "night.h5"
     with a_writer(path) as writer:
         commit(writer, 0)

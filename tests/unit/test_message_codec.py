@@ -40,7 +40,7 @@ st.register_type_strategy(Number, st.floats())
 
 
 @pytest.mark.parametrize(("family", "kind"), [(family, kind) for family in FAMILIES for kind in family])
-def test_given_a_message_then_it_is_read_as_it_was_written(family: tuple[type[Message], ...], kind: type[Message]):
+def test_given_a_message_then_it_is_read_as_it_was_written(family, kind):
     hints = get_type_hints(kind, include_extras=True).items()
 
     @settings(max_examples=8)
@@ -71,7 +71,7 @@ class _Order(OrderMessage, frozen=True, tag="rest"):
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-def test_given_a_key_of_a_later_version_then_it_is_passed_over_but_in_an_order() -> None:
+def test_given_a_key_of_a_later_version_then_it_is_passed_over_but_in_an_order():
     record = {"event": "beat", "at": NOW.isoformat(), "level_db": None, "colour": 1}
     beat = from_record(_Beat, record)
     assert (beat.at, math.isnan(beat.level_db)) == (NOW, True)
@@ -79,7 +79,7 @@ def test_given_a_key_of_a_later_version_then_it_is_passed_over_but_in_an_order()
         from_record(_Order, {"order": "rest", "at": NOW.isoformat(), "colour": 1})
 
 
-def test_given_an_order_without_a_figure_then_it_is_refused() -> None:
+def test_given_an_order_without_a_figure_then_it_is_refused():
     with pytest.raises(MessageError, match="level_db: Expected `float`"):
         from_record(_Order, {"order": "rest", "at": NOW.isoformat(), "level_db": None})
 
@@ -94,8 +94,6 @@ def test_given_an_order_without_a_figure_then_it_is_refused() -> None:
         ({"at": NOW.isoformat(), "level_db": "1"}, "level_db: Expected a number"),
     ],
 )
-def test_given_a_wrong_value_then_its_key_is_named_and_what_is_expected(
-    content: dict[str, object], sentence: str
-) -> None:
+def test_given_a_wrong_value_then_its_key_is_named_and_what_is_expected(content, sentence):
     with pytest.raises(MessageError, match=sentence):
         from_record(_Beat, content)

@@ -13,7 +13,7 @@ WAYS_MM = ((1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.7, 0.7), (-0.4, 0.3), (0.0, 
 
 
 @pytest.mark.parametrize("plate", ["mirrors", "disk"])
-def test_a_mirror_off_by_half_a_millimetre_or_one_is_found_in_every_direction(plate: str) -> None:
+def test_a_mirror_off_by_half_a_millimetre_or_one_is_found_in_every_direction(plate):
     rng, (bank, _) = np.random.default_rng(3), analytic_plates.lab(plate)
     for row in ROWS:
         places_mm = analytic_plates.places_mm(plate)[row] + np.array(WAYS_MM)

@@ -24,9 +24,7 @@ def error_mm(found: MirrorMap, true: MirrorMap, marks: np.ndarray = MARKS) -> np
 
 
 @given(st.tuples(*[small] * 8), st.booleans())
-def test_given_marks_without_error_then_the_map_is_found_whatever_it_is(
-    entries: tuple[float, ...], flipped: bool
-) -> None:
+def test_given_marks_without_error_then_the_map_is_found_whatever_it_is(entries, flipped):
     a, b, c, d, e, f, g, h = entries
     sign = -1 if flipped else 1
     true = MirrorMap(
@@ -42,7 +40,7 @@ def test_given_marks_without_error_then_the_map_is_found_whatever_it_is(
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5))
-def test_given_marks_met_with_an_error_then_the_map_errs_no_more_than_they_do(seed: int, sigma_mm: float) -> None:
+def test_given_marks_met_with_an_error_then_the_map_errs_no_more_than_they_do(seed, sigma_mm):
     rng = np.random.default_rng(seed)
     met = MARKS + rng.normal(0, sigma_mm, MARKS.shape)
     fit = fit_mirror_map(MARKS, angles(MAP, met))
@@ -51,7 +49,7 @@ def test_given_marks_met_with_an_error_then_the_map_errs_no_more_than_they_do(se
     assert np.sqrt(np.mean(error_mm(fit.mirror_map, MAP) ** 2)) < 4 * sigma_mm
 
 
-def test_given_one_mark_off_then_refinement_beats_the_direct_solution_on_the_surface() -> None:
+def test_given_one_mark_off_then_refinement_beats_the_direct_solution_on_the_surface():
     met = MARKS.copy()
     met[6] += (3.0, -2.0)
     fit = fit_mirror_map(MARKS, angles(MAP, met))
@@ -73,17 +71,17 @@ def test_given_one_mark_off_then_refinement_beats_the_direct_solution_on_the_sur
         (np.zeros((4, 3)), "shapes"),
     ],
 )
-def test_given_marks_that_decide_nothing_then_they_are_refused(marks: np.ndarray, told: str) -> None:
+def test_given_marks_that_decide_nothing_then_they_are_refused(marks, told):
     with pytest.raises(InputError, match=told):
         fit_mirror_map(marks, angles(MAP, marks[:, :2]) if marks.shape[1] == 2 else marks)
 
 
-def test_given_a_place_that_is_none_then_it_is_refused() -> None:
+def test_given_a_place_that_is_none_then_it_is_refused():
     with pytest.raises(InputError, match="not finite"):
         fit_mirror_map(np.where(MARKS == 45, np.nan, MARKS), angles(MAP, MARKS))
 
 
-def test_given_two_marks_confused_then_they_are_refused_or_stick_out() -> None:
+def test_given_two_marks_confused_then_they_are_refused_or_stick_out():
     met = angles(MAP, MARKS)
     met[[1, 3]] = met[[3, 1]]
     try:

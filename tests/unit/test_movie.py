@@ -1,7 +1,6 @@
 """Movies and snapshots of fields: which instants they show, and what the files hold."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,12 +46,12 @@ def values() -> np.ndarray:
 
 
 @pytest.fixture
-def field_file(tmp_path: Path) -> Path:
+def field_file(tmp_path):
     write_field(tmp_path / "field.h5", Field(values(), np.arange(12), RATE_HZ, START_S, "m/s"))
     return tmp_path / "field.h5"
 
 
-def test_given_foci_then_the_movie_is_of_them_and_of_what_was_asked_for_else(field_file: Path) -> None:
+def test_given_foci_then_the_movie_is_of_them_and_of_what_was_asked_for_else(field_file):
     with FieldRowReader(field_file) as field:
         plan = plan_frames(field, drive())
         assert plan.sample[0] == 60 + 50 - 20
@@ -69,7 +68,7 @@ def test_given_foci_then_the_movie_is_of_them_and_of_what_was_asked_for_else(fie
             plan_frames(field, None, slow=1e5)
 
 
-def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_focus(field_file: Path) -> None:
+def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_focus(field_file):
     sample = np.array([0, 117, 193])
     with FieldRowReader(field_file) as field:
         frames = read_frames(field, sample)
@@ -85,7 +84,7 @@ def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_foc
     assert colour_limit(np.zeros((2, 3), np.float32), None) == 1.0
 
 
-def test_given_a_movie_then_the_gif_has_its_frames(field_file: Path, tmp_path: Path) -> None:
+def test_given_a_movie_then_the_gif_has_its_frames(field_file, tmp_path):
     out = tmp_path / "field.gif"
     with FieldRowReader(field_file) as field:
         plan = plan_frames(field, drive(), from_s=0.0, to_s=0.1, slow=10.0, frame_rate_hz=20.0)
@@ -97,7 +96,7 @@ def test_given_a_movie_then_the_gif_has_its_frames(field_file: Path, tmp_path: P
     assert all(np.any(one != other) for one, other in itertools.pairwise(frames))  # the time in the title
 
 
-def test_given_a_peak_then_its_cell_is_red_and_a_trough_blue(field_file: Path, tmp_path: Path) -> None:
+def test_given_a_peak_then_its_cell_is_red_and_a_trough_blue(field_file, tmp_path):
     out = tmp_path / "field.gif"
     blue, red = np.array([5, 48, 97]), np.array([103, 0, 31])  # the ends of the colour map
     seen = []
@@ -115,9 +114,7 @@ def test_given_a_peak_then_its_cell_is_red_and_a_trough_blue(field_file: Path, t
     assert seen[1][1] > 500 > seen[1][0]
 
 
-def test_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_refused(
-    field_file: Path, tmp_path: Path
-) -> None:
+def test_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_refused(field_file, tmp_path):
     with FieldRowReader(field_file) as field:
         picture = snapshots(field, surface_of(bank(), drive(), None), drive())
     assert picture.png.startswith(b"\x89PNG")

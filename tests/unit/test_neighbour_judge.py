@@ -14,7 +14,7 @@ FAULTY = np.sort(RNG.choice(POSITIONS, 10, replace=False)).tolist()
 
 
 @pytest.fixture(scope="module")
-def clean() -> np.ndarray:
+def clean():
     bank = plate_bank(noise_db=-45.0)
     return np.stack([bank.green(position) for position in range(POSITIONS)])
 
@@ -37,7 +37,7 @@ def found(verdict: NeighbourResult) -> list[tuple[int, str]]:
 
 
 @pytest.mark.parametrize("level_db", [-6.5, 20.0])
-def test_single_rows_of_another_level_then_are_found_with_it(clean: np.ndarray, level_db: float) -> None:
+def test_single_rows_of_another_level_then_are_found_with_it(clean, level_db):
     greens = clean.copy()
     for number, position in enumerate(FAULTY):
         greens[position, number % ACTUATORS] *= 10 ** (level_db / 20)
@@ -49,7 +49,7 @@ def test_single_rows_of_another_level_then_are_found_with_it(clean: np.ndarray, 
 
 
 @pytest.mark.parametrize("level_db", [-3.0, -20.0])
-def test_positions_of_another_level_then_are_one_difference_each(clean: np.ndarray, level_db: float) -> None:
+def test_positions_of_another_level_then_are_one_difference_each(clean, level_db):
     greens = clean.copy()
     wrong = [30, 31, 57, 70, 84, 98, 110, 111, 123, 137]
     greens[wrong] *= 10 ** (level_db / 20)
@@ -58,14 +58,14 @@ def test_positions_of_another_level_then_are_one_difference_each(clean: np.ndarr
     assert all(one.whole for one in verdict.differences)
 
 
-def test_faulty_neighbours_side_by_side_then_are_all_found_and_no_other(clean: np.ndarray) -> None:
+def test_faulty_neighbours_side_by_side_then_are_all_found_and_no_other(clean):
     greens = clean.copy()
     block = [83, 84, 97]
     greens[block, 4] *= 0.4
     assert [one.position for one in judged(greens).differences] == block
 
 
-def test_where_positions_are_too_far_apart_then_nothing_is_judged() -> None:
+def test_where_positions_are_too_far_apart_then_nothing_is_judged():
     position_mm = SQUARE_MM * 6.0
     greens = RNG.standard_normal((POSITIONS, 3, TAPS))
     verdict = judged(greens, position_mm, np.full((3, 2), np.nan))
@@ -73,7 +73,7 @@ def test_where_positions_are_too_far_apart_then_nothing_is_judged() -> None:
     assert not verdict.judged.any()
 
 
-def test_a_thin_ringing_plate_then_raises_no_alarm() -> None:
+def test_a_thin_ringing_plate_then_raises_no_alarm():
     plate = ThinPlate(0.3, 0.2, 1.57)
     points_m = (SQUARE_MM + np.array([150.0, 100.0])) / 1e3
     sources_m = np.array([[0.03, 0.04], [0.27, 0.15], [0.26, 0.03]])
@@ -85,13 +85,13 @@ def test_a_thin_ringing_plate_then_raises_no_alarm() -> None:
     assert [one.position for one in judged(greens, SQUARE_MM, actuator_mm).differences] == [60]
 
 
-def test_banks_in_any_unit_then_are_judged_alike(clean: np.ndarray) -> None:
+def test_banks_in_any_unit_then_are_judged_alike(clean):
     greens = clean * 1e-30
     greens[84] *= 0.6
     assert found(judged(greens)) == [(84, "level")]
 
 
-def test_rows_that_do_not_belong_together_then_are_not_judged() -> None:
+def test_rows_that_do_not_belong_together_then_are_not_judged():
     # Each row is a response as of a plate, and has nothing to do with those next to it.
     time_s = np.arange(TAPS) / RATE_HZ
     phases = np.random.default_rng(0).uniform(0, 6.3, (POSITIONS, ACTUATORS, 1))
@@ -105,13 +105,13 @@ CHECKS_MM = np.array([[-13.0, 4.0], [6.0, -17.0], [24.0, 13.0]])
 
 
 @pytest.fixture(scope="module")
-def coarse() -> np.ndarray:
+def coarse():
     """A grid of 10 mm, up to two wavelengths a spacing, and three positions off it."""
     bank = plate_bank(np.vstack([COARSE_MM, CHECKS_MM]), noise_db=-50.0)
     return np.stack([bank.green(position) for position in range(bank.positions)])
 
 
-def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_other(coarse: np.ndarray) -> None:
+def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_other(coarse):
     greens = coarse.copy()
     greens[12, 3] *= 0.4
     greens[22, [2, 7]] = greens[22, [7, 2]]
@@ -130,7 +130,7 @@ def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_othe
 
 
 @pytest.mark.long
-def test_waves_that_leave_no_noise_or_none_at_all_then_judge_no_row(coarse: np.ndarray) -> None:
+def test_waves_that_leave_no_noise_or_none_at_all_then_judge_no_row(coarse):
     spectra, usable = spectra_of(coarse), np.ones(len(coarse), bool)
     position_mm = np.vstack([COARSE_MM, CHECKS_MM])
     on_grid = np.arange(len(coarse)) < len(COARSE_MM)

@@ -17,7 +17,7 @@ from wavefocus.live_session.osc_packet import read, split
 from wavefocus.storage.errors import InputError
 
 
-def test_given_any_bytes_then_osc_refuses_or_reads_them() -> None:
+def test_given_any_bytes_then_osc_refuses_or_reads_them():
     random, messages = np.random.default_rng(1), OscMessages()
     for size in range(400):
         noise = random.bytes(size)
@@ -36,7 +36,7 @@ def bundle(*messages: bytes) -> bytes:
     return b"#bundle\0" + bytes(7) + b"\1" + b"".join(len(one).to_bytes(4, "big") + one for one in messages)
 
 
-def test_given_what_other_programs_write_then_it_is_read_as_they_read_it() -> None:
+def test_given_what_other_programs_write_then_it_is_read_as_they_read_it():
     for values in ([], [1, 2.5], ["text"], [b"blob"], [True, False, None], [2**40], [[1, [2.0]], "x"]):
         datagram = osc("/a/b", *values)
         assert read(datagram) == ("/a/b", OscMessage(datagram).params)
@@ -48,7 +48,7 @@ def test_given_what_other_programs_write_then_it_is_read_as_they_read_it() -> No
     ]  # fmt: skip
 
 
-def test_bundle_of_positions_then_newest_of_each_source_is_read_and_rest_bounded() -> None:
+def test_bundle_of_positions_then_newest_of_each_source_is_read_and_rest_bounded():
     messages = OscMessages()
     many = [osc(f"/source/f{index % 20}/position", float(index), 0.0) for index in range(1400)]
     orders = list(messages.read(bundle(*many)))
@@ -63,7 +63,7 @@ def test_bundle_of_positions_then_newest_of_each_source_is_read_and_rest_bounded
     assert [order["name"] for order in orders] == [f"n{index}" for index in range(1200, 1400)]
 
 
-def test_given_a_receiver_whose_order_hangs_then_closing_comes_to_its_end() -> None:
+def test_given_a_receiver_whose_order_hangs_then_closing_comes_to_its_end():
     hangs, entered = threading.Event(), threading.Event()
     receiver = OscInput("127.0.0.1", 0)
 
@@ -81,7 +81,7 @@ def test_given_a_receiver_whose_order_hangs_then_closing_comes_to_its_end() -> N
 
 
 @pytest.mark.parametrize("client", ["python-osc", "oscpy"])
-def test_given_other_programs_as_clients_then_their_orders_arrive(client: str) -> None:
+def test_given_other_programs_as_clients_then_their_orders_arrive(client):
     orders: Queue[object] = Queue()
     receiver = OscInput("127.0.0.1", 0)
     receiver.start(lambda order, arrived_s: orders.put(order))
@@ -98,6 +98,6 @@ def test_given_other_programs_as_clients_then_their_orders_arrive(client: str) -
 
 
 @pytest.mark.parametrize("text", ["", "9000", "host:", "host:-1", "host:65536", "host:9e3", ":9000"])
-def test_given_an_address_that_is_none_then_it_is_refused(text: str) -> None:
+def test_given_an_address_that_is_none_then_it_is_refused(text):
     with pytest.raises(InputError, match="--osc"):
         address_of(text)

@@ -20,13 +20,13 @@ POSITION_MM = np.array(GOLDEN["position_mm"])
 
 
 @pytest.mark.parametrize("case", GOLDEN["cases"], ids=lambda case: case["name"])
-def test_a_plan_of_an_earlier_version_then_its_hash_is_the_one_that_its_bank_holds(case: dict) -> None:
+def test_a_plan_of_an_earlier_version_then_its_hash_is_the_one_that_its_bank_holds(case):
     rig = RigConfig.model_validate(case["rig"], context=KEPT)
     run = RunConfig.model_validate(case["run"], context=KEPT)
     assert plan_sha256(rig, run, POSITION_MM) == case["plan_sha256"]
 
 
-def test_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_hash() -> None:
+def test_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_hash():
     class LaterSweep(Sweep):
         fade_s: Positive = 0.01
         comment: Annotated[str, FREE] = ""
@@ -45,7 +45,7 @@ def test_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_h
     assert hashed(burst=LaterSweep(fade_s=0.02)) != hashed()
 
 
-def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free() -> None:
+def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free():
     marked = {
         f"{model.__name__}.{key}"
         for model in _tables(RigConfig) | _tables(RunConfig) | {Emulation}
@@ -79,7 +79,7 @@ def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free() ->
     }  # fmt: skip
 
 
-def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values() -> None:
+def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values():
     own = Configuration(RunConfig.model_validate({}), RigConfig.model_validate({}), POSITION_MM)
     run = RunConfig.model_validate({"sweep": {"stop_hz": 800.0}, "tolerance": {"correlation": 0.5}})
     rig = RigConfig.model_validate({"recorder": {"response_range_v": 5.0}})
@@ -92,7 +92,7 @@ def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values() 
     assert plan_differences(own, own) == ()
 
 
-def test_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_values(tmp_path: Path) -> None:
+def test_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_values(tmp_path):
     places = [[0, 0], [5, 0]]
     wf.virtual_rig(actuators=2, position_mm=places).measure(tmp_path / "bank.h5", [0]).close()
     other = wf.virtual_rig(actuators=2, position_mm=places, run={"sweep": {"stop_hz": 400.0}})

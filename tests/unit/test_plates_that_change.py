@@ -1,6 +1,5 @@
 """Plates that follow the room's temperature, and plates with a finger on them."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,9 +34,7 @@ def _response(name: str, keys: dict[str, Any], warmer_k: float = 0.0, place: tup
 
 
 @pytest.mark.parametrize("frequency_hz", [50.0, 250.0, 450.0])
-def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frequency_hz: float
-) -> None:
+def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_them(tmp_path, monkeypatch, frequency_hz):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path))
     elements = Elements(triangulate(STADIUM, spacing_mm(SOFT_PLATE, 500.0)))
     angular = 2j * np.pi * frequency_hz
@@ -57,9 +54,7 @@ def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_the
 
 
 @pytest.mark.parametrize(("name", "keys"), PLATES)
-def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothing(
-    name: str, keys: dict[str, Any]
-) -> None:
+def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothing(name, keys):
     def covered(damping: float | None) -> Any:
         finger = {"finger": {"place_mm": (-5.0, 4.0), "mass_kg": 0.0, "damping_n_s_m": damping, "stiffness_n_m": 0.0}}
         places = np.array([-5.0, 4.0]) + DISK_MM
@@ -70,7 +65,7 @@ def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothin
     assert np.linalg.norm(covered(1e6)) < 1e-3 * np.linalg.norm(covered(None))
 
 
-def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_more() -> None:
+def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_more():
     found = _response("soft", {"speed_per_k": -0.01, "loss_per_k": 0.03}, 4.0)
     slower = DampedWave(0.96 * SOFT_PLATE.speed_m_s, 1.12 * SOFT_PLATE.damping_per_s)
     hertz = 50.0 * np.arange(1, 11)
@@ -79,7 +74,7 @@ def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_
     assert np.linalg.norm(found - wanted) < 1e-6 * np.linalg.norm(wanted)
 
 
-def test_course_of_room_then_plate_follows_it_and_without_key_it_does_not() -> None:
+def test_course_of_room_then_plate_follows_it_and_without_key_it_does_not():
     def recorded(keys: tuple[tuple[str, Any], ...], seconds: float) -> np.ndarray:
         synthesis = Synthesis(VirtualSettings(plate_keys=keys, room_c=((0.0, 21.0), (100.0, 25.0))))
         start_ns, click = round(1e9 * seconds), SignalStore(5.0).find(np.ones(20))
@@ -92,7 +87,7 @@ def test_course_of_room_then_plate_follows_it_and_without_key_it_does_not() -> N
     assert np.array_equal(recorded((), 0.0), recorded((), 100.0))
 
 
-def test_the_plate_of_the_rig_file_is_emulated_unless_the_run_file_names_one() -> None:
+def test_the_plate_of_the_rig_file_is_emulated_unless_the_run_file_names_one():
     finger = {"place_mm": (0.0, 0.0), "mass_kg": 1e-4}
     rig = RigConfig.model_validate({"emulation": {"plate": "solid", "force_deg": 30.0, "finger": finger}})
     settings = virtual_settings(rig)
@@ -105,12 +100,12 @@ def test_the_plate_of_the_rig_file_is_emulated_unless_the_run_file_names_one() -
     assert not rig.emulation.is_flawless
 
 
-def test_emulated_wires_of_an_impossible_plate_are_refused_before_playing() -> None:
+def test_emulated_wires_of_an_impossible_plate_are_refused_before_playing():
     settings = VirtualSettings(plate="thin")  # on the default stadium
     with pytest.raises(ValueError, match="rectangle"):
         WireBench(settings, None, None, full_scale_v=(1.0,))  # type: ignore[arg-type]
 
 
-def test_given_a_plate_that_would_be_too_hot_then_it_is_refused() -> None:
+def test_given_a_plate_that_would_be_too_hot_then_it_is_refused():
     with pytest.raises(ValueError, match="choose smaller speed_per_k"):
         _response("soft", {"speed_per_k": -0.1}, 10.0)

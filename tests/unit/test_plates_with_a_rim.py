@@ -1,7 +1,5 @@
 """Plates whose rim reflects waves, against closed forms of disk and rectangle, and against all their elements."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
@@ -33,12 +31,12 @@ ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0], [-24.0, -5.0]])
 
 
 @pytest.fixture(scope="module")
-def disk() -> Elements:
+def disk():
     return Elements(triangulate(Outline.stadium(2 * DISK_MM, 2 * DISK_MM), SPACING_MM))
 
 
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
@@ -65,9 +63,7 @@ def _disk_response(k: complex, place_mm: np.ndarray, source_mm: np.ndarray, rim:
 
 @pytest.mark.parametrize("admittance", [0.0, 1.0])
 @pytest.mark.parametrize("frequency_hz", [250.0, 450.0])
-def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(
-    disk: Elements, frequency_hz: float, admittance: float
-) -> None:
+def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(disk, frequency_hz, admittance):
     k = complex(SOFT_PLATE.wavenumber(frequency_hz))
     rim = 2j * np.pi * frequency_hz * admittance / SOFT_PLATE.speed_m_s
     solved = disk.values_at(PLACE_MM, disk.solve(SOFT_PLATE, admittance, frequency_hz, disk.forces(SOURCE_MM)))
@@ -76,7 +72,7 @@ def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(
 
 
 @pytest.mark.parametrize("admittance", [0.0, 0.7])
-def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Path, admittance: float) -> None:
+def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache, admittance):
     plate = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like, rim_admittance=admittance)
     elements = Elements(triangulate(STADIUM, SPACING_MM))
     response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
@@ -90,7 +86,7 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Pat
     assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
 
 
-def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache: Path) -> None:
+def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache):
     plate = StadiumPlate(ACTUATOR_MM, STADIUM, lambda hertz: 1 / (1 + 1j * hertz / 800.0) ** 4)
     rate_hz, taps, length = 10_000.0, 400, 512
     spectra = plate.fir_spectra(PLACE_MM[:2] / 2, taps, rate_hz, length, slice(3, 30))
@@ -101,7 +97,7 @@ def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache: Path)
         assert np.linalg.norm(found - wanted) < 1e-6 * np.linalg.norm(wanted)
 
 
-def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(cache: Path) -> None:
+def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(cache):
     first = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
     (file,) = cache.iterdir()
     content = file.read_bytes()
@@ -115,7 +111,7 @@ def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(
     assert np.linalg.norm(third - first) < 1e-6 * np.linalg.norm(first)
 
 
-def test_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_time() -> None:
+def test_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_time():
     outline, rate_hz, samples = Outline.rectangle(250.0, 150.0), 40_000.0, 40_000
     plate = ThinRectangle(np.array([[60.0, 30.0]]), outline, np.ones_like, quality=80.0)
     response = plate.response((-40.0, 10.0), rate_hz / samples, 501, single=False)[0]
@@ -128,12 +124,12 @@ def test_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_tim
     assert np.linalg.norm(response - spectrum) < 0.01 * np.linalg.norm(spectrum)
 
 
-def test_given_glass_of_another_outline_then_it_is_refused() -> None:
+def test_given_glass_of_another_outline_then_it_is_refused():
     with pytest.raises(ValueError, match="rectangle"):
         ThinRectangle(ACTUATOR_MM, STADIUM, np.ones_like)
 
 
-def test_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_form() -> None:
+def test_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_form():
     plate = InfiniteGlass(np.array([[60.0, 30.0]]), STADIUM, np.ones_like, quality=1e7)
     hertz = 50.0 * np.arange(1, 11)
     angular = 2 * np.pi * hertz
@@ -145,7 +141,7 @@ def test_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_f
     np.testing.assert_allclose(found, INFINITE_STRENGTH * 1j * angular * green, rtol=float(argument.max() ** 2 / 4))
 
 
-def test_given_glass_that_rings_for_seconds_then_its_response_does_not_wrap() -> None:
+def test_given_glass_that_rings_for_seconds_then_its_response_does_not_wrap():
     keys, places = (("quality", 200.0),), ((60.0, 30.0),)
     rig = VirtualRig(
         VirtualSettings(plate="thin", plate_keys=keys, outline=Outline.rectangle(250.0, 150.0), actuator_mm=places)

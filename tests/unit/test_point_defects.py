@@ -129,7 +129,7 @@ DEFECTS: dict[str, tuple[Spoil, str, str, Cure]] = {
 
 @pytest.mark.parametrize("record", [STRONG, WEAK], ids=["strong", "weak"])
 @pytest.mark.parametrize("name", DEFECTS)
-def test_given_a_defect_at_40_db_then_it_is_named_in_the_record_that_has_it(name: str, record: int) -> None:
+def test_given_a_defect_at_40_db_then_it_is_named_in_the_record_that_has_it(name, record):
     spoil, expected, words, cure = DEFECTS[name]
     judgement = judged(spoil, record)
     assert not judgement.good
@@ -142,7 +142,7 @@ def test_given_a_defect_at_40_db_then_it_is_named_in_the_record_that_has_it(name
 
 
 @pytest.mark.parametrize(("averages", "snr_db"), [(1, 25.0), (3, 25.0), (3, 60.0)])
-def test_given_clean_records_then_valid_and_nothing_is_named(averages: int, snr_db: float) -> None:
+def test_given_clean_records_then_valid_and_nothing_is_named(averages, snr_db):
     judgement = judged(None, STRONG, snr_db=snr_db, averages=averages)
     assert judgement.good, judgement.reason
 
@@ -172,9 +172,7 @@ def peak(response: np.ndarray) -> float:
     ],
     ids=["20 steps", "12 steps", "cut", "cut on one side"],
 )
-def test_given_what_looks_cut_then_only_what_is_cut_is_over_range(
-    spoil: Callable[[np.ndarray], np.ndarray], name: str, over_range: bool
-) -> None:
+def test_given_what_looks_cut_then_only_what_is_cut_is_over_range(spoil, name, over_range):
     judgement = all_judged(spoil)
     assert name in {defect.name for defect in judgement.defects}
     assert bool(judgement.status & Status.OVER_RANGE) == over_range
@@ -202,9 +200,7 @@ def later_each_sweep(response: np.ndarray) -> np.ndarray:
     ],
     ids=["one step of 0.1 dB", "ramp of 0.5 dB", "warming up", "ever later"],
 )
-def test_given_a_drift_common_to_all_records_then_none_is_taken_for_the_quiet_one(
-    drifting: Callable[[np.ndarray], np.ndarray],
-) -> None:
+def test_given_a_drift_common_to_all_records_then_none_is_taken_for_the_quiet_one(drifting):
     reference, response = quiet_records(3)
     noise = 1e-3 * response.std(axis=1, keepdims=True) * np.random.default_rng(1).normal(size=response.shape)
     spoilt = (drifting(response) + noise).astype(np.float32)
@@ -215,13 +211,13 @@ def test_given_a_drift_common_to_all_records_then_none_is_taken_for_the_quiet_on
 
 
 @pytest.mark.parametrize(("spoil", "name"), [(early(dropped_out), "dropout"), (humming(50.0), "hum")])
-def test_given_a_single_sweep_then_what_needs_no_comparison_is_still_seen(spoil: Spoil, name: str) -> None:
+def test_given_a_single_sweep_then_what_needs_no_comparison_is_still_seen(spoil, name):
     judgement = judged(spoil, STRONG, averages=1)
     assert [(defect.name, defect.actuators) for defect in judgement.defects] == [(name, (STRONG,))]
 
 
 @pytest.mark.parametrize("record", [STRONG, WEAK], ids=["strong", "weak"])
-def test_given_fewer_taps_than_the_response_has_then_its_tail_is_named(record: int) -> None:
+def test_given_fewer_taps_than_the_response_has_then_its_tail_is_named(record):
     judgement = judged(None, record, taps=250)
     tails = [defect for defect in judgement.defects if defect.name == "tail"]
     assert len(tails) == 1
@@ -229,7 +225,7 @@ def test_given_fewer_taps_than_the_response_has_then_its_tail_is_named(record: i
     assert "capture.taps" in judgement.reason
 
 
-def test_given_one_constant_channel_then_it_is_named_and_is_no_quietest_record() -> None:
+def test_given_one_constant_channel_then_it_is_named_and_is_no_quietest_record():
     reference, response = (channel.copy() for channel in quiet_records(3))
     response += 1e-4 * np.random.default_rng(1).normal(size=response.shape).astype(np.float32)
     response[STRONG] = 0.0123
@@ -239,7 +235,7 @@ def test_given_one_constant_channel_then_it_is_named_and_is_no_quietest_record()
     assert "cable" in judgement.reason
 
 
-def test_given_every_channel_dead_then_failed() -> None:
+def test_given_every_channel_dead_then_failed():
     reference, response = quiet_records(3)
     estimate = estimator(3, 2000).estimate(reference, np.full_like(response, 0.25), range_v=RANGE_V)
     judgement = judge(estimate, False, QualityLimits())

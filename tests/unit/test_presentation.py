@@ -45,7 +45,7 @@ def true_error_ms(label: RecordLabel) -> float:
 
 
 @pytest.mark.parametrize("masking", [None, MASKING], ids=["alone", "masked"])
-def test_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisecond(masking: Masking | None) -> None:
+def test_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisecond(masking):
     rig = presenter(masking=masking)
     for trial in range(1, 6):
         began_s = time.monotonic()
@@ -57,7 +57,7 @@ def test_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisec
         assert (onset.within_ms, onset.attempts) == (0.0, 1)
 
 
-def test_given_a_rig_in_the_walls_time_then_the_onset_is_that_of_the_machines_clock() -> None:
+def test_given_a_rig_in_the_walls_time_then_the_onset_is_that_of_the_machines_clock():
     rig = VirtualRig(replace(SETTINGS, realtime=True))
     clock, player = rig.instruments.clock, rig.instruments.player
     assert isinstance(player, VirtualPlayer)
@@ -68,7 +68,7 @@ def test_given_a_rig_in_the_walls_time_then_the_onset_is_that_of_the_machines_cl
     assert onset.at_s == pytest.approx(true_s, abs=1e-3 * onset.within_ms + 1e-4)
 
 
-def test_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_one_before() -> None:
+def test_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_one_before():
     for pause_s in (1.0, 0.15, 0.05):
         whole = presented_v(STIMULUS, pause_s, RATE_HZ)
         second = whole.shape[1] - 4000
@@ -77,7 +77,7 @@ def test_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_one_bef
         assert not whole[:, 4000:second].any()
 
 
-def test_masking_sounds_around_the_stimulus_and_the_marker_at_its_onset() -> None:
+def test_masking_sounds_around_the_stimulus_and_the_marker_at_its_onset():
     rig = presenter(masking=MASKING)
     signals_v, onset = rig.signals_v(STIMULUS, RecordLabel(1, 1, 0, "presentation"))
     assert sorted(signals_v) == [0, 2, 3, 5]  # the second actuator has nothing to do
@@ -101,7 +101,7 @@ def test_masking_sounds_around_the_stimulus_and_the_marker_at_its_onset() -> Non
     assert not np.array_equal(noise_v, other)
 
 
-def test_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_alone() -> None:
+def test_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_alone():
     noise_v = pink_noise(400_000, 48_000.0, 0.5, b"seed")
     hertz, density = welch(noise_v, 48_000.0, nperseg=8192)
     octaves = [density[(hertz >= low) & (hertz < 2 * low)].mean() for low in (125, 250, 500, 1000, 2000, 4000)]
@@ -119,13 +119,13 @@ def test_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_al
     ],
     ids=["no marker", "underflow", "unplugged"],
 )
-def test_given_a_presentation_that_fails_then_it_is_repeated_said_and_counted(fault: RigFault, notes: int) -> None:
+def test_given_a_presentation_that_fails_then_it_is_repeated_said_and_counted(fault, notes):
     rig, said = presenter(fault), list[str]()
     assert [rig.present("any", trial, said.append).attempts for trial in (1, 2, 3)] == [1, 2, 1]
     assert len(said) == notes
 
 
-def test_given_a_loopback_that_stays_silent_then_the_cable_is_named() -> None:
+def test_given_a_loopback_that_stays_silent_then_the_cable_is_named():
     fault = RigFault("recorder", "read", "missing_reference", position=1, count=9, purpose="presentation")
     with pytest.raises(InstrumentError, match="loopback cable, from output 3"):
         presenter(fault).present("any", 1, lambda note: None)

@@ -27,7 +27,7 @@ signal = { kind = "impulse" }
 @pytest.mark.parametrize(
     "package", ["acquisition", "calibration", "config", "drivers", "mocks", "rendering", "storage"]
 )
-def test_every_name_that_a_package_s_first_page_gives_is_there(package: str) -> None:
+def test_every_name_that_a_package_s_first_page_gives_is_there(package):
     rows = re.findall(r"^`([\w.]+)` +(.*)$", str(import_module(f"wavefocus.{package}").__doc__), re.MULTILINE)
     assert rows
     for module, words in rows:
@@ -36,28 +36,28 @@ def test_every_name_that_a_package_s_first_page_gives_is_there(package: str) -> 
         assert all(hasattr(own, name) for name in names), (module, names)
 
 
-def test_the_package_says_that_it_is_typed() -> None:
+def test_the_package_says_that_it_is_typed():
     assert (files("wavefocus") / "py.typed").is_file()
 
 
-def test_the_reference_has_every_public_name() -> None:
+def test_the_reference_has_every_public_name():
     entries = python_reference.entries()
     assert not [name for name in wavefocus.__all__ if f"### `{name}`" not in entries]
 
 
-def test_no_module_imports_itself_round_a_circle() -> None:
+def test_no_module_imports_itself_round_a_circle():
     graph = grimp.build_graph("wavefocus", cache_dir=None)  # lazy and type-only imports count, too
     TopologicalSorter({module: graph.find_modules_directly_imported_by(module) for module in graph.modules}).prepare()
 
 
-def test_importing_the_package_loads_nothing_but_the_standard_library() -> None:
+def test_importing_the_package_loads_nothing_but_the_standard_library():
     code = "import sys; before = set(sys.modules); import wavefocus; print(*(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name for name in done.stdout.split() if name.partition(".")[0] not in sys.stdlib_module_names}
     assert loaded == {"wavefocus"}
 
 
-def test_given_a_bank_and_a_scene_then_the_field_at_the_focus_has_its_amplitude(tmp_path: Path) -> None:
+def test_given_a_bank_and_a_scene_then_the_field_at_the_focus_has_its_amplitude(tmp_path):
     x_mm, y_mm = np.meshgrid(np.arange(3) * 4.0, np.arange(3) * 4.0)
     with h5py.File(tmp_path / "bank.h5", "w") as file:
         file["green"] = np.random.default_rng(1).standard_normal((9, 3, 40)) * np.exp(-np.arange(40) / 8)

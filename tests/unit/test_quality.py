@@ -27,24 +27,24 @@ def _estimate(records: int = 4, **changed: np.ndarray) -> Estimate:
 
 
 @pytest.mark.parametrize("flag", [True, False])
-def test_given_over_range_by_flag_or_by_count_then_not_valid(flag: bool) -> None:
+def test_given_over_range_by_flag_or_by_count_then_not_valid(flag):
     clipped = np.array([0, 0 if flag else 3, 0, 0], np.int32)
     judgement = judge(_estimate(clip_count=clipped), flag, LIMITS)
     assert judgement.status == Status.OVER_RANGE
 
 
-def test_given_two_faults_then_both_bits_stand() -> None:
+def test_given_two_faults_then_both_bits_stand():
     both = _estimate(noise_v=np.array([1e-4, 1e-4, 5e-3, 1e-4], np.float32))
     assert judge(both, True, LIMITS).status == Status.OVER_RANGE | Status.POOR_SIGNAL
 
 
-def test_given_status_bytes_then_they_are_counted_by_word() -> None:
+def test_given_status_bytes_then_they_are_counted_by_word():
     counts = status_counts(np.array([0, 0, 1, 2, 4, 6, 8, 16], np.uint8))
     assert counts == {"not-measured": 2, "valid": 1, "over-range": 2, "poor": 2, "failed": 1, "disabled": 1}
 
 
 @pytest.mark.parametrize("figure", ["snr_db", "residual_db", "noise_v"])
-def test_given_a_figure_that_is_no_number_then_the_position_is_not_valid(figure: str) -> None:
+def test_given_a_figure_that_is_no_number_then_the_position_is_not_valid(figure):
     values = getattr(_estimate(), figure).copy()
     values[1] = np.nan
     judgement = judge(_estimate(**{figure: values}), False, LIMITS)
@@ -52,7 +52,7 @@ def test_given_a_figure_that_is_no_number_then_the_position_is_not_valid(figure:
     assert "actuator 1" in judgement.reason
 
 
-def test_an_actuator_that_is_silent_though_farther_ones_are_heard_then_it_is_named() -> None:
+def test_an_actuator_that_is_silent_though_farther_ones_are_heard_then_it_is_named():
     silent = np.array([1.0, 60.0, 50.0, 40.0], np.float32)
     near = np.array([20.0, 100.0, 120.0, 140.0])
     judgement = judge(_estimate(snr_db=silent), False, LIMITS, near)

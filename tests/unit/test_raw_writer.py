@@ -60,7 +60,7 @@ def made(tmp_path: Path, positions: int = 3) -> Path:
     return path
 
 
-def test_commits_then_reading_gives_the_same_volts_and_other_positions_are_empty(tmp_path: Path) -> None:
+def test_commits_then_reading_gives_the_same_volts_and_other_positions_are_empty(tmp_path):
     path = made(tmp_path)
     with RawWriter.open(path, plan_sha256="ab" * 32) as writer:
         writer.commit(1, *volts(1))
@@ -72,7 +72,7 @@ def test_commits_then_reading_gives_the_same_volts_and_other_positions_are_empty
         assert (raw.header.averages, raw.header.sweep_s, raw.header.decay_s) == (1, 0.2, 0.05)
 
 
-def test_given_the_contract_then_plain_h5py_reads_what_was_kept(tmp_path: Path) -> None:
+def test_given_the_contract_then_plain_h5py_reads_what_was_kept(tmp_path):
     path = made(tmp_path)
     with RawWriter.open(path) as writer:
         writer.commit(2, *volts(2))
@@ -83,7 +83,7 @@ def test_given_the_contract_then_plain_h5py_reads_what_was_kept(tmp_path: Path) 
         assert file["schedule/actuator"][:].tolist() == [[0], [1]]
 
 
-def test_given_a_second_attempt_then_it_takes_the_place_of_the_first(tmp_path: Path) -> None:
+def test_given_a_second_attempt_then_it_takes_the_place_of_the_first(tmp_path):
     path = made(tmp_path)
     with RawWriter.open(path) as writer:
         writer.commit(0, *volts(0, 1))
@@ -91,7 +91,7 @@ def test_given_a_second_attempt_then_it_takes_the_place_of_the_first(tmp_path: P
     assert holds(path, 0, 2)
 
 
-def test_given_space_reserved_then_committing_everything_does_not_grow_the_file(tmp_path: Path) -> None:
+def test_given_space_reserved_then_committing_everything_does_not_grow_the_file(tmp_path):
     path = made(tmp_path)
     size = path.stat().st_size
     with RawWriter.open(path) as writer:
@@ -110,8 +110,8 @@ def test_given_space_reserved_then_committing_everything_does_not_grow_the_file(
     ],
 )
 def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_kept(
-    tmp_path: Path, position: int, change: object, complaint: str
-) -> None:
+    tmp_path, position, change, complaint
+):
     path = made(tmp_path)
     reference, response = volts(0)
     with RawWriter.open(path) as writer:
@@ -120,19 +120,19 @@ def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_k
         assert not writer.recorded.any()
 
 
-def test_given_another_plan_then_the_file_is_not_recorded_into(tmp_path: Path) -> None:
+def test_given_another_plan_then_the_file_is_not_recorded_into(tmp_path):
     path = made(tmp_path)
     with pytest.raises(InputError, match="belongs to another plan"):
         RawWriter.open(path, plan_sha256="cd" * 32)
 
 
-def test_given_a_file_that_exists_then_it_is_never_made_anew(tmp_path: Path) -> None:
+def test_given_a_file_that_exists_then_it_is_never_made_anew(tmp_path):
     path = made(tmp_path)
     with pytest.raises(InputError, match="exists already"):
         create_raw(path, header())
 
 
-def test_given_a_flipped_byte_then_that_position_alone_is_told_as_damaged(tmp_path: Path) -> None:
+def test_given_a_flipped_byte_then_that_position_alone_is_told_as_damaged(tmp_path):
     path = made(tmp_path)
     with RawWriter.open(path) as writer:
         writer.commit(0, *volts(0))

@@ -116,7 +116,7 @@ def _is_marked(verdict: Judgement | str) -> bool:
 
 @pytest.mark.parametrize("count", [2, pytest.param(ACTUATORS, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_harms_a_row_is_marked(fault: str, count: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_harms_a_row_is_marked(fault, count, capsys):
     cells, kinds = [], ("images", "disk", "elements")
     for snr_db in (40.0, 60.0) if count == ACTUATORS else (40.0,):
         found = [_judged(kinds[n % 3], fault, snr_db, n, seed=n) for n in range(count)]
@@ -133,6 +133,6 @@ def test_what_harms_a_row_is_marked(fault: str, count: int, capsys: pytest.Captu
 
 @pytest.mark.parametrize("kind", ["images", "disk", "elements"])
 @pytest.mark.parametrize("averages", [1, 3])
-def test_clean_positions_are_valid(kind: str, averages: int) -> None:
+def test_clean_positions_are_valid(kind, averages):
     verdicts = [_judged(kind, None, snr_db, 0, seed, averages)[1] for snr_db in (25.0, 60.0) for seed in range(2)]
     assert [verdict for verdict in verdicts if _is_marked(verdict)] == []

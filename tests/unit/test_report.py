@@ -60,7 +60,7 @@ def report_of(
 
 
 @pytest.fixture(scope="module")
-def good_report(tmp_path_factory) -> Path:
+def good_report(tmp_path_factory):
     outline = np.array([(-50.0, -45.0), (50.0, -45.0), (50.0, 45.0), (-50.0, 45.0), (-50.0, -45.0)])
     return report_of(
         tmp_path_factory.mktemp("good") / "made",
@@ -105,7 +105,7 @@ def test_names_that_are_markup_then_they_are_text_and_nothing_outside_is_loaded(
 
 
 @pytest.fixture(scope="module")
-def flawed_report(tmp_path_factory) -> Path:
+def flawed_report(tmp_path_factory):
     """Of a bank with flawed rows, a plain field and a sentinel that drifted."""
     status = np.ones(len(GRID_MM), np.uint8)
     status[[3, 5, 7, 9]] = 2, 4, 8, 16
@@ -119,7 +119,7 @@ def flawed_report(tmp_path_factory) -> Path:
     return report_of(folder, scan, flawed, "flawed", foci=1, campaign={}, drift=points, save_pictures=True)
 
 
-def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(flawed_report: Path) -> None:
+def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(flawed_report):
     html = flawed_report.read_text(encoding="utf-8")
     assert "✗ Failed" in html
     assert "all frequencies" in html

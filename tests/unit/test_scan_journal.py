@@ -17,7 +17,7 @@ def scanned(row: int) -> ScannedPosition:
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     """A journal of three positions."""
     with ScanJournal(tmp_path / "scan.unfinished", "one", SAMPLES) as journal:
         for row in (4, 0, 7):
@@ -30,7 +30,7 @@ def rows(path: Path) -> list[int]:
         return [one.row for one in journal.entries()]
 
 
-def test_given_positions_kept_then_they_are_there_again(path: Path) -> None:
+def test_given_positions_kept_then_they_are_there_again(path):
     with ScanJournal(path, "one", SAMPLES) as journal:
         for found, row in zip(journal.entries(), (4, 0, 7), strict=True):
             wanted = scanned(row)
@@ -39,7 +39,7 @@ def test_given_positions_kept_then_they_are_there_again(path: Path) -> None:
             np.testing.assert_array_equal(found.response, wanted.response)
 
 
-def test_given_a_kill_at_any_byte_then_whole_entries_count_and_the_next_one_is_kept(path: Path) -> None:
+def test_given_a_kill_at_any_byte_then_whole_entries_count_and_the_next_one_is_kept(path):
     whole = path.read_bytes()
     entry = (len(whole) - 4096) // 3
     for size in (0, 10, 4096, 4096 + entry - 1, 4096 + entry, len(whole) - 1, len(whole)):
@@ -51,14 +51,14 @@ def test_given_a_kill_at_any_byte_then_whole_entries_count_and_the_next_one_is_k
         assert rows(path) == [*there, 9]
 
 
-def test_given_a_flipped_bit_then_what_follows_is_scanned_again(path: Path) -> None:
+def test_given_a_flipped_bit_then_what_follows_is_scanned_again(path):
     content = bytearray(path.read_bytes())
     content[-(len(content) - 4096) // 2] ^= 1
     path.write_bytes(content)
     assert rows(path) == [4]
 
 
-def test_given_another_scan_then_it_is_refused_or_replaced(path: Path) -> None:
+def test_given_another_scan_then_it_is_refused_or_replaced(path):
     with pytest.raises(InputError, match="another drive"):
         ScanJournal(path, "other", SAMPLES)
     with pytest.raises(InputError, match="another drive"):
@@ -69,12 +69,12 @@ def test_given_another_scan_then_it_is_refused_or_replaced(path: Path) -> None:
         rows(path)
 
 
-def test_given_two_processes_then_the_second_is_refused(path: Path) -> None:
+def test_given_two_processes_then_the_second_is_refused(path):
     with ScanJournal(path, "one", SAMPLES), pytest.raises(BankBusyError):
         ScanJournal(path, "one", SAMPLES)
 
 
-def test_given_a_file_of_another_program_then_it_is_left_alone(path: Path) -> None:
+def test_given_a_file_of_another_program_then_it_is_left_alone(path):
     path.write_bytes(b"x" * 9000)
     with pytest.raises(InputError, match="not what a scan left"):
         ScanJournal(path, "one", SAMPLES, replace=True)

@@ -45,7 +45,7 @@ def read(text: str, folder: Path = Path()):
 
 
 @pytest.mark.parametrize("name", LARGE)
-def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name: str) -> None:
+def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name):
     scene, small = read(source(*LARGE[name])), noise_bank(40)
     tracemalloc.start()
     try:
@@ -60,7 +60,7 @@ def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name: str)
         tracemalloc.stop()
 
 
-def test_a_long_scene_is_rendered_in_the_size_stated_and_a_longer_one_refused() -> None:
+def test_a_long_scene_is_rendered_in_the_size_stated_and_a_longer_one_refused():
     text = source(
         "speed_mm_s = 0.001\nstep_mm = 0.005", '{ kind = "line", start_mm = [0, 0], end_mm = [4, 0] }', IMPULSE
     )
@@ -75,14 +75,14 @@ def test_a_long_scene_is_rendered_in_the_size_stated_and_a_longer_one_refused() 
 
 
 @pytest.mark.parametrize("turns", [1e9, 1e12])
-def test_a_path_of_any_length_is_refused_where_only_its_positions_are_sought(turns: float) -> None:
+def test_a_path_of_any_length_is_refused_where_only_its_positions_are_sought(turns):
     path = f'{{ kind = "circle", radius_mm = 8, turns = {turns} }}'
     scene = read(source("speed_mm_s = 80\nstep_mm = 4", path, IMPULSE))
     with pytest.raises(InputError, match="points"):
         scene_rows(scene, NOISE_MM)
 
 
-def test_a_text_of_thousands_of_letters_is_refused() -> None:
+def test_a_text_of_thousands_of_letters_is_refused():
     path = f'{{ kind = "text", string = "{"wave" * 500}", height_mm = 8 }}'
     text = source("speed_mm_s = 80\nstep_mm = 4", path, IMPULSE)
     with pytest.raises(InputError, match="2000 letters"):
@@ -99,7 +99,7 @@ def declaring(path: Path, frames: int) -> Path:
     return path
 
 
-def test_a_sound_file_is_refused_by_what_it_declares(tmp_path: Path) -> None:
+def test_a_sound_file_is_refused_by_what_it_declares(tmp_path):
     declaring(tmp_path / "a.flac", 10**8)
     text = source("", POINT, '{ kind = "file", path = "a.flac" }')
     with pytest.raises(InputError, match="samples of signals are allowed"):
@@ -108,7 +108,7 @@ def test_a_sound_file_is_refused_by_what_it_declares(tmp_path: Path) -> None:
         read(text, tmp_path).sources[0].signal.samples(RATE_HZ)
 
 
-def test_a_sound_file_of_many_channels_is_sized_by_its_frames_and_read_one_channel(tmp_path: Path) -> None:
+def test_a_sound_file_of_many_channels_is_sized_by_its_frames_and_read_one_channel(tmp_path):
     with soundfile.SoundFile(tmp_path / "c.flac", "w", 8000, 8, "PCM_16") as file:
         file.write(np.ones((2**18, 8), np.int16))
     scene = read(source("", POINT, '{ kind = "file", path = "c.flac" }'), tmp_path)
@@ -126,7 +126,7 @@ def test_a_sound_file_of_many_channels_is_sized_by_its_frames_and_read_one_chann
 
 
 @pytest.mark.parametrize(("name", "content"), [("a.raw", bytes(1000)), ("a.wav", b""), ("a.flac", b"fLaC" + bytes(60))])
-def test_a_sound_file_without_a_usable_header_is_one_sentence(tmp_path: Path, name: str, content: bytes) -> None:
+def test_a_sound_file_without_a_usable_header_is_one_sentence(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=name):
         render_with_report(read(source("", POINT, f'{{ kind = "file", path = "{name}" }}'), tmp_path), noise_bank(40))
@@ -147,7 +147,7 @@ SVGS = {
 
 
 @pytest.mark.parametrize("name", SVGS)
-def test_a_drawing_that_cannot_be_read_is_one_sentence(tmp_path: Path, name: str) -> None:
+def test_a_drawing_that_cannot_be_read_is_one_sentence(tmp_path, name):
     (tmp_path / "a.svg").write_bytes(SVGS[name])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -159,9 +159,7 @@ COORDINATE = st.sampled_from([0.0, 1.0, -3.0, 1e-200, -1e-300, 5e-324, 1e99, -1e
 
 
 @given(st.lists(COORDINATE, min_size=14, max_size=14), st.sampled_from("LCSQTA"), st.booleans(), st.booleans())
-def test_any_numbers_of_path_data_give_finite_points_or_one_sentence(
-    values: list[float], kind: str, large: bool, sweep: bool
-) -> None:
+def test_any_numbers_of_path_data_give_finite_points_or_one_sentence(values, kind, large, sweep):
     count = {"L": 2, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7}[kind]
     given_values = [str(value) for value in values[:count]]
     if kind == "A":
@@ -176,7 +174,7 @@ def test_any_numbers_of_path_data_give_finite_points_or_one_sentence(
     assert all(np.isfinite(stroke).all() for stroke in strokes)
 
 
-def test_twenty_thousand_unknown_keys_are_one_short_line() -> None:
+def test_twenty_thousand_unknown_keys_are_one_short_line():
     keys = "".join(f"unknown_{index} = {index}\n" for index in range(20_000))
     with pytest.raises(InputError) as refused:
         read(f"{source('', POINT, IMPULSE)}[scene]\n{keys}")
@@ -244,7 +242,7 @@ SCENES = st.fixed_dictionaries(
 
 
 @given(SCENES)
-def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables: dict) -> None:
+def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:

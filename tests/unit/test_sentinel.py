@@ -16,7 +16,7 @@ def _responses(seed: int = 1) -> np.ndarray:
     return (smooth * envelope).astype(np.float32)
 
 
-def test_given_the_same_plate_then_steady() -> None:
+def test_given_the_same_plate_then_steady():
     then = _responses()
     noise = np.random.default_rng(2).standard_normal(then.shape).astype(np.float32)
     figures = compare_sentinel(then, then + 1e-3 * np.abs(then).max() * noise)
@@ -26,20 +26,20 @@ def test_given_the_same_plate_then_steady() -> None:
     assert figures.correlation > 0.999
 
 
-def test_given_a_louder_plate_then_the_level_is_told() -> None:
+def test_given_a_louder_plate_then_the_level_is_told():
     figures = compare_sentinel(_responses(), _responses() * np.float32(1.1))
     assert figures.level_db == pytest.approx(20 * np.log10(1.1), abs=1e-4)
     assert figures.verdict(DriftLimits()) == "warn"
 
 
-def test_given_a_delayed_response_then_the_delay_is_told_with_its_sign() -> None:
+def test_given_a_delayed_response_then_the_delay_is_told_with_its_sign():
     then = _responses()
     assert compare_sentinel(then, np.roll(then, 3, axis=1)).delay_samples == pytest.approx(3.0, abs=0.2)
     assert compare_sentinel(np.roll(then, 3, axis=1), then).delay_samples == pytest.approx(-3.0, abs=0.2)
 
 
 @pytest.mark.parametrize("silent", ["then", "now"])
-def test_given_silence_then_stop_and_no_division_by_zero(silent: str) -> None:
+def test_given_silence_then_stop_and_no_division_by_zero(silent):
     loud, nothing = _responses(), np.zeros((4, 400), np.float32)
     figures = compare_sentinel(nothing, loud) if silent == "then" else compare_sentinel(loud, nothing)
     assert figures.verdict(DriftLimits()) == "stop"
@@ -58,14 +58,12 @@ def test_given_silence_then_stop_and_no_division_by_zero(silent: str) -> None:
         (DriftFigures(-4.0, 0.1, 0.7), "stop", "plate or mirror moved"),
     ],
 )
-def test_given_figures_then_they_say_how_far_and_what_has_changed(
-    figures: DriftFigures, verdict: str, cause: str
-) -> None:
+def test_given_figures_then_they_say_how_far_and_what_has_changed(figures, verdict, cause):
     assert figures.verdict(DriftLimits()) == verdict
     assert figures.cause(DriftLimits()) == cause
 
 
-def test_given_limits_of_ones_own_then_they_decide() -> None:
+def test_given_limits_of_ones_own_then_they_decide():
     figures = DriftFigures(1.0, 0.0, 0.999)
     assert figures.verdict(DriftLimits(stop_level_db=0.9, warn_level_db=0.1)) == "stop"
     assert figures.verdict(DriftLimits(warn_level_db=1.1)) == "steady"
@@ -75,15 +73,13 @@ def test_given_limits_of_ones_own_then_they_decide() -> None:
     ("positions", "position_s", "passes"), [(0, 10.0, 0), (1, 10.0, 0), (50, 1.0, 1), (51, 1.0, 2), (101, 1.0, 3),
                                             (1500, 74.5, 31), (10, 7200.0, 10)]
 )  # fmt: skip
-def test_given_a_campaign_then_the_sentinels_measurements_are_counted(
-    positions: int, position_s: float, passes: int
-) -> None:
+def test_given_a_campaign_then_the_sentinels_measurements_are_counted(positions, position_s, passes):
     assert DriftLimits().passes(positions, position_s) == passes
 
 
 # One clear actuator as of the campaign that stopped at +3.15 dB, the others mostly noise; all of them clear.
 @pytest.mark.parametrize("snr_db", [(14.7, 3.0, 0.0, -3.0), (20.0, 15.0, 12.0, 11.0), (12.0, 2.0, 0.0, -6.0)])
-def test_given_known_noise_then_it_is_no_drift_and_a_gain_is_still_seen(snr_db: tuple[float, ...]) -> None:
+def test_given_known_noise_then_it_is_no_drift_and_a_gain_is_still_seen(snr_db):
     chance, limits = np.random.default_rng(4), DriftLimits()
     ratios_db = np.array(snr_db, np.float32)
     response = _responses() / np.linalg.norm(_responses(), axis=1, keepdims=True)
@@ -126,7 +122,7 @@ def _step(then: np.ndarray, now: np.ndarray, place_mm: tuple[float, float], chan
 
 
 @pytest.mark.parametrize("place_mm", [CORNER, pytest.param(MIDDLE, marks=pytest.mark.nightly)])
-def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(place_mm: tuple[float, float]) -> None:
+def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(place_mm):
     chance, then = np.random.default_rng(7), _truth(place_mm)
     hertz = np.fft.rfftfreq(2 * TAPS, 1 / RATE_HZ)
     delays = [np.exp(-2j * np.pi * hertz * samples / RATE_HZ) for samples in (0.3, -0.3)]
@@ -141,7 +137,7 @@ def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(
     assert all(_step(then, now, place_mm, chance) < 1.0 for now in warmer for _ in range(2))
 
 
-def test_given_figures_with_a_step_then_it_decides_and_the_limits_of_a_stop_stay() -> None:
+def test_given_figures_with_a_step_then_it_decides_and_the_limits_of_a_stop_stay():
     drifted, stepped = DriftFigures(0.9, 1.5, 0.97, step=0.4), DriftFigures(0.1, 0.4, 0.999, step=1.5)
     assert (drifted.verdict(DriftLimits()), drifted.speaks_against(DriftLimits())) == ("steady", False)
     assert (stepped.verdict(DriftLimits()), stepped.speaks_against(DriftLimits())) == ("warn", True)

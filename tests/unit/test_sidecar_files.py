@@ -2,8 +2,6 @@
 
 import json
 import os
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -19,15 +17,13 @@ PRECIOUS = b"precious\n"
 
 
 @pytest.fixture
-def victim(tmp_path: Path) -> Path:
+def victim(tmp_path):
     (tmp_path / "victim").write_bytes(PRECIOUS)
     return tmp_path / "victim"
 
 
 @pytest.mark.parametrize("path_of", [log_path, drift_path])
-def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(
-    victim: Path, path_of: Callable[[Path], Path]
-) -> None:
+def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(victim, path_of):
     bank = victim.with_name("plate.h5")
     names = [bank.with_suffix(ending) for ending in (".events.jsonl", ".drift.jsonl")]
     for name in names:
@@ -49,7 +45,7 @@ def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(
     assert victim.read_bytes() == PRECIOUS
 
 
-def test_given_a_log_then_lines_are_appended(tmp_path: Path) -> None:
+def test_given_a_log_then_lines_are_appended(tmp_path):
     for line in ('{"a": 1}\n', '{"a": 2}\n'):
         log = Log(log_path(tmp_path / "plate.h5"))
         log.write(line)
@@ -57,7 +53,7 @@ def test_given_a_log_then_lines_are_appended(tmp_path: Path) -> None:
     assert log_path(tmp_path / "plate.h5").read_bytes() == b'{"a": 1}\n{"a": 2}\n'
 
 
-def test_given_a_link_then_the_owner_is_named_beside_the_bank_alone(victim: Path) -> None:
+def test_given_a_link_then_the_owner_is_named_beside_the_bank_alone(victim):
     bank = victim.with_name("plate.h5")
     owner_path(bank).symlink_to(victim)
     write_owner(bank)
@@ -67,7 +63,7 @@ def test_given_a_link_then_the_owner_is_named_beside_the_bank_alone(victim: Path
     assert not os.path.lexists(owner_path(bank))
 
 
-def test_given_a_file_of_another_then_no_owner_replaces_it(tmp_path: Path) -> None:
+def test_given_a_file_of_another_then_no_owner_replaces_it(tmp_path):
     bank = tmp_path / "plate.h5"
     owner_path(bank).write_bytes(PRECIOUS)
     write_owner(bank)
@@ -76,7 +72,7 @@ def test_given_a_file_of_another_then_no_owner_replaces_it(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("by_many", [True, False])
-def test_given_links_and_files_of_another_then_small_files_are_written_beside_them(victim: Path, by_many: bool) -> None:
+def test_given_links_and_files_of_another_then_small_files_are_written_beside_them(victim, by_many):
     path = victim.with_name("plate.h5.heartbeat")
     for name in (path.with_name(f"{path.name}.new"), path.with_name(f"{path.name}.{os.getpid()}.new"), path):
         name.symlink_to(victim)
@@ -90,21 +86,21 @@ def test_given_links_and_files_of_another_then_small_files_are_written_beside_th
     assert path.read_bytes() == PRECIOUS
 
 
-def test_given_what_a_killed_writer_left_then_the_next_one_removes_it(tmp_path: Path) -> None:
+def test_given_what_a_killed_writer_left_then_the_next_one_removes_it(tmp_path):
     path = tmp_path / "plate.h5.heartbeat"
     (tmp_path / f".{path.name}.0123456789abcdef.new").write_bytes(b"{")
     write_whole(path, {"a": 1})
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
-def test_given_a_link_then_the_log_of_a_verification_is_written_beside_it(victim: Path) -> None:
+def test_given_a_link_then_the_log_of_a_verification_is_written_beside_it(victim):
     (victim.parent / "verify.events.jsonl").symlink_to(victim)
     with VerifyLog(victim.parent) as log:
         log.done(0, "done")
     assert victim.read_bytes() == PRECIOUS
 
 
-def test_given_a_file_called_new_then_naming_a_calibration_leaves_it(victim: Path) -> None:
+def test_given_a_file_called_new_then_naming_a_calibration_leaves_it(victim):
     rig = victim.with_name("rig.toml")
     rig.write_text('[rig]\nname = "a"\n', encoding="utf-8")
     rig.with_name("rig.toml.new").write_bytes(PRECIOUS)
@@ -113,7 +109,7 @@ def test_given_a_file_called_new_then_naming_a_calibration_leaves_it(victim: Pat
     assert "calibration.toml" in rig.read_text(encoding="utf-8")
 
 
-def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_removed(tmp_path: Path) -> None:
+def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_removed(tmp_path):
     bank = tmp_path / "plate.h5"
     owner_path(bank).write_bytes(b"\xff\xa5" * 256)
     write_owner(bank)

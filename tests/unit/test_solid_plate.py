@@ -18,7 +18,7 @@ PLACE_MM = np.array([[-12.0, 9.0], [3.0, 21.0], [14.0, -3.0], [-2.0, -17.0], [5.
 
 
 @pytest.fixture(scope="module")
-def elements() -> Elements:
+def elements():
     return Elements(triangulate(DISK, 0.4 * spacing_mm(DampedWave(5.0, 2500.0), 450.0)))
 
 
@@ -54,9 +54,7 @@ def _plate(force_deg: float, oscillation_deg: float, source_mm: np.ndarray = SOU
 
 
 @pytest.mark.parametrize("frequency_hz", [pytest.param(60.0, marks=pytest.mark.long), 450.0])
-def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(
-    elements: Elements, frequency_hz: float
-) -> None:
+def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(elements, frequency_hz):
     solved = _solved(elements, frequency_hz)
     for force in (0, 1):
         for oscillation in (0, 1):
@@ -66,6 +64,6 @@ def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(
             assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted), (force, oscillation)
 
 
-def test_given_a_pressure_wave_that_is_too_slow_then_it_is_refused() -> None:
+def test_given_a_pressure_wave_that_is_too_slow_then_it_is_refused():
     with pytest.raises(ValueError, match=r"pressure_speed_m_s is 5; it must be above 5\.774"):
         SolidPlate(SOURCE_MM, DISK, np.ones_like, **KEYS | {"pressure_speed_m_s": 5.0})

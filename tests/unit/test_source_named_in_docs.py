@@ -11,7 +11,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_module_function_and_folder_that_a_page_names_is_there(page: Path) -> None:
+def test_every_module_function_and_folder_that_a_page_names_is_there(page):
     text = page.read_text(encoding="utf-8")
     for module, names in re.findall(r"\b((?:\w+/)+\w+\.py)(?:: (\w+(?:\.\w+)*))?", text):
         file = next(folder / module for folder in (PACKAGE, ROOT) if (folder / module).is_file())

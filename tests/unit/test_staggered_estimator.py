@@ -81,9 +81,7 @@ def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
 
 @settings(max_examples=10)
 @given(seed=st.integers(0, 10_000), ppm=st.floats(-200, 200), start=st.floats(0, 599))
-def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_limit(
-    seed: int, ppm: float, start: float
-) -> None:
+def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_limit(seed, ppm, start):
     green = random_firs(seed)
     reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, ppm, start, SIGNAL.used_samples)
     draw = np.random.default_rng(seed + 1)
@@ -97,7 +95,7 @@ def test_any_firs_offset_and_skew_come_back_within_1_5_db_of_the_noise_s_own_lim
     assert 10 * np.log10(np.mean(10 ** (np.array(above_db) / 10))) <= 1.5
 
 
-def test_given_groups_then_each_record_gives_its_own_actuators_in_order() -> None:
+def test_given_groups_then_each_record_gives_its_own_actuators_in_order():
     signal = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120, groups=2)
     green, schedule = random_firs(3), signal.schedule()
     estimator = StaggeredEstimator(signal.base_v(), Records(RATE_HZ, BAND_HZ, TAPS, schedule))
@@ -111,7 +109,7 @@ def test_given_groups_then_each_record_gives_its_own_actuators_in_order() -> Non
     assert error_db(found.green, green).max() < -45
 
 
-def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
+def test_given_a_moment_without_light_then_the_residual_names_it():
     green = random_firs(4)
     reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, 0.0, 0.0, SIGNAL.used_samples)
     response = response / 0.5
@@ -124,19 +122,19 @@ def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
     assert spoilt.residual_db[0] > sound.residual_db[0] + 15
 
 
-def test_given_a_silent_reference_then_it_is_missing() -> None:
+def test_given_a_silent_reference_then_it_is_missing():
     noise = np.random.default_rng(0).standard_normal(SIGNAL.used_samples).astype(np.float32)
     with pytest.raises(ReferenceMissingError, match="does not carry"):
         estimated(noise, noise)
 
 
-def test_given_less_than_a_period_then_the_record_is_refused() -> None:
+def test_given_less_than_a_period_then_the_record_is_refused():
     short = np.zeros(500, np.float32)
     with pytest.raises(InputError, match="less than the period of 600"):
         estimated(short, short)
 
 
-def test_given_slots_that_overlap_then_they_are_refused() -> None:
+def test_given_slots_that_overlap_then_they_are_refused():
     schedule = Schedule(np.array([[0, 1]]), np.array([[0.0, 50 / RATE_HZ]]), np.ones((1, 2)), 600 / RATE_HZ)
     with pytest.raises(InputError, match="allowed is 1 to the distance of two slots, 50"):
         StaggeredEstimator(SIGNAL.base_v(), Records(RATE_HZ, BAND_HZ, TAPS, schedule))
@@ -151,7 +149,7 @@ def test_given_slots_that_overlap_then_they_are_refused() -> None:
         ({"stagger_samples": 100, "taps": 1, "groups": 5, "actuators": 5}, None),
     ],
 )
-def test_a_staggered_signal_refuses_what_cannot_be_played(changes: dict[str, int], complaint: str | None) -> None:
+def test_a_staggered_signal_refuses_what_cannot_be_played(changes, complaint):
     asked = {"actuators": 5, "taps": TAPS, "stagger_samples": 120, **changes}
     if complaint is None:
         assert StaggeredSignal(SWEEP, **asked).slots == 1
@@ -172,8 +170,6 @@ def test_a_staggered_signal_refuses_what_cannot_be_played(changes: dict[str, int
         ([[0, 1]], [[0, 0.1]], [[1, 1]], -1.0, "0 or a period in seconds"),
     ],
 )
-def test_a_schedule_that_cannot_be_is_refused(
-    actuator: object, delay_s: object, gain: object, period_s: float, complaint: str
-) -> None:
+def test_a_schedule_that_cannot_be_is_refused(actuator, delay_s, gain, period_s, complaint):
     with pytest.raises(InputError, match=complaint):
         Schedule(np.array(actuator), np.array(delay_s), np.array(gain), period_s)

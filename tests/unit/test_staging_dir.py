@@ -21,7 +21,7 @@ def names(folder: Path) -> list[str]:
     return sorted(entry.name for entry in folder.iterdir())
 
 
-def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> None:
+def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path):
     def fail() -> None:
         with staging_dir(tmp_path / "bank.h5") as place:
             place.temporary.write_bytes(b"half")
@@ -32,7 +32,7 @@ def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> 
     assert names(tmp_path) == []
 
 
-def test_another_process_that_removes_empty_folder_first_then_what_was_made_stands(tmp_path: Path) -> None:
+def test_another_process_that_removes_empty_folder_first_then_what_was_made_stands(tmp_path):
     path = tmp_path / "bank.h5"
     with staging_dir(path) as place:
         place.temporary.write_bytes(b"whole")
@@ -44,13 +44,13 @@ def test_another_process_that_removes_empty_folder_first_then_what_was_made_stan
 
 
 @pytest.mark.parametrize("files", [{}, {"owner": b""}, {"owner": b"", "made": b"half"}, {"made": b"half"}])
-def test_given_what_a_killed_maker_left_then_it_is_removed(tmp_path: Path, files: dict[str, bytes]) -> None:
+def test_given_what_a_killed_maker_left_then_it_is_removed(tmp_path, files):
     leftover(tmp_path / "bank.h5", **files)
     clear_leftovers(tmp_path, "bank.h5")
     assert names(tmp_path) == []
 
 
-def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path: Path) -> None:
+def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path):
     path = tmp_path / "bank.h5"
     with staging_dir(path) as place:
         place.temporary.write_bytes(b"half")
@@ -58,7 +58,7 @@ def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path: Path) -> None:
         assert place.temporary.read_bytes() == b"half"
 
 
-def test_given_folders_of_others_then_they_stay(tmp_path: Path) -> None:
+def test_given_folders_of_others_then_they_stay(tmp_path):
     path = tmp_path / "bank.h5"
     with_more = leftover(path, "more", owner=b"", made=b"half", notes=b"mine")
     of_another = leftover(tmp_path / "bank.h5.old", owner=b"", made=b"half")
@@ -68,7 +68,7 @@ def test_given_folders_of_others_then_they_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
-def test_given_a_link_to_elsewhere_then_it_is_not_followed(tmp_path: Path) -> None:
+def test_given_a_link_to_elsewhere_then_it_is_not_followed(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "bank.h5").write_bytes(b"precious")
     (tmp_path / ".bank.h5.link.partial").symlink_to(tmp_path / "elsewhere")
@@ -76,7 +76,7 @@ def test_given_a_link_to_elsewhere_then_it_is_not_followed(tmp_path: Path) -> No
     assert names(tmp_path / "elsewhere") == ["bank.h5"]
 
 
-def test_a_name_that_was_claimed_and_not_filled_then_the_complete_file_takes_it(tmp_path: Path) -> None:
+def test_a_name_that_was_claimed_and_not_filled_then_the_complete_file_takes_it(tmp_path):
     path = tmp_path / "bank.h5"
     path.write_bytes(b"")
     leftover(path, owner=b"complete", made=b"whole")
@@ -86,7 +86,7 @@ def test_a_name_that_was_claimed_and_not_filled_then_the_complete_file_takes_it(
 
 
 @pytest.mark.parametrize("note", [b"", b"complet"])
-def test_claimed_name_and_no_word_that_file_is_complete_then_it_does_not_take_it(tmp_path: Path, note: bytes) -> None:
+def test_claimed_name_and_no_word_that_file_is_complete_then_it_does_not_take_it(tmp_path, note):
     path = tmp_path / "bank.h5"
     path.write_bytes(b"")
     leftover(path, owner=note, made=b"ha")
@@ -95,7 +95,7 @@ def test_claimed_name_and_no_word_that_file_is_complete_then_it_does_not_take_it
     assert names(tmp_path) == ["bank.h5"]
 
 
-def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(tmp_path: Path) -> None:
+def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(tmp_path):
     path = tmp_path / "bank.h5"
     path.write_bytes(b"precious")
     leftover(path, owner=b"complete", made=b"whole")
@@ -103,7 +103,7 @@ def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(
     assert path.read_bytes() == b"precious"
 
 
-def test_a_folder_killed_between_two_renames_gets_the_new_one_under_its_name(tmp_path: Path) -> None:
+def test_a_folder_killed_between_two_renames_gets_the_new_one_under_its_name(tmp_path):
     path = tmp_path / "crate"
     hidden = leftover(path, owner=b"complete")
     for name, content in (("crate", "new"), ("previous", "old")):

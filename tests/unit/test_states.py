@@ -6,7 +6,7 @@ from wavefocus.acquisition.engine.session import Session
 from wavefocus.config.messages.campaign import State
 
 
-def test_given_the_table_then_the_page_about_states_has_the_same_one() -> None:
+def test_given_the_table_then_the_page_about_states_has_the_same_one():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "states.md").read_text(encoding="utf-8")
     rows = {}
     for line in page.splitlines():

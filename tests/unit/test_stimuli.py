@@ -1,7 +1,6 @@
 """Stimuli on disk: rendered once, verified after that, refused beyond limits."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,7 +45,7 @@ INTERFACE = Interface(48_000, np.full(len(ACTUATOR_MM), 5.0))
 
 
 @pytest.fixture
-def bank(tmp_path: Path) -> Iterator[Bank]:
+def bank(tmp_path):
     write_bank(tmp_path / "bank.h5", SQUARE_MM[(np.abs(SQUARE_MM) <= (8, 4)).all(axis=1)])
     with open_bank(tmp_path / "bank.h5") as view:
         yield view
@@ -68,7 +67,7 @@ def prepared(design: TrialsDesign, bank: Bank, limits: DriveLimits = NO_LIMITS) 
     return prepare(design, bank, design.file.parent / "out", limits=limits, interface=INTERFACE)
 
 
-def test_stimuli_are_the_drives_of_their_scenes_and_stand_in_the_manifest(tmp_path: Path, bank: Bank) -> None:
+def test_stimuli_are_the_drives_of_their_scenes_and_stand_in_the_manifest(tmp_path, bank):
     design = design_of(tmp_path)
     done: list[tuple[int, int]] = []
     made = prepare(
@@ -90,7 +89,7 @@ def test_stimuli_are_the_drives_of_their_scenes_and_stand_in_the_manifest(tmp_pa
         assert (entry["amplitude"], entry["peak_v"]) == (stimulus.amplitude, peaks(drive.drive_v).max())
 
 
-def test_given_again_then_only_what_is_missing_is_rendered(tmp_path: Path, bank: Bank) -> None:
+def test_given_again_then_only_what_is_missing_is_rendered(tmp_path, bank):
     design = design_of(tmp_path)
     first = prepared(design, bank)
     (first.folder / f"{LOUDEST}.h5").unlink()
@@ -100,7 +99,7 @@ def test_given_again_then_only_what_is_missing_is_rendered(tmp_path: Path, bank:
     assert {file: file.stat().st_mtime_ns for file in times} == times
 
 
-def test_stimuli_begun_by_an_earlier_version_go_on_with_their_interpolation(tmp_path: Path) -> None:
+def test_stimuli_begun_by_an_earlier_version_go_on_with_their_interpolation(tmp_path):
     tone = '{ kind = "sine", frequency_hz = 150.0, duration_s = 0.05 }'
     between = TRIALS.replace("start_mm = [-8, 0]", "start_mm = [-7, 1]").replace('{ kind = "impulse" }', tone)
     between += "[output]\n"
@@ -119,7 +118,7 @@ def test_stimuli_begun_by_an_earlier_version_go_on_with_their_interpolation(tmp_
         assert prepared(design, bank).sha256 == named.sha256
 
 
-def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fits(tmp_path: Path, bank: Bank) -> None:
+def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fits(tmp_path, bank):
     peak_v = float(peaks(render(design_of(tmp_path).stimuli[LOUDEST].scene, bank).drive_v).max())
     for limits in (DriveLimits(peak_v=0.9 * peak_v, peak_key="player.limit_v"), DriveLimits(rms_v=0.1 * peak_v)):
         with pytest.raises(InputError) as refused:
@@ -134,13 +133,13 @@ def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fi
             file.unlink()
 
 
-def test_given_outputs_of_little_full_scale_then_a_stimulus_beyond_it_is_refused(tmp_path: Path, bank: Bank) -> None:
+def test_given_outputs_of_little_full_scale_then_a_stimulus_beyond_it_is_refused(tmp_path, bank):
     weak = Interface(48_000, np.full(len(ACTUATOR_MM), 1e-6))
     with pytest.raises(InputError, match="full scale"):
         prepare(design_of(tmp_path), bank, tmp_path / "out", limits=NO_LIMITS, interface=weak)
 
 
-def test_given_a_path_beyond_the_bank_or_another_rig_then_it_is_refused(tmp_path: Path, bank: Bank) -> None:
+def test_given_a_path_beyond_the_bank_or_another_rig_then_it_is_refused(tmp_path, bank):
     with pytest.raises(InputError, match=rf"trials.toml: stimulus {NAMES[0]}: .*point"):
         prepared(design_of(tmp_path, TRIALS.replace("[8, 0]", "[80, 0]")), bank)
     few = Interface(48_000, np.full(3, 5.0))
@@ -150,7 +149,7 @@ def test_given_a_path_beyond_the_bank_or_another_rig_then_it_is_refused(tmp_path
         prepared(design_of(tmp_path), replace(bank, drive_unit="A"))
 
 
-def test_given_another_table_or_bank_then_its_stimuli_are_refused(tmp_path: Path, bank: Bank) -> None:
+def test_given_another_table_or_bank_then_its_stimuli_are_refused(tmp_path, bank):
     prepared(design_of(tmp_path), bank)
     with pytest.raises(InputError, match=r"manifest.json: .*trials.toml"):
         prepared(design_of(tmp_path, TRIALS + "# another\n"), bank)
@@ -163,7 +162,7 @@ def test_given_another_table_or_bank_then_its_stimuli_are_refused(tmp_path: Path
         prepared(design, other)
 
 
-def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path: Path, bank: Bank) -> None:
+def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path, bank):
     design = design_of(tmp_path)
     made = prepared(design, bank)
     file = made.folder / f"{LOUDEST}.h5"
@@ -176,7 +175,7 @@ def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path: Pat
         prepared(design, bank)
 
 
-def test_given_a_manifest_that_is_none_then_it_is_named(tmp_path: Path, bank: Bank) -> None:
+def test_given_a_manifest_that_is_none_then_it_is_named(tmp_path, bank):
     design = design_of(tmp_path)
     file = tmp_path / "out" / "stimuli" / "manifest.json"
     file.parent.mkdir(parents=True)
@@ -186,7 +185,7 @@ def test_given_a_manifest_that_is_none_then_it_is_named(tmp_path: Path, bank: Ba
             prepared(design, bank)
 
 
-def test_given_files_of_another_origin_then_none_is_written_over(tmp_path: Path, bank: Bank) -> None:
+def test_given_files_of_another_origin_then_none_is_written_over(tmp_path, bank):
     (tmp_path / "out" / "stimuli").mkdir(parents=True)
     mine = tmp_path / "out" / "stimuli" / f"{LOUDEST}.h5"
     mine.write_text("mine")
@@ -217,7 +216,7 @@ quiet = ["one", "two"]
 """
 
 
-def test_the_other_fingers_are_quiet_in_each_stimulus(tmp_path: Path, bank: Bank) -> None:
+def test_the_other_fingers_are_quiet_in_each_stimulus(tmp_path, bank):
     design = design_of(tmp_path, FINGERS)
     made = prepared(design, bank)
     rows = {name: int(np.flatnonzero((bank.position_mm == place).all(axis=1))[0]) for name, place in
@@ -231,6 +230,6 @@ def test_the_other_fingers_are_quiet_in_each_stimulus(tmp_path: Path, bank: Bank
         assert level_db < asked_db + 1.0
 
 
-def test_a_quiet_place_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_quiet_place_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match=r"quiet.*one, two"):
         design_of(tmp_path, FINGERS.replace('quiet = ["one", "two"]', 'quiet = "thumb"'))

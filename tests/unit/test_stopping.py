@@ -10,7 +10,7 @@ from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.ending import stop_on_signals
 
 
-def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed() -> None:
+def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed():
     with stop_on_signals(StopRequest()):
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
@@ -18,7 +18,7 @@ def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed() -> None:
         signal.raise_signal(signal.SIGINT)
 
 
-def test_given_a_process_that_waits_then_sigterm_ends_it_through_its_cleanup() -> None:
+def test_given_a_process_that_waits_then_sigterm_ends_it_through_its_cleanup():
     program = (
         "import time\n"
         "from wavefocus.acquisition.engine.session import StopRequest\nfrom wavefocus.ending import stop_on_signals\n"

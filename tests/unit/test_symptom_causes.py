@@ -35,9 +35,7 @@ def later(*case: object) -> object:
         ("disk", "swapped", (0, 7), 0.0),
     ],
 )
-def test_given_an_electric_cause_then_just_its_actuators_are_named(
-    plate: str, code: str, actuators: tuple[int, ...], value: float
-) -> None:
+def test_given_an_electric_cause_then_just_its_actuators_are_named(plate, code, actuators, value):
     values = green(plate).copy()
     if code == "swapped":
         values[:, list(actuators)] = values[:, list(actuators[::-1])]
@@ -64,9 +62,7 @@ TURN = np.radians(4.34)
     ],
     ids=["shift", "rotation", "scale of x"],
 )
-def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size(
-    plate: str, matrix: np.ndarray, offset_mm: tuple[float, float]
-) -> None:
+def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size(plate, matrix, offset_mm):
     moved = green(plate, Medium(), plates.places_mm(plate) @ matrix.T + offset_mm)
     (symptom,) = verified(plate, Case(moved), chance()).symptoms
     assert (symptom.code, symptom.certain) == ("mirror", True)
@@ -75,7 +71,7 @@ def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size
     assert symptom.value[0] == pytest.approx(float(np.hypot(*offset_mm)), abs=0.1)
 
 
-def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named() -> None:
+def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named():
     values = green("gel", Medium(speed=1.02)) * (np.arange(ACTUATORS) != 5)[:, None]
     found = verified("gel", Case(values), chance())
     assert certain(found) == {("silent", (5,)), ("speed", ())}
@@ -85,13 +81,13 @@ def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named() -> No
 
 @pytest.mark.parametrize("cause", [later("damping"), later("cubic"), "finger"])
 @pytest.mark.parametrize("plate", ["mirrors", later("bending")])
-def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_made(plate: str, cause: str) -> None:
+def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_made(plate, cause):
     found = verified(plate, plates.unlisted(plate)[cause], chance())
     assert not any(symptom.certain for symptom in found.symptoms)
     assert [symptom.code for symptom in found.symptoms] in ([], ["unexplained"])
 
 
-def test_given_four_causes_at_once_then_none_is_named() -> None:
+def test_given_four_causes_at_once_then_none_is_named():
     levels = np.ones(ACTUATORS)
     levels[:4] = 1.3, 0.75, 1.4, 0.8
     found = verified("gel", Case(levels[:, None] * green("gel")), chance())
@@ -99,19 +95,19 @@ def test_given_four_causes_at_once_then_none_is_named() -> None:
     assert [(symptom.code, symptom.certain) for symptom in found.symptoms] == [("unexplained", False)]
 
 
-def test_given_a_scene_played_quieter_then_distortion_is_named_by_it_alone() -> None:
+def test_given_a_scene_played_quieter_then_distortion_is_named_by_it_alone():
     cubic = plates.unlisted("gel")["cubic"]
     assert certain(verified("gel", cubic, chance(), quiet_db=QUIETER_DB)) == {("nonlinear", ())}
 
 
-def test_given_the_bank_of_another_plate_then_it_is_called_wrong() -> None:
+def test_given_the_bank_of_another_plate_then_it_is_called_wrong():
     other = green("disk") * np.linalg.norm(green("gel")) / np.linalg.norm(green("disk"))
     (symptom,) = verified("gel", Case(other), chance()).symptoms
     assert (symptom.code, symptom.certain) == ("wrong_bank", False)  # a heavy finger on a stiff plate looks the same
 
 
 @pytest.mark.parametrize("plate", [later("gel"), "mirrors", later("disk"), "bending"])
-def test_given_a_sound_rig_then_nothing_is_named(plate: str) -> None:
+def test_given_a_sound_rig_then_nothing_is_named(plate):
     found = verified(plate, Case(green(plate)), chance())
     assert found.symptoms == ()
     assert found.fields.error < 0.01
@@ -119,7 +115,7 @@ def test_given_a_sound_rig_then_nothing_is_named(plate: str) -> None:
 
 
 @pytest.mark.parametrize(("exponent", "share"), [(3, 1.0), (1, 0.0)])
-def test_scene_played_quieter_then_it_shows_how_much_of_difference_is_distortion(exponent: int, share: float) -> None:
+def test_scene_played_quieter_then_it_shows_how_much_of_difference_is_distortion(exponent, share):
     _, prediction = rendered()
     loudest = float(np.abs(prediction.field).max())
 

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
 from tools import key_tables
 from wavefocus.benchmarks.rig_bank import true_bank
@@ -24,7 +23,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.trials.design import load_trials
 
 
-def test_virtual_templates_are_the_defaults(tmp_path: Path) -> None:
+def test_virtual_templates_are_the_defaults(tmp_path):
     write_templates(tmp_path, "virtual")
     written = load_run(tmp_path / "run.toml")
     assert written.rig == default_rig()
@@ -34,7 +33,7 @@ def test_virtual_templates_are_the_defaults(tmp_path: Path) -> None:
     assert written.plan_sha256 == defaults.plan_sha256
 
 
-def test_rig_to_fill_in_has_real_instruments_around_the_default_plate(tmp_path: Path) -> None:
+def test_rig_to_fill_in_has_real_instruments_around_the_default_plate(tmp_path):
     write_templates(tmp_path, "template")
     rig = load_rig(tmp_path / "rig.toml")
     assert (rig.rig.name, rig.is_virtual) == ("my plate", False)
@@ -43,7 +42,7 @@ def test_rig_to_fill_in_has_real_instruments_around_the_default_plate(tmp_path: 
     assert load_run(tmp_path / "run.toml").rig == rig
 
 
-def test_rig_to_emulate_has_real_drivers_and_something_to_find_out(tmp_path: Path) -> None:
+def test_rig_to_emulate_has_real_drivers_and_something_to_find_out(tmp_path):
     write_templates(tmp_path, "emulated")
     rig = load_rig(tmp_path / "rig.toml")
     assert not rig.is_virtual
@@ -52,7 +51,7 @@ def test_rig_to_emulate_has_real_drivers_and_something_to_find_out(tmp_path: Pat
 
 
 @pytest.mark.parametrize("kind", ["template", "virtual", "emulated"])
-def test_every_line_that_is_commented_out_is_a_key_that_the_file_may_have(tmp_path: Path, kind: str) -> None:
+def test_every_line_that_is_commented_out_is_a_key_that_the_file_may_have(tmp_path, kind):
     write_templates(tmp_path, kind)
     rig, table = load_rig(tmp_path / "rig.toml"), ""
     models = {name: type(getattr(rig, name)) for name in ("mirror", "recorder", "player", "vibrometer", "emulation")}
@@ -63,7 +62,7 @@ def test_every_line_that_is_commented_out_is_a_key_that_the_file_may_have(tmp_pa
             assert key[1] in models[table].model_fields, line
 
 
-def test_template_scene_moves_along_positions_for_about_two_seconds(tmp_path: Path) -> None:
+def test_template_scene_moves_along_positions_for_about_two_seconds(tmp_path):
     write_templates(tmp_path, "virtual")
     (source,) = load_scene(tmp_path / "scene.toml").sources
     field_s = source.path.length_mm / source.speed_mm_s + 2 * 0.2  # and a response before and after
@@ -73,7 +72,7 @@ def test_template_scene_moves_along_positions_for_about_two_seconds(tmp_path: Pa
         assert np.hypot(*(position_mm - point_mm).T).min() < 1e-9
 
 
-def test_the_template_scene_renders_clean_on_a_bank_with_noise_beyond_its_band(tmp_path: Path) -> None:
+def test_the_template_scene_renders_clean_on_a_bank_with_noise_beyond_its_band(tmp_path):
     write_templates(tmp_path, "virtual")
     position_mm = load_run(tmp_path / "run.toml").position_mm
     near = position_mm[(np.abs(position_mm) < (80.0, 16.0)).all(axis=1)]
@@ -88,7 +87,7 @@ def test_the_template_scene_renders_clean_on_a_bank_with_noise_beyond_its_band(t
     assert drive.scale == 1.0
 
 
-def test_template_of_trials_is_the_papers_experiment(tmp_path: Path) -> None:
+def test_template_of_trials_is_the_papers_experiment(tmp_path):
     write_templates(tmp_path, "template")
     design = load_trials(tmp_path / "trials.toml")
     player = load_rig(tmp_path / "rig.toml").player
@@ -108,7 +107,7 @@ def test_template_of_trials_is_the_papers_experiment(tmp_path: Path) -> None:
     assert design.config.masking.output not in (*player.channels, player.loopback_channel)
 
 
-def test_template_of_fingers_keeps_the_others_quiet(tmp_path: Path) -> None:
+def test_template_of_fingers_keeps_the_others_quiet(tmp_path):
     write_templates(tmp_path, "virtual")
     design = load_trials(tmp_path / "fingers.toml")
     position_mm = load_run(tmp_path / "run.toml").position_mm
@@ -122,7 +121,7 @@ def test_template_of_fingers_keeps_the_others_quiet(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["virtual", "template", "emulated"])
-def test_every_key_of_every_template_is_explained(tmp_path: Path, kind: str) -> None:
+def test_every_key_of_every_template_is_explained(tmp_path, kind):
     for path in write_templates(tmp_path, kind):
         lines, table, explained = path.read_text(encoding="utf-8").splitlines(), "", set()
         for before, line in zip(["", *lines], lines, strict=False):
@@ -134,7 +133,7 @@ def test_every_key_of_every_template_is_explained(tmp_path: Path, kind: str) -> 
 
 
 @pytest.mark.parametrize("name", ["rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"])
-def test_file_that_is_there_is_never_overwritten(tmp_path: Path, name: str) -> None:
+def test_file_that_is_there_is_never_overwritten(tmp_path, name):
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match=rf"{name}: is there already"):
         write_templates(tmp_path, "virtual")
@@ -142,7 +141,7 @@ def test_file_that_is_there_is_never_overwritten(tmp_path: Path, name: str) -> N
     assert (tmp_path / name).read_text() == "mine"
 
 
-def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
+def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path):
     assert [path.name for path in write_templates(tmp_path / "a" / "b", "virtual")] == [
         "rig.toml",
         "run.toml",
@@ -168,14 +167,14 @@ TABLES = {
 @pytest.mark.parametrize(
     ("model", "page", "table"), [(*file, table) for file, tables in TABLES.items() for table in tables]
 )
-def test_the_reference_page_has_every_key_of_a_table(model: type[BaseModel], page: str, table: str) -> None:
+def test_the_reference_page_has_every_key_of_a_table(model, page, table):
     text = (Path(__file__).parents[2] / "docs" / "reference" / f"{page}-file.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)`", key_tables.table(page, table), re.MULTILINE)
     assert f"\n<!-- keys: {page} {table} -->\n" in text
     assert set(rows) == set(fields_of(model, table)) - {"measured"}  # of a bank alone
 
 
-def test_a_table_of_keys_states_marks_drivers_defaults_and_what_is_allowed() -> None:
+def test_a_table_of_keys_states_marks_drivers_defaults_and_what_is_allowed():
     rows = key_tables.table("rig", "mirror").splitlines()
     meaning = "Degrees that the beam turns by per degree of the controller (above 0)"
     assert f"| `beam_per_mirror` # | 2.0 | asi-tiger | {meaning} |" in rows
@@ -184,6 +183,6 @@ def test_a_table_of_keys_states_marks_drivers_defaults_and_what_is_allowed() -> 
     assert any(row.startswith("| `full_scale_mrad` # | needed | mirrorcle-mti |") for row in rows)
 
 
-def test_every_kind_of_fault_is_in_the_reference_page_of_the_run_file() -> None:
+def test_every_kind_of_fault_is_in_the_reference_page_of_the_run_file():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "run-file.md").read_text(encoding="utf-8")
     assert all(f'"{kind}"' in page for kind in (*ANYWHERE, *CORRUPTING))

@@ -3,7 +3,6 @@
 import _thread
 import signal
 import threading
-from collections.abc import Iterator
 
 import pytest
 
@@ -15,14 +14,14 @@ SOON_S = 0.05
 
 
 @pytest.fixture
-def interruptible() -> Iterator[None]:
+def interruptible():
     """Ctrl-C raises here, also where the tests run in the background and it is ignored."""
     former = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, former)
 
 
-def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible: None) -> None:
+def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible):
     thread, release, done = CallThread("test"), threading.Event(), []
 
     def hold() -> None:
@@ -39,7 +38,7 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(int
     thread.abandon()
 
 
-def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it(interruptible: None) -> None:
+def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it(interruptible):
     thread, release, done = CallThread("test"), threading.Event(), []
 
     def hold() -> None:
@@ -62,7 +61,7 @@ HANGS = {
 
 
 @pytest.mark.parametrize("role", HANGS)
-def test_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_time(role: str) -> None:
+def test_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_time(role):
     operation, ask, doing = HANGS[role]
     rig = VirtualRig(VirtualSettings(fault_plan=(RigFault(role, operation, "hang", at_call=2),)))
     roles = bounded(rig.instruments, SOON_S)
@@ -82,14 +81,14 @@ def test_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_t
     ask(roles)  # and now it is as the first time
 
 
-def test_given_a_failure_of_the_instrument_then_it_comes_through_with_its_role() -> None:
+def test_given_a_failure_of_the_instrument_then_it_comes_through_with_its_role():
     rig = VirtualRig(VirtualSettings(fault_plan=(RigFault("mirror", "move_to", "lost", at_call=1),)))
     with pytest.raises(InstrumentLostError, match="does not answer any more") as lost:
         bounded(rig.instruments, 5.0).mirror.move_to(0.0, 0.0)
     assert lost.value.role == "mirror"
 
 
-def test_closed_instruments_say_so_and_closing_twice_does_no_harm() -> None:
+def test_closed_instruments_say_so_and_closing_twice_does_no_harm():
     roles = bounded(VirtualRig(VirtualSettings()).instruments, 5.0)
     for instrument in (roles.mirror, roles.recorder, roles.player):
         instrument.close()

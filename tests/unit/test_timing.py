@@ -26,7 +26,7 @@ def played(signal: NDArray[np.float64], samples: int, offset: float, ratio: floa
 
 @settings(max_examples=4)
 @given(st.floats(0, 1100), st.floats(-450, 450), st.sampled_from([0.3, -1.0]), st.integers(0, 99))
-def test_offset_ratio_and_gain_are_found_at_60_db(offset: float, ppm: float, gain: float, seed: int) -> None:
+def test_offset_ratio_and_gain_are_found_at_60_db(offset, ppm, gain, seed):
     noise = 1e-3 * abs(gain) * np.sqrt((KNOWN**2).mean())
     recorded = gain * played(KNOWN, SAMPLES, offset, 1 + 1e-6 * ppm)
     recorded += noise * np.random.default_rng(seed).standard_normal(SAMPLES)
@@ -38,7 +38,7 @@ def test_offset_ratio_and_gain_are_found_at_60_db(offset: float, ppm: float, gai
 
 
 @pytest.mark.parametrize("offset", [40.3, 56_500.2])
-def test_short_signal_is_found_anywhere_in_long_record_and_rest_does_not_count(offset: float) -> None:
+def test_short_signal_is_found_anywhere_in_long_record_and_rest_does_not_count(offset):
     known = sweep(3000, 1000.0)
     recorded = played(np.pad(known, (0, 60_000)), 60_000, offset, 1 + 200e-6)
     recorded += 1e-3 * np.sqrt(0.5) * np.random.default_rng(3).standard_normal(recorded.size)
@@ -48,7 +48,7 @@ def test_short_signal_is_found_anywhere_in_long_record_and_rest_does_not_count(o
     assert fit.residual_db == pytest.approx(-60, abs=1)
 
 
-def test_a_signal_of_a_minute_is_found_at_a_large_skew() -> None:
+def test_a_signal_of_a_minute_is_found_at_a_large_skew():
     ppm = -400.0
     known = sweep(600_000, 1000.0)
     around = resampled(np.pad(known, (500, 1500))[None], 0.0, 1 / (1 + 1e-6 * ppm), known.size + 1800)[0]
@@ -58,7 +58,7 @@ def test_a_signal_of_a_minute_is_found_at_a_large_skew() -> None:
 
 
 @pytest.mark.parametrize("factor", [44_100 / 48_000, 1 - 900e-6, 2.0])
-def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor: float) -> None:
+def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor):
     recorded = played(KNOWN, SAMPLES + KNOWN.size, 300.0, 1 / factor)
     recorded += 1e-3 * np.random.default_rng(1).standard_normal(recorded.size)
     with pytest.raises(ReferenceMissingError) as missing:
@@ -68,26 +68,26 @@ def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor: float) -> 
 
 
 @pytest.mark.parametrize(("level", "cause"), [(1.0, "other"), (1e-4, "silence")])
-def test_what_is_not_the_signal_is_called_by_its_level(level: float, cause: str) -> None:
+def test_what_is_not_the_signal_is_called_by_its_level(level, cause):
     recorded = level * np.abs(KNOWN).max() * np.random.default_rng(1).standard_normal(SAMPLES)
     with pytest.raises(ReferenceMissingError) as missing:
         fit_clock(recorded, KNOWN)
     assert missing.value.cause == cause
 
 
-def test_silence_is_a_missing_reference_and_told_in_one_line() -> None:
+def test_silence_is_a_missing_reference_and_told_in_one_line():
     with pytest.raises(WavefocusError, match="silent"):
         fit_clock(np.zeros(SAMPLES), KNOWN)
 
 
 @pytest.mark.parametrize("offset", [-400.0, 1500.0])
-def test_a_signal_partly_outside_the_record_is_refused(offset: float) -> None:
+def test_a_signal_partly_outside_the_record_is_refused(offset):
     with pytest.raises(ReferenceMissingError, match="only a part"):
         fit_clock(played(KNOWN, SAMPLES, offset, 1.0), KNOWN)
 
 
 @given(st.floats(0.01, 0.8), st.floats(60, 140), st.floats(-500, 500), st.integers(0, 50), st.floats(-1, 1))
-def test_a_tone_is_resampled_to_100_db(share: float, offset: float, ppm: float, first: int, delay: float) -> None:
+def test_a_tone_is_resampled_to_100_db(share, offset, ppm, first, delay):
     fit = ClockFit(offset, 1 + 1e-6 * ppm, 1.0, -100.0)
     recorded = np.cos(np.pi * share * np.arange(1000) + 0.3)
     place = offset + (first + np.arange(700)) * fit.ratio + delay

@@ -1,7 +1,5 @@
 """Scenes with trajectories: eq. (9) at the place of every sample, and each module that reads paths."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -148,7 +146,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_given_a_hostile_csv_file_then_one_sentence_refuses_it(name, tmp_path: Path):
+def test_given_a_hostile_csv_file_then_one_sentence_refuses_it(name, tmp_path):
     (tmp_path / "finger.csv").write_text(HOSTILE[name], encoding="utf-8")
     (tmp_path / "scene.toml").write_text(
         '[[source]]\nrepeat = true\npath = { kind = "trajectory", file = "finger.csv" }\n'
@@ -160,7 +158,7 @@ def test_given_a_hostile_csv_file_then_one_sentence_refuses_it(name, tmp_path: P
     assert "\n" not in str(refused.value)
 
 
-def test_given_a_csv_file_then_its_rows_are_the_trajectory(tmp_path: Path):
+def test_given_a_csv_file_then_its_rows_are_the_trajectory(tmp_path):
     (tmp_path / "finger.csv").write_text("# a finger\ntime_s,x_mm,y_mm\n0,0,0\n\n0.5,4,-4\n", encoding="utf-8")
     (tmp_path / "scene.toml").write_text(
         '[[source]]\npath = { kind = "trajectory", file = "finger.csv" }\nsignal = { kind = "impulse" }\n',

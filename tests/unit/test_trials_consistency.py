@@ -27,7 +27,7 @@ def facts_of(design: TrialsDesign, rows: tuple[Row, ...]) -> dict:
 
 
 @pytest.fixture(scope="module", params=[CONSTANT, UP_DOWN, QUEST])
-def experiment(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
+def experiment(request, tmp_path_factory):
     """A design as it is stored, its facts, and the sound answers of two people."""
     folder = tmp_path_factory.mktemp("people")
     design = designs(folder)[request.param]

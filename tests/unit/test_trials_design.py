@@ -55,7 +55,7 @@ def design_of(folder: Path, text: str) -> TrialsDesign:
     return load_trials(file)
 
 
-def test_stimuli_are_all_combinations_of_the_levels_of_each_table(tmp_path: Path) -> None:
+def test_stimuli_are_all_combinations_of_the_levels_of_each_table(tmp_path):
     design = design_of(tmp_path, TRIALS + STIMULI)
     assert list(design.stimuli) == [
         "left-40mm_s-burst", "left-100mm_s-burst", "right-40mm_s-burst", "right-100mm_s-burst",
@@ -71,7 +71,7 @@ def test_stimuli_are_all_combinations_of_the_levels_of_each_table(tmp_path: Path
     assert dict(design.keys) == {"left": "1", "right": "2"}
 
 
-def test_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_own(tmp_path: Path) -> None:
+def test_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_own(tmp_path):
     text = TRIALS.replace('"left", "right"', '"no", "yes"').replace('"path"', '"amplitude"')
     text = text.replace("repetitions", 'correct_levels = { 0 = "no", "0.5" = "yes" }\nrepetitions')
     design = design_of(tmp_path, text + POINT)
@@ -82,7 +82,7 @@ def test_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_ow
     assert design.stimuli["here-tap-amp0"].scene.sources[0].path == Point((0, 0))
 
 
-def test_given_a_trajectory_then_it_needs_no_speed_and_its_signal_may_repeat(tmp_path: Path) -> None:
+def test_given_a_trajectory_then_it_needs_no_speed_and_its_signal_may_repeat(tmp_path):
     (tmp_path / "finger.csv").write_text("time_s,x_mm,y_mm\n0,0,0\n0.2,10,0\n")
     table = '\n[[stimuli]]\npath = "left"\nsignal = "burst"\nrepeat = true\n'
     text = TRIALS.replace(
@@ -119,9 +119,7 @@ def test_given_a_trajectory_then_it_needs_no_speed_and_its_signal_may_repeat(tmp
         ("plays = 2", "plays = 2\n[masking]\noutput = 21\nrms_v = 0", "masking.rms_v"),
     ],
 )
-def test_given_a_mistake_then_the_sentence_names_file_and_key(
-    tmp_path: Path, before: str, after: str, key: str
-) -> None:
+def test_given_a_mistake_then_the_sentence_names_file_and_key(tmp_path, before, after, key):
     text = TRIALS + STIMULI
     assert text.count(before) >= 1
     with pytest.raises(InputError) as raised:
@@ -141,7 +139,7 @@ def test_given_a_mistake_then_the_sentence_names_file_and_key(
         (ONE + "amplitude = [1, 2]", "guess_rate = 0.98", "adaptive.guess_rate"),
     ],
 )
-def test_given_no_ladder_then_an_adaptive_design_is_refused(tmp_path: Path, stimuli: str, more: str, key: str) -> None:
+def test_given_no_ladder_then_an_adaptive_design_is_refused(tmp_path, stimuli, more, key):
     text = TRIALS.replace("repetitions = 6\nblocks = 2\n", "") + stimuli
     second = stimuli.replace('"tap"', '"burst"')
     with pytest.raises(InputError, match=rf"trials.toml: {key}"):
@@ -160,9 +158,7 @@ def longest_run(levels: list[Any]) -> int:
     most_alike=st.integers(0, 4),
     seed=st.integers(0, 10**6),
 )
-def test_order_is_balanced_in_each_block_and_never_too_many_are_alike(
-    counts: list[int], each: int, blocks: int, most_alike: int, seed: int
-) -> None:
+def test_order_is_balanced_in_each_block_and_never_too_many_are_alike(counts, each, blocks, most_alike, seed):
     level_of = {f"{level}-{k}": str(level) for level, count in enumerate(counts) for k in range(count)}
     others = sum(counts) - max(counts)
     # Exactly what a design may be: see `wavefocus.trials.design`.
@@ -178,7 +174,7 @@ def test_order_is_balanced_in_each_block_and_never_too_many_are_alike(
         assert longest_run([level_of[name] for name in names]) <= most_alike
 
 
-def test_each_participant_has_order_of_their_own_that_no_version_of_python_changes(tmp_path: Path) -> None:
+def test_each_participant_has_order_of_their_own_that_no_version_of_python_changes(tmp_path):
     design = design_of(tmp_path, TRIALS + STIMULI)
     first, again, other = (order_of(design, code) for code in ("P01", "P01", "P02"))
     assert isinstance(first, FixedOrder)
@@ -191,7 +187,7 @@ def test_each_participant_has_order_of_their_own_that_no_version_of_python_chang
     )
 
 
-def test_order_is_followed_answer_by_answer_to_its_end(tmp_path: Path) -> None:
+def test_order_is_followed_answer_by_answer_to_its_end(tmp_path):
     order = order_of(design_of(tmp_path, TRIALS + STIMULI), "P01")
     for number in range(1, 25):
         trial = order.next_trial()

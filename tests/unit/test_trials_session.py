@@ -88,7 +88,7 @@ class Program:
 
 
 @pytest.fixture
-def experiment(tmp_path: Path) -> Experiment:
+def experiment(tmp_path):
     return made(tmp_path, TRIALS)
 
 
@@ -106,9 +106,7 @@ def run(
         return session.run(), session
 
 
-def test_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is_answered(
-    experiment: Experiment, tmp_path: Path
-) -> None:
+def test_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is_answered(experiment, tmp_path):
     program, presenter = Program(), InMemory(attempts=(1, 1, 1, 3))
     complete, session = run(experiment, tmp_path / "out", program, presenter)
     assert complete
@@ -134,9 +132,7 @@ def test_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is_answe
     assert str(tmp_path / "out" / "trials.csv") in welcome.stored[2]
 
 
-def test_end_at_any_order_then_session_goes_on_in_same_order_and_loses_nothing(
-    experiment: Experiment, tmp_path: Path
-) -> None:
+def test_end_at_any_order_then_session_goes_on_in_same_order_and_loses_nothing(experiment, tmp_path):
     whole = InMemory()
     run(experiment, tmp_path / "whole", Program(), whole)
     expected = [row.stimulus for row in read_answers(tmp_path / "whole")]
@@ -161,9 +157,7 @@ def test_end_at_any_order_then_session_goes_on_in_same_order_and_loses_nothing(
             run(experiment, folder, Program(), InMemory())
 
 
-def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_counts(
-    experiment: Experiment, tmp_path: Path
-) -> None:
+def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_counts(experiment, tmp_path):
     later, before = time.monotonic() + 3600, time.monotonic() - 3600
     untimely = [Answer("right", at_s) for at_s in (later, before, 1e300)]
     wrong = [GoOn(), Answer("up"), *untimely, Replay(), Replay(), Answer("left")]
@@ -178,9 +172,7 @@ def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_count
     assert [number for _, number in presenter.presented] == [0, 0, 1, 1, 2]
 
 
-def test_an_instrument_lost_for_good_keeps_the_answers_and_mutes_the_outputs(
-    experiment: Experiment, tmp_path: Path
-) -> None:
+def test_an_instrument_lost_for_good_keeps_the_answers_and_mutes_the_outputs(experiment, tmp_path):
     presenter = InMemory(lost=5)
     with pytest.raises(InstrumentLostError):
         run(experiment, tmp_path, Program(), presenter)
@@ -188,9 +180,7 @@ def test_an_instrument_lost_for_good_keeps_the_answers_and_mutes_the_outputs(
     assert presenter.muted == 1
 
 
-def test_given_something_else_than_the_participant_began_with_then_it_is_refused(
-    experiment: Experiment, tmp_path: Path
-) -> None:
+def test_given_something_else_than_the_participant_began_with_then_it_is_refused(experiment, tmp_path):
     run(experiment, tmp_path, Program({(2, "playing"): [None]}), InMemory())
     design, stimuli = experiment.design, experiment.stimulus_sha256
     others = {
@@ -209,7 +199,7 @@ def test_given_something_else_than_the_participant_began_with_then_it_is_refused
     assert {row.participant for row in read_answers(tmp_path)} == {"P1", "P2"}
 
 
-def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(tmp_path: Path) -> None:
+def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(tmp_path):
     table = '[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\nreversals = 4\ntrials = 12\n'
     text = TRIALS.replace("repetitions = 4\nblocks = 2\n", "").replace("[path.left]", f"{table}\n[path.left]")
     experiment = made(tmp_path, text + "amplitude = [0.25, 0.5, 1]\n")
@@ -223,7 +213,7 @@ def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(tmp_pat
     assert len(set(whole)) > 2
 
 
-def test_given_presentations_then_each_is_reported_with_its_onset(experiment: Experiment, tmp_path: Path) -> None:
+def test_given_presentations_then_each_is_reported_with_its_onset(experiment, tmp_path):
     program = Program()
     run(experiment, tmp_path, program, InMemory())
     presented = [one for one in program.those(Presented) if isinstance(one, Presented)]

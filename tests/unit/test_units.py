@@ -14,11 +14,9 @@ from wavefocus.storage.units import quantity, response_unit
         ("1", "V", "1"), ("", "1", "1"),
     ],
 )  # fmt: skip
-def test_a_response_then_has_the_unit_of_the_green_function_times_that_of_the_drive(
-    green: str, drive: str, response: str
-) -> None:
+def test_a_response_then_has_the_unit_of_the_green_function_times_that_of_the_drive(green, drive, response):
     assert response_unit(green, drive) == response
 
 
-def test_a_number_of_unit_1_then_stands_alone() -> None:
+def test_a_number_of_unit_1_then_stands_alone():
     assert (quantity("1", "1"), quantity("0.5", ""), quantity("0.5", "m/s")) == ("1", "0.5", "0.5 m/s")

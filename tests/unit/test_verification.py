@@ -247,7 +247,7 @@ def test_fields_of_different_drives_or_nothing_in_common_then_the_message_says_s
         compared(prediction().field, of=low)
 
 
-def test_given_a_surface_that_compresses_then_the_linearity_says_by_how_much() -> None:
+def test_given_a_surface_that_compresses_then_the_linearity_says_by_how_much():
     drive, plan = impulse_drive(), ScanPlan(linearity_rows(impulse_drive(), np.array(AROUND)), purpose="linearity")
     assert plan.position == AROUND
     setup = setup_of(VirtualRig(dataclasses.replace(SETTINGS, cubic_per_v2=-0.3)))

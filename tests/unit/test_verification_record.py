@@ -2,9 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,7 +44,7 @@ def fields() -> tuple[Field, Field, Verification]:
 
 
 @pytest.fixture
-def record_file(tmp_path: Path) -> Path:
+def record_file(tmp_path):
     prediction, scan, verification = fields()
     write_field(tmp_path / "prediction.h5", prediction)
     write_field(tmp_path / "scan.h5", scan)
@@ -61,7 +59,7 @@ def record_file(tmp_path: Path) -> Path:
     return tmp_path / RECORD_NAME
 
 
-def test_given_a_record_then_it_says_what_the_comparison_found(record_file: Path) -> None:
+def test_given_a_record_then_it_says_what_the_comparison_found(record_file):
     verification = fields()[2]
     record = read_record(record_file)
     json.loads(record_file.read_text(encoding="utf-8"), parse_constant=pytest.fail)  # no NaN, no infinity
@@ -86,7 +84,7 @@ def test_given_a_record_then_it_says_what_the_comparison_found(record_file: Path
     assert (record.scene, record.scene_file, record.rig) == ("line", "line.toml", "virtual")
 
 
-def test_given_causes_of_this_and_of_earlier_versions_then_they_are_read(record_file: Path) -> None:
+def test_given_causes_of_this_and_of_earlier_versions_then_they_are_read(record_file):
     content = json.loads(record_file.read_text(encoding="utf-8"))
     mirror = {"code": "mirror", "value": [0.4, 1.0, 0.05], "explained": 0.99, "affine": [[0.05, 0, 0.4], [0, 0, 0]]}
     earlier = {"code": "shifted", "value": 4.0, "positions": [5, 6], "shift_mm": [4.0, 0.0], "certain": False}
@@ -98,7 +96,7 @@ def test_given_causes_of_this_and_of_earlier_versions_then_they_are_read(record_
     assert all("nan" not in sentence(symptom) and remedy(symptom) for symptom in read)
 
 
-def test_path_between_positions_then_record_has_point_asked_for_and_position_used(tmp_path: Path) -> None:
+def test_path_between_positions_then_record_has_point_asked_for_and_position_used(tmp_path):
     source = dataclasses.replace(scene_of().sources[0], path=Line((-12.0, 1.5), (12.0, 1.5)))
     scene = dataclasses.replace(scene_of(), sources=(source,), output=Output(interpolation="nearest"))
     drive, report = render_with_report(scene, bank())
@@ -121,7 +119,7 @@ def test_path_between_positions_then_record_has_point_asked_for_and_position_use
     assert "interpolation error expected" in record.summary
 
 
-def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: Path) -> None:
+def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file):
     source = read_record(record_file).sources[0]
     assert source.at_mm(-0.01) is None
     np.testing.assert_allclose(source.at_mm(0.06), (0.0, 0.0), atol=1e-3)
@@ -144,9 +142,7 @@ def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: 
         (lambda content: content["positions"].pop("correlation"), "correlation"),
     ],
 )
-def test_given_a_spoilt_record_then_one_sentence_says_what(
-    record_file: Path, spoil: Callable[[dict], object], words: str
-) -> None:
+def test_given_a_spoilt_record_then_one_sentence_says_what(record_file, spoil, words):
     content = json.loads(record_file.read_text(encoding="utf-8"))
     spoil(content)
     record_file.write_text(json.dumps(content), encoding="utf-8")
@@ -157,13 +153,13 @@ def test_given_a_spoilt_record_then_one_sentence_says_what(
 
 
 @pytest.mark.parametrize("text", ["{", "[" * 100_000, "[]"])
-def test_given_no_json_then_one_sentence(record_file: Path, text: str) -> None:
+def test_given_no_json_then_one_sentence(record_file, text):
     record_file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="verify"):
         read_record(record_file)
 
 
-def test_given_both_fields_then_the_pair_gives_them_within_the_band(record_file: Path) -> None:
+def test_given_both_fields_then_the_pair_gives_them_within_the_band(record_file):
     prediction, _, verification = fields()
     folder = record_file.parent
     reported: list[tuple[int, int]] = []
@@ -184,7 +180,7 @@ def test_given_both_fields_then_the_pair_gives_them_within_the_band(record_file:
     np.testing.assert_array_equal(unlimited.at_position(at)[0], prediction.field[at].astype(np.float32))
 
 
-def test_given_fields_of_two_verifications_then_they_are_refused(record_file: Path) -> None:
+def test_given_fields_of_two_verifications_then_they_are_refused(record_file):
     _, scan, _ = fields()
     folder = record_file.parent
     write_field(folder / "late.h5", dataclasses.replace(scan, start_s=scan.start_s + 1.0))
@@ -196,7 +192,7 @@ def test_given_fields_of_two_verifications_then_they_are_refused(record_file: Pa
         read_pair(folder / "prediction.h5", folder / "other.h5", None)
 
 
-def test_given_a_reading_that_is_cancelled_then_it_ends(record_file: Path) -> None:
+def test_given_a_reading_that_is_cancelled_then_it_ends(record_file):
     folder = record_file.parent
     with pytest.raises(CancelledError):
         read_pair(folder / "prediction.h5", folder / "scan.h5", None, wanted=lambda: False)

@@ -187,7 +187,7 @@ def test_given_many_positions_then_their_true_spectra_are_those_of_the_truth(tap
         assert error.max() < 2e-5 if taps == 600 else error.max() < 1e-6
 
 
-def test_clock_that_is_walls_then_piece_that_comes_too_late_finds_player_dry() -> None:
+def test_clock_that_is_walls_then_piece_that_comes_too_late_finds_player_dry():
     player = VirtualRig(changed(realtime=True)).instruments.player
     player.begin_pieces([0], 48_000.0, 0.01)
     before_s = time.monotonic()

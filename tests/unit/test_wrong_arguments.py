@@ -85,7 +85,7 @@ def parameters(name: str) -> list[str]:
     return [one for one in inspect.signature(made).parameters if one != "self"]
 
 
-def test_given_the_public_names_then_every_one_that_takes_arguments_is_tried() -> None:
+def test_given_the_public_names_then_every_one_that_takes_arguments_is_tried():
     assert {name.partition(".")[0] for name in VALID} | MADE_BY_OTHERS == set(wf.__all__)
 
 
@@ -95,9 +95,7 @@ def test_given_the_public_names_then_every_one_that_takes_arguments_is_tried() -
     [Stranger(), b"bytes", {"a": 1}, [Stranger()], [[1.0], [1.0, 2.0]], 1j],
     ids=["object", "bytes", "mapping", "list of objects", "ragged list", "complex"],
 )
-def test_given_a_wrong_type_then_it_is_an_input_error(
-    name: str, wrong: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_wrong_type_then_it_is_an_input_error(name, wrong, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     call, valid = VALID[name]
     for parameter in parameters(name):
@@ -148,9 +146,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize(("name", "given"), [(name, given) for name, rows in WRONG.items() for given in rows])
-def test_given_a_wrong_word_number_or_shape_then_it_is_an_input_error(
-    name: str, given: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_wrong_word_number_or_shape_then_it_is_an_input_error(name, given, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     call, valid = VALID[name]
     with pytest.raises(wf.InputError):
@@ -162,7 +158,7 @@ NOT_ROWS = [[1.9], [1.0], ["1"], [None], "1", 1.5, [3], [-1], [True, False], [[0
 
 
 @pytest.mark.parametrize("positions", NOT_ROWS, ids=repr)
-def test_given_something_else_than_rows_then_it_is_refused_everywhere(positions: object, tmp_path: Path) -> None:
+def test_given_something_else_than_rows_then_it_is_refused_everywhere(positions, tmp_path):
     bank = tmp_path / "bank.h5"
     _write_bank(bank)
     for call in (
@@ -183,7 +179,7 @@ def test_given_something_else_than_rows_then_it_is_refused_everywhere(positions:
     ],
     ids=repr,
 )  # fmt: skip
-def test_given_rows_or_a_mask_then_those_are_taken(positions: Any, tmp_path: Path) -> None:
+def test_given_rows_or_a_mask_then_those_are_taken(positions, tmp_path):
     _write_bank(tmp_path / "bank.h5")
     wanted = sorted([2, 0])
     assert sorted(wf.predict(DRIVE, BANK, positions).position_index) == wanted
@@ -191,7 +187,7 @@ def test_given_rows_or_a_mask_then_those_are_taken(positions: Any, tmp_path: Pat
     assert sorted(np.load(tmp_path / "out.npz")["position_mm"][:, 0]) == PLACES_MM[wanted, 0].tolist()
 
 
-def test_given_lists_and_arrays_in_place_of_tuples_then_they_are_the_same() -> None:
+def test_given_lists_and_arrays_in_place_of_tuples_then_they_are_the_same():
     assert wf.Scene("tap", [SOURCE]) == SCENE
     assert wf.Point([1, 2]) == wf.Point(np.array([1.0, 2.0])) == wf.Point((1.0, 2.0))
     assert wf.Polyline(np.array([[0, 0], [4, 0]])) == wf.Polyline([(0.0, 0.0), (4.0, 0.0)])

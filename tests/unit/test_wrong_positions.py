@@ -67,7 +67,7 @@ def some_of(values: Iterable[object]) -> list[object]:
 
 
 @pytest.mark.parametrize(("name", "kind"), some_of(KINDS))
-def test_eight_wrong_positions_are_found_and_named_and_no_other(name: str, kind: str) -> None:
+def test_eight_wrong_positions_are_found_and_named_and_no_other(name, kind):
     rng = np.random.default_rng(5)
     grid, actuator_mm, green = _plate(name)
     # Rows near their own actuator are not judged singly.
@@ -82,7 +82,7 @@ def test_eight_wrong_positions_are_found_and_named_and_no_other(name: str, kind:
 
 
 @pytest.mark.parametrize(("name", "snr_db"), some_of([25.0, 40.0, 80.0]))
-def test_a_right_plate_has_no_differences(name: str, snr_db: float) -> None:
+def test_a_right_plate_has_no_differences(name, snr_db):
     verdict = _judged(name, _noisy(_plate(name)[2], snr_db, 1))
     assert verdict.differences == ()
     assert verdict.judged.mean() > 0.5

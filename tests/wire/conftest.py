@@ -1,22 +1,19 @@
 """What several suites on emulated wires share."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from tests.threads import threads_end
-from tests.wire.emulated import EmulatedInstruments, emulated_instruments, free_port, rig_text
+from tests.wire.emulated import emulated_instruments, free_port, rig_text
 
 
 @pytest.fixture(scope="module", autouse=True)
-def nothing_is_left_open() -> Iterator[None]:
+def nothing_is_left_open():
     """A module whose tests leave an instrument open fails."""
     yield from threads_end()
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
+def rig(tmp_path):
     """A rig file whose response range is the widest."""
     file = tmp_path / "rig.toml"
     text = rig_text(tmp_path, f"localhost:{free_port()}", period_frames=8192)
@@ -25,7 +22,7 @@ def rig(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def sides(rig: Path) -> Iterator[EmulatedInstruments]:
+def sides(rig):
     """Its emulated instruments."""
     with emulated_instruments(rig) as sides:
         yield sides

@@ -1,7 +1,6 @@
 """A mirror on two analog outputs of the recorder's box, through the real nidaqmx package."""
 
 import math
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -58,12 +57,12 @@ class Scanner:
 
 
 @pytest.fixture
-def scanner() -> Iterator[Scanner]:
+def scanner():
     with ExitStack() as opened:
         yield Scanner(opened)
 
 
-def test_given_an_angle_then_the_voltage_is_that_of_the_makers_scale(scanner: Scanner) -> None:
+def test_given_an_angle_then_the_voltage_is_that_of_the_makers_scale(scanner):
     mirror = scanner.mirror()
     # 4 mm at a distance of 1 m: 4 mrad of the beam, 2 mrad or 0.1146 degrees of the mirror, 92 mV at 0.8 V per degree.
     mirror.move_to(4.0, -4.0)
@@ -73,7 +72,7 @@ def test_given_an_angle_then_the_voltage_is_that_of_the_makers_scale(scanner: Sc
     assert scanner.motion.where_mrad() == pytest.approx((0.0, 174.533), abs=1e-3)
 
 
-def test_given_a_far_move_then_no_step_is_larger_than_the_slew_rate_allows(scanner: Scanner) -> None:
+def test_given_a_far_move_then_no_step_is_larger_than_the_slew_rate_allows(scanner):
     mirror = scanner.mirror(slew_v_per_s=200.0)
     mirror.move_to(150.0, 20.0)
     mirror.park()
@@ -83,7 +82,7 @@ def test_given_a_far_move_then_no_step_is_larger_than_the_slew_rate_allows(scann
     assert scanner.written[-1] == pytest.approx(np.array(PARK_MRAD) * math.degrees(1e-3) / 2 * 0.8)
 
 
-def test_given_a_mirror_is_closed_then_the_outputs_are_left_at_the_parking_voltage(scanner: Scanner) -> None:
+def test_given_a_mirror_is_closed_then_the_outputs_are_left_at_the_parking_voltage(scanner):
     mirror = scanner.mirror()
     mirror.move_to(10.0, 10.0)
     mirror.close()
@@ -98,13 +97,13 @@ def test_given_a_mirror_is_closed_then_the_outputs_are_left_at_the_parking_volta
         ({"x_output": "ao7"}, "ao7"),
     ],
 )
-def test_given_a_rig_beyond_the_outputs_then_it_is_refused(scanner: Scanner, settings, word: str) -> None:
+def test_given_a_rig_beyond_the_outputs_then_it_is_refused(scanner, settings, word):
     with pytest.raises(InstrumentError, match=word):
         scanner.mirror(**settings)
     assert scanner.written == []
 
 
-def test_an_output_that_another_task_has_then_it_is_refused_and_the_other_goes_on(scanner: Scanner) -> None:
+def test_an_output_that_another_task_has_then_it_is_refused_and_the_other_goes_on(scanner):
     first = scanner.mirror()
     first.move_to(1.0, 1.0)
     with pytest.raises(InstrumentError, match="-50103") as refused:
@@ -114,7 +113,7 @@ def test_an_output_that_another_task_has_then_it_is_refused_and_the_other_goes_o
     assert scanner.motion.where_mrad() == pytest.approx((2.0, 2.0))
 
 
-def test_given_a_box_without_outputs_then_it_says_so() -> None:
+def test_given_a_box_without_outputs_then_it_says_so():
     with ExitStack() as opened, pytest.raises(InstrumentError, match="no output"):
         Scanner(opened, "USB-6356").mirror()
 
@@ -123,9 +122,7 @@ def rig(tmp_path: Path, scanner: Scanner) -> RigConfig:
     return analog_rig(tmp_path, scanner.server.address)
 
 
-def test_given_the_recorder_is_connected_again_then_the_mirror_stays_where_it_is(
-    scanner: Scanner, tmp_path: Path
-) -> None:
+def test_given_the_recorder_is_connected_again_then_the_mirror_stays_where_it_is(scanner, tmp_path):
     openers = openers_of(rig(tmp_path, scanner))
     with ExitStack() as opened:
         mirror, recorder = openers.mirror(), openers.recorder()
@@ -139,7 +136,7 @@ def test_given_the_recorder_is_connected_again_then_the_mirror_stays_where_it_is
         assert scanner.resets() == 0
 
 
-def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(scanner: Scanner) -> None:
+def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(scanner):
     mirror = scanner.mirror()
     mirror.move_to(30.0, -20.0)
     scanner.server.unplug()
@@ -160,7 +157,7 @@ def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(s
 @pytest.mark.parametrize(
     "change", [("limit_mrad = 200.0", 'limit_mrad = 200.0\ny_output = "ao0"'), ('device = "Dev1"\n', "")]
 )
-def test_given_wrong_keys_then_the_rig_file_is_refused(scanner: Scanner, tmp_path: Path, change) -> None:
+def test_given_wrong_keys_then_the_rig_file_is_refused(scanner, tmp_path, change):
     rig(tmp_path, scanner)
     text = (tmp_path / "rig.toml").read_text().replace(*change, 1)
     (tmp_path / "rig.toml").write_text(text)

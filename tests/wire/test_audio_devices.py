@@ -199,6 +199,6 @@ def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loa
 
 
 @pytest.mark.parametrize("card", [1, 2])
-def test_given_a_card_that_has_another_number_today_then_it_is_the_same_device(card: int) -> None:
+def test_given_a_card_that_has_another_number_today_then_it_is_the_same_device(card):
     listed = OutputDevice(0, "ALSA", f"Fireface UCX: USB Audio (hw:{card},0)", 28, 48_000.0)
     assert listed.identity == DeviceIdentity("", "Fireface UCX: USB Audio")

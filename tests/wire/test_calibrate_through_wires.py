@@ -30,7 +30,7 @@ reversed_actuators = [2]
 
 
 @pytest.fixture
-def rig(rig: Path) -> Path:
+def rig(rig):
     # Without a mirror there is no light on a spot: its noise is nothing beside the widest range. The interface answers
     # within the post-roll.
     text = rig.read_text(encoding="utf-8").replace("period_frames = 8192", "period_frames = 4096")
@@ -80,9 +80,7 @@ def marks_file(folder: Path) -> Path:
     return folder / "marks.csv"
 
 
-def test_the_doctor_asks_every_instrument_and_a_missing_one_hides_no_other(
-    rig: Path, sides: EmulatedInstruments
-) -> None:
+def test_the_doctor_asks_every_instrument_and_a_missing_one_hides_no_other(rig, sides):
     # Where the loopback's full scale is not calibrated, every position would be poor.
     full_scale_v = 5.0 * output_errors(len(ACTUATORS) + 1, SPREAD_S, SPREAD_DB, SEED)[1][-1]
     change_text(rig, "[player]", f"[player]\nfull_scale_v = {full_scale_v}\nlimit_v = 4.0")
@@ -103,7 +101,7 @@ def test_the_doctor_asks_every_instrument_and_a_missing_one_hides_no_other(
     assert verdicts["player", "clock ratio"] == "ok"
 
 
-def test_given_all_wires_then_calibrate_finds_what_stands_behind_them(rig: Path, sides: EmulatedInstruments) -> None:
+def test_given_all_wires_then_calibrate_finds_what_stands_behind_them(rig, sides):
     options = ["--summing-box", "1", "--fiducials", str(marks_file(rig.parent))]
     code, told = calibrate(rig, sides, *options)
     record = CalibrationRecord.model_validate(told["calibration"])

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ pytestmark = pytest.mark.long
 
 
 @pytest.mark.timeout(300)
-def test_box_unplugged_and_program_stopped_then_bank_is_good_and_beam_was_parked(tmp_path: Path) -> None:
+def test_box_unplugged_and_program_stopped_then_bank_is_good_and_beam_was_parked(tmp_path):
     address = f"localhost:{free_port()}"
     analog_rig(tmp_path, address)
     with (tmp_path / "rig.toml").open("a", encoding="utf-8") as file:

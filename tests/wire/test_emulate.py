@@ -1,7 +1,5 @@
 """``wavefocus emulate``: what it refuses, and what can be typed while it runs."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
@@ -40,7 +38,7 @@ def test_given_a_port_where_something_is_then_it_is_left_alone(tmp_path, capsys)
 
 
 @pytest.mark.parametrize("wrong", ['port = "serial-number:ABC"', 'port = "no/such/folder/mirror"'])
-def test_given_a_port_that_nothing_can_be_put_at_then_it_says_which(tmp_path: Path, capsys, wrong):
+def test_given_a_port_that_nothing_can_be_put_at_then_it_says_which(tmp_path, capsys, wrong):
     text = rig_text(tmp_path, f"localhost:{free_port()}")
     (tmp_path / "rig.toml").write_text(text.replace(f'port = "{tmp_path / "mirror"}"', wrong), encoding="utf-8")
     assert run(["emulate", str(tmp_path / "rig.toml")]) == 2

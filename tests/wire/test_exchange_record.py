@@ -15,7 +15,7 @@ from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, reco
 from wavefocus.mocks.wire.faults import WireFault
 
 
-def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came(tmp_path: Path) -> None:
+def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came(tmp_path):
     faults = [WireFault("mirror", kind, "move", at_call=at) for kind, at in (("garbled", 1), ("truncated", 3))]
     with mirror_bench("asi-tiger", LOCAL, tmp_path, *faults) as bench, recording(tmp_path / "r.jsonl", {}):
         mirror = bench.mirror(answer_s=0.1)
@@ -34,9 +34,7 @@ def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came
 
 @pytest.mark.long
 @pytest.mark.skipif(LOCAL != "pty", reason="the emulated mirror is behind a path")
-def test_emulated_rig_then_doctors_record_has_what_every_instrument_was_asked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_emulated_rig_then_doctors_record_has_what_every_instrument_was_asked(tmp_path, capsys, monkeypatch):
     rig, record = tmp_path / "rig.toml", tmp_path / "rig.jsonl"
     vibrometer = f'[vibrometer]\ndriver = "polytec-ofv3001"\nport = "{tmp_path / "vibrometer"}"\n'
     rig.write_text(rig_text(tmp_path, f"localhost:{free_port()}") + vibrometer, encoding="utf-8")
@@ -61,12 +59,12 @@ def test_emulated_rig_then_doctors_record_has_what_every_instrument_was_asked(
     assert {"mirror", "vibrometer"} <= asked
 
 
-def test_given_no_folder_for_the_record_then_exit_2_before_any_instrument_is_opened(tmp_path: Path) -> None:
+def test_given_no_folder_for_the_record_then_exit_2_before_any_instrument_is_opened(tmp_path):
     assert run(["init", str(tmp_path / "lab")]) == 0
     assert run(["doctor", str(tmp_path / "lab" / "rig.toml"), "--record", str(tmp_path / "none" / "r.jsonl")]) == 2
 
 
-def test_given_a_recorder_that_fails_then_the_record_has_nis_own_error(tmp_path: Path) -> None:
+def test_given_a_recorder_that_fails_then_the_record_has_nis_own_error(tmp_path):
     with daq_bench(faults=(WireFault("recorder", "overwritten", "ReadAnalogF64", at_call=1),)) as bench:
         with recording(tmp_path / "r.jsonl", {}):
             recorder = noting_calls(bench.recorder(), "recorder")
@@ -79,7 +77,7 @@ def test_given_a_recorder_that_fails_then_the_record_has_nis_own_error(tmp_path:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux")
-def test_given_a_full_disk_then_no_instrument_fails_and_the_record_says_so() -> None:
+def test_given_a_full_disk_then_no_instrument_fails_and_the_record_says_so():
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         record = ExchangeRecord(full, {})
         record.note("mirror", sent="/")

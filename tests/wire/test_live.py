@@ -3,9 +3,7 @@
 import os
 import signal
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from tests.system.lines import Lines
 from tests.wire.audio_bench import AudioBench, needs_audio_server
 from tests.wire.test_play import RIG
 from wavefocus.drivers.process import SILENT_S
-from wavefocus.mocks.wire.jack_server import JackServer
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300), *needs_audio_server]
 
@@ -24,13 +21,13 @@ PLACES_MM = np.array([[x, y] for y in (0.0, 4.0) for x in (0.0, 4.0, 8.0)])
 
 
 @pytest.fixture
-def server() -> Iterator[JackServer]:
+def server():
     with ExitStack() as stack:
         yield AudioBench(stack, period_frames=2048).serve()
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     green = np.random.default_rng(1).standard_normal((len(PLACES_MM), ACTUATORS, TAPS))
     write_bank(tmp_path / "plate.h5", green, PLACES_MM, band_hz=(50.0, 450.0))
@@ -48,7 +45,7 @@ def move_until(running: Lines, event: str, code: str = "") -> dict:
     raise AssertionError(f"no {event} {code} came")
 
 
-def test_with_a_real_audio_server_it_outlives_its_loss_and_is_silent_in_the_end(lab: Path, server: JackServer) -> None:
+def test_with_a_real_audio_server_it_outlives_its_loss_and_is_silent_in_the_end(lab, server):
     environment = {**os.environ, **server.environment}
     rig = ("--rig", lab / "rig.toml", "--json")
     with Lines("live", lab / "plate.h5", *rig, environment=environment) as running:

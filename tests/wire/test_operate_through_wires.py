@@ -2,7 +2,6 @@
 
 import signal
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -34,9 +33,7 @@ def swept(lines: Lines, actuator: int) -> dict[str, Any]:
     return told
 
 
-def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(
-    rig: Path, sides: EmulatedInstruments
-) -> None:
+def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(rig, sides):
     change_text(rig, "inter_channel_delay_s = 1.4e-5", "")
     for ending in ("end", "input", "signal"):
         with Lines("operate", rig, environment=sides.environment) as lines:
@@ -67,9 +64,7 @@ def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_e
         assert spot_of(sides) == "spot: not on the plate"
 
 
-def test_a_mute_ends_a_sweep_before_its_time_and_so_does_a_program_that_is_stopped(
-    rig: Path, sides: EmulatedInstruments
-) -> None:
+def test_a_mute_ends_a_sweep_before_its_time_and_so_does_a_program_that_is_stopped(rig, sides):
     with Lines("operate", rig, environment=sides.environment) as lines:
         lines.hear("ready")
         lines.send(order="jog", x_mm=30, y_mm=-12)

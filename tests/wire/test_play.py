@@ -44,13 +44,13 @@ limit_v = 3.0
 
 
 @pytest.fixture
-def server() -> Iterator[JackServer]:
+def server():
     with ExitStack() as stack:
         yield AudioBench(stack, period_frames=8192).serve()
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     return tmp_path
 
@@ -102,7 +102,7 @@ def heard_now(server: JackServer, seconds: float = 0.1) -> np.ndarray:
     return server.played.read(now - round(seconds * RATE_HZ), now)
 
 
-def test_given_a_loop_then_every_sample_leaves_its_output_twice_without_a_gap(lab: Path, server: JackServer) -> None:
+def test_given_a_loop_then_every_sample_leaves_its_output_twice_without_a_gap(lab, server):
     drive_v = np.random.default_rng(1).uniform(0.5, 2.0, (3, RATE_HZ // 2))
     write(lab, drive_v)
     meant = np.tile(drive_v[[1, 2, 0]] / 4.0, (1, 2)).astype(np.float32)
@@ -113,9 +113,7 @@ def test_given_a_loop_then_every_sample_leaves_its_output_twice_without_a_gap(la
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(
-    lab: Path, server: JackServer, number: signal.Signals
-) -> None:
+def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(lab, server, number):
     write(lab, np.full((3, 60 * RATE_HZ), 1.0))
     with sounding_play(lab, server) as child:
         child.send_signal(number)
@@ -126,7 +124,7 @@ def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(
     assert not heard_now(server).any()
 
 
-def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(lab: Path, server: JackServer) -> None:
+def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(lab, server):
     write(lab, np.full((3, 60 * RATE_HZ), 1.0))
     with sounding_play(lab, server) as child:
         server.kill()

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -32,7 +31,7 @@ LINE = "port1/line0"
 
 
 @pytest.fixture
-def opened() -> Iterator[ExitStack]:
+def opened():
     with ExitStack() as stack:
         yield stack
 
@@ -61,9 +60,7 @@ def mirror_of(opened: ExitStack, config: RigConfig) -> BoundedMirror:
 
 
 @pytest.mark.parametrize("opens_when_high", [True, False])
-def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(
-    opened: ExitStack, tmp_path: Path, opens_when_high: bool
-) -> None:
+def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(opened, tmp_path, opens_when_high):
     box = server(opened)
 
     def is_open() -> bool:
@@ -102,7 +99,7 @@ def bounded_until_closed(opened: ExitStack, instruments: Instruments) -> Instrum
     return one
 
 
-def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened: ExitStack) -> None:
+def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened):
     virtual, shutter = VirtualRig().instruments, VirtualShutter()
     mirror = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
     instruments = bounded_until_closed(opened, Instruments(mirror, virtual.recorder, virtual.player, virtual.clock))
@@ -115,9 +112,7 @@ def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened: 
     assert silence(plain) == []
 
 
-def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(
-    opened: ExitStack, tmp_path: Path
-) -> None:
+def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(opened, tmp_path):
     # The third write to the line, the one that closes it, and all after it are refused.
     box = server(opened, WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=3))
     mirror = mirror_of(opened, rig(tmp_path, box.address))
@@ -139,7 +134,7 @@ def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_par
     assert box.level(LINE) == 1.0
 
 
-def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(opened: ExitStack, tmp_path: Path) -> None:
+def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(opened, tmp_path):
     box = server(opened)
     config = rig(tmp_path, box.address)
     (good,) = shutter_findings(config)
@@ -155,7 +150,7 @@ def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(opened: Ex
     assert list(shutter_findings(RigConfig.model_validate({}))) == []
 
 
-def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened: ExitStack) -> None:
+def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened):
     box = server(opened)
     first = NiShutterDriver(device="Dev1", address=box.address).open()
     opened.callback(first.close)
@@ -169,7 +164,7 @@ def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened
         first.open_beam()
 
 
-def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(opened: ExitStack) -> None:
+def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(opened):
     box = server(opened)
     shutter = NiShutterDriver(device="Dev1", address=box.address).open()
     opened.callback(shutter.close)
@@ -189,7 +184,7 @@ def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_
     assert box.level(LINE) == 0.0
 
 
-def test_given_a_real_shutter_in_a_virtual_rig_then_the_rig_file_is_refused(tmp_path: Path) -> None:
+def test_given_a_real_shutter_in_a_virtual_rig_then_the_rig_file_is_refused(tmp_path):
     rig_file = tmp_path / "rig.toml"
     rig_file.write_text('[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\n')
     with pytest.raises(InputError, match=r"shutter\.driver"):
@@ -215,9 +210,7 @@ sys.stdin.readline()
 
 
 # A program that is stopped instead of killed: tests/wire/test_campaign_analog.py.
-def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_parks(
-    opened: ExitStack, tmp_path: Path
-) -> None:
+def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_parks(opened, tmp_path):
     box = server(opened)
     rig(tmp_path, box.address)
     command = [sys.executable, "-c", HOLD, str(tmp_path / "rig.toml")]

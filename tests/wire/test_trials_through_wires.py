@@ -1,7 +1,5 @@
 """Trials on real drivers: onsets through the loopback of an emulated interface, and a player that goes away in one."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.lab_files import POSITIONS, write_positions
@@ -15,7 +13,7 @@ from wavefocus.trials.answers import read_answers
 pytestmark = pytest.mark.long
 
 
-def test_a_player_unplugged_in_a_trial_repeats_it_and_every_onset_is_found(tmp_path: Path) -> None:
+def test_a_player_unplugged_in_a_trial_repeats_it_and_every_onset_is_found(tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
     (tmp_path / "virtual-rig.toml").write_text(VIRTUAL_RIG, encoding="utf-8")
     write_run(tmp_path, "run.toml", "virtual-rig.toml", averages=1)
