@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages import Message
 from wavefocus.config.messages.trials import Answer, GoOn, TrialsState
 from wavefocus.trials.analysis.results import psychometric_of
 from wavefocus.trials.analysis.shares import table_of

@@ -15,9 +15,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from wavefocus.config.drivers import DriverTable
 from wavefocus.config.fields import FREE, explanation, fields_of, plan_mark
 from wavefocus.config.rig import RigConfig
+from wavefocus.config.rig_instruments import DriverTable
 from wavefocus.config.run import RunConfig
 from wavefocus.config.scene import SceneConfig
 from wavefocus.config.trials import TrialsConfig

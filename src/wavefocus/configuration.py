@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_grid
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import load_calibration
+from wavefocus.config.emulation import FINGER_MM, PlateKeys, plate_of
 from wavefocus.config.fields import Table
 from wavefocus.config.loading import named_file, parse_toml, printable, read_toml, shown, validated
-from wavefocus.config.plate import FINGER_MM, PlateKeys, plate_of
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import FaultFile, Publication, PublicationFile, RunConfig, Virtual
 from wavefocus.storage.errors import InputError

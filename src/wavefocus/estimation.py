@@ -19,16 +19,15 @@ from wavefocus.calibration.estimator.raw_estimation import PositionResult, affor
 from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.campaign.blueprint import carried_configuration, estimator_for, own_plan, require_same_plan
 from wavefocus.cluster import estimate_on_cluster
-from wavefocus.config.limits import QualityLimits
+from wavefocus.config.run import QualityLimits
 from wavefocus.configuration import check_rows, plate_behind
 from wavefocus.storage.argument_types import checked
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.ledger import PointRecord, Status
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import Status
 from wavefocus.storage.raw.header import RawHeader
 from wavefocus.storage.raw.writer import RawFile, open_raw
 

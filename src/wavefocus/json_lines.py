@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import NoReturn
 
-from wavefocus.config.messages.codec import AnyMessage, Message, MessageError, from_record, tag, to_line
+from wavefocus.config.messages import AnyMessage, Message, MessageError, from_record, tag, to_line
 from wavefocus.console import print_line
 from wavefocus.exits import one_line
 from wavefocus.storage.errors import InputError, WavefocusError

@@ -15,13 +15,13 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import click, drag, pixel, shown_tab, wait
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
-from wavefocus.config.limits import DriftLimits
+from wavefocus.config.run import DriftLimits
 from wavefocus.gui.campaign.model import DAMAGED, LOOKS
 from wavefocus.gui.campaign.position_panel import DriftPlot
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.window import Window
+from wavefocus.storage.bank.ledger import STATUS_WORDS
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.point_status import STATUS_WORDS
 
 CTRL = Qt.KeyboardModifier.ControlModifier
 

@@ -44,7 +44,7 @@ from wavefocus.gui.campaign.model import (
 )
 from wavefocus.gui.campaign.panels import Controls, pace_text
 from wavefocus.gui.surface import raster_of
-from wavefocus.storage.bank.ledger import VALID
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.ledger.owner import Owner
 
 AT = datetime(2026, 1, 1, tzinfo=UTC)
@@ -251,7 +251,7 @@ def test_given_a_position_without_figures_then_its_reason_is_said_and_no_nan() -
     assert line is not None
     assert line.text.endswith(": no sweep found in record 3")
     assert "nan" not in line.text
-    good = line_of(committed(VALID, 41.25, -52.0))
+    good = line_of(committed(Status.VALID, 41.25, -52.0))
     assert good is not None
     assert "41.2 dB" in good.text
     assert "-52.0 dB" in good.text

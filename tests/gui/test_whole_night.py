@@ -18,9 +18,9 @@ from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window
 from wavefocus.rendering.verify.record import RECORD_NAME
+from wavefocus.storage.bank.ledger import not_valid
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.ledger.owner import bank_owner
-from wavefocus.storage.point_status import not_valid
 
 RUN = """
 rig = "rig.toml"

@@ -158,7 +158,7 @@ import json, os, resource, signal, sys
 from pathlib import Path
 from wavefocus.__main__ import run
 import wavefocus.rendering.report.movie, wavefocus.rendering.drive.wav
-import wavefocus.storage.exchange.mat, wavefocus.storage.exchange.npz
+import wavefocus.storage.exchange.mat, wavefocus.storage.exchange.named_arrays
 import matplotlib.figure, h5py
 
 def forked(arguments, prepare):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.config.messages.codec import tag
+from wavefocus.config.messages import tag
 from wavefocus.config.messages.trials import EVENTS, ORDERS
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.trials.answers import (

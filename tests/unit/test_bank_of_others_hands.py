@@ -18,8 +18,8 @@ from wavefocus.calibration.check import check_bank
 from wavefocus.storage.bank.notes import add_note
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.claims import claimed
 from wavefocus.storage.errors import BankBusyError, InputError
+from wavefocus.storage.ledger.owner import claimed
 
 
 @pytest.fixture
@@ -225,7 +225,7 @@ def test_given_a_closed_umask_then_the_lock_of_a_name_stays_open_to_other_users(
 ANOTHER_USER = """
 import os, sys, tempfile
 from wavefocus.exits import one_line
-from wavefocus.storage.claims import claimed
+from wavefocus.storage.ledger.owner import claimed
 tempfile.tempdir = sys.argv[1]
 os.umask(0o077)
 if sys.argv[2] != "root":

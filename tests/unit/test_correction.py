@@ -7,9 +7,9 @@ from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.verify.correction import correct_drive, correction_lines, held_out
 from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import Status
 
 PLACES_MM = [[0.0, 0.0], [20.0, 0.0], [-20.0, 4.0], [0.0, 16.0]]
 ROWS = np.arange(len(PLACES_MM))

@@ -21,10 +21,9 @@ from wavefocus.estimation import estimate
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.results import Symptom
-from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.ledger import PointRecord, Status
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
-from wavefocus.storage.point_status import Status
 from wavefocus.storage.raw.writer import open_raw
 from wavefocus.virtual import virtual_rig
 

@@ -15,9 +15,9 @@ from wavefocus.calibration.estimator.estimate import Channels, Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import Excitation, PlayedExcitation, RecordedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.config.limits import QualityLimits
+from wavefocus.config.run import QualityLimits
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import Status
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.
 SMALL = PlayedExcitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)

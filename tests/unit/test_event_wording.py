@@ -6,6 +6,7 @@ import pytest
 
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.config.messages import tag
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
     CrosstalkMeasured,
@@ -27,7 +28,6 @@ from wavefocus.config.messages.campaign import (
     State,
     StateChanged,
 )
-from wavefocus.config.messages.codec import tag
 from wavefocus.gui.campaign.model import line_of
 
 # Events that a person at the terminal sees, and those that only the window lists.

@@ -8,8 +8,8 @@ from wavefocus.calibration.estimator.estimate import Estimate, Records
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
-from wavefocus.config.limits import QualityLimits
-from wavefocus.storage.point_status import Status
+from wavefocus.config.run import QualityLimits
+from wavefocus.storage.bank.ledger import Status
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 10_000.0, (50.0, 500.0), 1000, 3
 SWEEP = PlayedExcitation(RATE_HZ, *BAND_HZ, duration_s=0.5, decay_s=0.1, amplitude_v=1.0, averages=2)

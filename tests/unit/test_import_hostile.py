@@ -19,7 +19,7 @@ from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
 from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.opening import opened
+from wavefocus.storage.exchange.measured import opened
 
 GREEN = np.random.default_rng(0).standard_normal((6, 2, 40)).astype(np.float32)
 PLACES_MM = np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(6)])

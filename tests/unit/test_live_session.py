@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
-from wavefocus.config.messages.codec import Message, Refused
+from wavefocus.config.messages import Message, Refused
 from wavefocus.config.messages.live import EndLive, EndSource, LiveNotice, LiveState, MoveSource
 from wavefocus.config.scene import Regularisation
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError

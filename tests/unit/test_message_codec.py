@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavefocus.config.messages.codec import (
+from wavefocus.config.messages import (
     EventMessage,
     Instant,
     Message,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.special import hankel2
 
 from tests.unit.wave_travel import impulse_travel
-from wavefocus.config.plate import PlateKeys
+from wavefocus.config.emulation import PlateKeys
 from wavefocus.mocks.plates import PLATES
 from wavefocus.mocks.plates.infinite import PlateTable
 from wavefocus.mocks.plates.soft import SOFT_PLATE, SPRINGPOT_PLATE, mean_hankel

@@ -12,10 +12,10 @@ from wavefocus.acquisition.setup import point_at, take_record
 from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.config.limits import QualityLimits
+from wavefocus.config.run import QualityLimits
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
-from wavefocus.storage.point_status import Status
+from wavefocus.storage.bank.ledger import Status
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (60.0, -60.0))

@@ -5,8 +5,8 @@ import pytest
 
 from wavefocus.acquisition.judgement import judge
 from wavefocus.calibration.estimator.estimate import Estimate
-from wavefocus.config.limits import QualityLimits
-from wavefocus.storage.point_status import Status, status_counts
+from wavefocus.config.run import QualityLimits
+from wavefocus.storage.bank.ledger import Status, status_counts
 
 LIMITS = QualityLimits()
 

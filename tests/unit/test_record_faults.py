@@ -15,7 +15,7 @@ from wavefocus.acquisition.judgement import Judgement, in_band, judge
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.config.limits import QualityLimits
+from wavefocus.config.run import QualityLimits
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 4000.0, (40.0, 480.0), 800, 8
 SWEEP = PlayedExcitation(RATE_HZ, *BAND_HZ, duration_s=0.8, decay_s=0.25, amplitude_v=1.0, averages=3)

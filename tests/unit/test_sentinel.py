@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
-from wavefocus.config.limits import DriftLimits
+from wavefocus.config.run import DriftLimits
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 
 

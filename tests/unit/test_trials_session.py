@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.unit.trials_files import STROKES
-from wavefocus.config.messages.codec import Message, Refused
+from wavefocus.config.messages import Message, Refused
 from wavefocus.config.messages.trials import (
     Answer,
     AnswerStored,

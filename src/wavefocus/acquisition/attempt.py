@@ -17,13 +17,12 @@ from wavefocus.calibration.estimator.estimate import Channels, Estimate, Positio
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.numerics import one_blas_thread
-from wavefocus.config.limits import QualityLimits
+from wavefocus.config.run import QualityLimits
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
-from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.ledger import PointRecord, Status
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import Status
 from wavefocus.storage.raw.header import RawHeader, sequential
 from wavefocus.storage.raw.writer import RawWriter
 

@@ -24,9 +24,9 @@ from wavefocus.calibration.crosstalk import REMEDY, UNKNOWN_ROWS_SHARE, Crosstal
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.timing import fit_clock
-from wavefocus.config.limits import QualityLimits
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import QualityLimits
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Mirror, Player, Recorder, Recording, RecordLabel
 from wavefocus.drivers.registry import VibrometerReading

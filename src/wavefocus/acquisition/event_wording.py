@@ -4,6 +4,7 @@ import math
 
 from wavefocus.acquisition.wording import hours, row_ranges
 from wavefocus.calibration.evidence import SIGMAS
+from wavefocus.config.messages import tag
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
     CrosstalkMeasured,
@@ -21,8 +22,7 @@ from wavefocus.config.messages.campaign import (
     SessionStarted,
     StateChanged,
 )
-from wavefocus.config.messages.codec import tag
-from wavefocus.storage.point_status import status_words
+from wavefocus.storage.bank.ledger import status_words
 
 
 def sentence(event: Event) -> str:

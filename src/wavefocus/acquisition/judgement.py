@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from wavefocus.calibration import BoolArray, Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.evidence import CLEAR_DB, HEARD_DB, MAJORITY, MOST, SIGMAS, SOUND
-from wavefocus.config.limits import QualityLimits
-from wavefocus.storage.point_status import Status
+from wavefocus.config.run import QualityLimits
+from wavefocus.storage.bank.ledger import Status
 
 SLIP_DB = -30.0
 """One sample lost of 10,000 a second leaves -22 dB of a reference of 250 Hz; audio interfaces distort below -90 dB."""

@@ -26,8 +26,8 @@ from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
+from wavefocus.storage.bank.ledger import Status, usable
 from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.point_status import Status, usable
 from wavefocus.storage.raw.writer import RawWriter
 
 SWEEP_S, BAND_HZ = 0.5, (40.0, 400.0)

@@ -10,10 +10,10 @@ import numpy as np
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.evidence import CLEAR_DB, ROW_CHANGE, SEEN_SHARE
 from wavefocus.calibration.numerics import parabola_vertex
-from wavefocus.config.messages.codec import Instant, Number
+from wavefocus.config.messages import Instant, Number
 
 if TYPE_CHECKING:  # pydantic, which status does without
-    from wavefocus.config.limits import DriftLimits
+    from wavefocus.config.run import DriftLimits
 
 
 STEP_DB, STEP_SAMPLES = 0.5, 0.3

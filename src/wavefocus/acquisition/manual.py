@@ -14,8 +14,8 @@ from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.numerics import one_blas_thread
-from wavefocus.config.limits import QualityLimits
 from wavefocus.config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
+from wavefocus.config.run import QualityLimits
 from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.errors import InputError
 

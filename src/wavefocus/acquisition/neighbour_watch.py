@@ -17,8 +17,8 @@ from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
 from wavefocus.calibration.evidence import CERTAIN_SHARE
 from wavefocus.calibration.neighbour_judge import NeighbourDifference, RowsAtFrequencies, judge_rows
 from wavefocus.storage.bank.layout import rows_off_grid
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
     from wavefocus.calibration.coarse_grid.rim_waves import WavesFound

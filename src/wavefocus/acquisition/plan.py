@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.setup import RecordMargins, record_samples
 from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
-from wavefocus.config.limits import DriftLimits, QualityLimits
+from wavefocus.config.run import DriftLimits, QualityLimits
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05

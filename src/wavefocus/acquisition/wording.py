@@ -3,7 +3,7 @@
 import math
 from datetime import UTC, datetime, timedelta
 
-from wavefocus.storage.point_status import row_ranges
+from wavefocus.storage.bank.ledger import row_ranges
 
 __all__ = ["a_while", "finish_time", "hours", "row_ranges"]
 

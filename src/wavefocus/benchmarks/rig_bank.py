@@ -14,8 +14,8 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.config.limits import QualityLimits
 from wavefocus.config.messages.campaign import Subscriber
+from wavefocus.config.run import QualityLimits
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.greens.source import GreenArray

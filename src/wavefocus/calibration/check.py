@@ -16,7 +16,7 @@ from wavefocus.calibration.evidence import SILENT, SOUND
 from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
 from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.storage.bank.layout import rows_off_grid
-from wavefocus.storage.bank.ledger import VALID
+from wavefocus.storage.bank.ledger import Status, median_of_pairs, row_ranges, usable
 from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
 from wavefocus.storage.drive_file import read_drive
@@ -26,7 +26,6 @@ from wavefocus.storage.field_file import FieldRowReader
 from wavefocus.storage.hdf5_digest import format_of
 from wavefocus.storage.ledger.owner import bank_owner, owner_path
 from wavefocus.storage.ledger.reader import LedgerReader
-from wavefocus.storage.point_status import median_of_pairs, row_ranges, usable
 from wavefocus.storage.raw.header import RAW
 from wavefocus.storage.raw.writer import RawRows, open_raw
 
@@ -168,7 +167,7 @@ def _check_moved(bank: Bank) -> Iterator[BankProblem]:
 
 def suspect_positions(rows: VerifiedRows) -> list[int]:
     """Positions that were measured when the sentinel position had changed, and not again since."""
-    marked = rows.figures.suspect & (rows.figures.status & VALID == 0)
+    marked = rows.figures.suspect & (rows.figures.status & Status.VALID == 0)
     return [int(position) for position in np.flatnonzero(marked)]
 
 
@@ -194,7 +193,7 @@ def _check_rows(bank: Bank) -> Iterator[BankProblem]:
         except InputError as error:
             yield BankProblem(position, None, str(error).removeprefix(f"{bank.path}: "))
             continue
-        if status is not None and not status[position] & VALID:
+        if status is not None and not status[position] & Status.VALID:
             continue
         # energy of each actuator in each tenth of the taps, float64 so that nothing overflows
         energy = np.square(green, dtype=np.float64)
@@ -215,7 +214,7 @@ def _check_leak(bank: Bank) -> Iterator[BankProblem]:
     if whole is None:
         return
     part = 10.0 ** (bank.quality["leak_db"] / 20.0) / whole
-    rows = np.flatnonzero((status == VALID) & (part >= SPARE * SOUND))
+    rows = np.flatnonzero((status == Status.VALID) & (part >= SPARE * SOUND))
     if len(rows):
         message = (
             f"crosstalk: the leak of the loopback was up to {100 * part[rows].max():.2g} % of the median row when "

@@ -18,8 +18,8 @@ from typing import Literal
 from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.campaign.sidecar_files import read_whole, write_whole
 from wavefocus.campaign.status import CampaignStatus, Heartbeat
+from wavefocus.config.messages import Message, MessageError, from_record, to_record
 from wavefocus.config.messages.campaign import Event, Logged, SessionEnded, StateChanged
-from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
 from wavefocus.console import say
 
 Word = Literal["pause", "go-on", "stop"]

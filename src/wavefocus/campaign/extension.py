@@ -23,13 +23,11 @@ from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.configuration import Configuration, load_run, plan_differences
 from wavefocus.input_files import parse_positions
 from wavefocus.storage.bank.foreign import ForeignRows
-from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord
-from wavefocus.storage.bank.origins import Origin, origins_of
-from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord, Status
+from wavefocus.storage.bank.reading import Bank, Origin, open_bank, origins_of
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs
-from wavefocus.storage.point_status import Status
 from wavefocus.storage.raw.writer import RawFile, RawWriter, create_raw, open_raw
 
 STEP_MM = 1e-6

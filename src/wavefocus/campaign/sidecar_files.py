@@ -16,6 +16,7 @@ from types import TracebackType
 
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.acquisition.wording import row_ranges
+from wavefocus.config.messages import from_record
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
@@ -31,7 +32,6 @@ from wavefocus.config.messages.campaign import (
     event_line,
     read_event,
 )
-from wavefocus.config.messages.codec import from_record
 from wavefocus.console import say
 from wavefocus.storage.sidecar_files import Log, create, is_replaceable
 from wavefocus.storage.text_file import open_regular, read_regular

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.campaign.sidecar_files import last_events
+from wavefocus.config.messages import Instant, Message
 from wavefocus.config.messages.campaign import (
     Fault,
     Logged,
@@ -24,7 +25,6 @@ from wavefocus.config.messages.campaign import (
     State,
     StateChanged,
 )
-from wavefocus.config.messages.codec import Instant, Message
 from wavefocus.storage.ledger.owner import Owner
 
 GOING_ON = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING, State.RECOVERING})

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import TracebackType
 
 from wavefocus.campaign.sidecar_files import EventLines
+from wavefocus.config.messages import Message, to_line
 from wavefocus.config.messages.campaign import Event
-from wavefocus.config.messages.codec import Message, to_line
 from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.console import Pace
 from wavefocus.exits import exit_code, sentence

@@ -30,11 +30,10 @@ from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.calibration_validity import refuse_other_devices
 from wavefocus.rig.notifications import messenger_for
 from wavefocus.rig.setup import open_setup
-from wavefocus.storage.bank.origins import origins_of
-from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.ledger import STATUS_WORDS, Status, not_valid
+from wavefocus.storage.bank.reading import open_bank, origins_of
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
 
 
 def capture(

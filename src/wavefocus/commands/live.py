@@ -12,7 +12,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from wavefocus.config.messages.codec import Message, Refused
+from wavefocus.config.messages import Message, Refused
 from wavefocus.config.messages.live import LiveEnded, LiveNotice, LiveReady
 from wavefocus.console import say
 from wavefocus.ending import ending_at_once

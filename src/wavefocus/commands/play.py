@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.wording import hours
-from wavefocus.config.messages.codec import to_line
+from wavefocus.config.messages import to_line
 from wavefocus.config.messages.operate import DrivePlaying
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig

@@ -16,15 +16,14 @@ from wavefocus.campaign.campaign_view import remaining
 from wavefocus.campaign.control import Word, give_order, read_heartbeat, resume_line, withdraw
 from wavefocus.campaign.sidecar_files import read_crosstalk, read_drift, suspect_rows
 from wavefocus.campaign.status import CampaignStatus, Heartbeat, campaign_status, instant
+from wavefocus.config.messages import to_record
 from wavefocus.config.messages.campaign import State
-from wavefocus.config.messages.codec import to_record
 from wavefocus.console import answer, say
 from wavefocus.exits import Exit
-from wavefocus.storage.bank.origins import origins_of
-from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.ledger import median_of_pairs, status_counts
+from wavefocus.storage.bank.reading import open_bank, origins_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner, bank_owner
-from wavefocus.storage.point_status import median_of_pairs, status_counts
 
 # So many positions that stayed as they were are listed one by one.
 MAX_LINES = 5

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from wavefocus.campaign.blueprint import bank_configuration
-from wavefocus.config.messages.codec import Message, tag
+from wavefocus.config.messages import Message, tag
 from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress, say

@@ -70,12 +70,12 @@ from wavefocus.rig.alive import AliveSignal
 from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.limits import check_drive, stricter
 from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.ledger import median_of_pairs, usable
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, write_field
 from wavefocus.storage.output_files import require_output_folder, staged_folder
-from wavefocus.storage.point_status import median_of_pairs, usable
 from wavefocus.storage.scan_journal import ScanJournal, identity_of
 from wavefocus.storage.units import quantity
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from PyQt5.QtCore import QByteArray, QSettings, Qt, pyqtSignal
 from PyQt5.QtWidgets import QCheckBox, QFileDialog, QLineEdit, QSplitter, QWidget
 
-from wavefocus.config.file_kinds import hdf5_kind, kind_of_tables
-from wavefocus.config.loading import read_toml
+from wavefocus.config.loading import hdf5_kind, kind_of_tables, read_toml
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.surface import VIRTUAL, is_virtual
 from wavefocus.gui.widgets import NumberBox, typed_number

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.config.limits import DriftLimits
+from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import Float64Array
 
 if TYPE_CHECKING:

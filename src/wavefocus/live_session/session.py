@@ -14,7 +14,7 @@ import numpy as np
 
 from wavefocus.acquisition.engine.recovery import back_off_s
 from wavefocus.calibration.numerics import one_blas_thread
-from wavefocus.config.messages.codec import Message, Refused
+from wavefocus.config.messages import Message, Refused
 from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveState, MoveSource, NoticeCode
 from wavefocus.config.messages.live import SoundingSource as Sounding
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from wavefocus.banks import LOG
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages import Message
 from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveReady, LiveState, MoveSource
 from wavefocus.live_session.opening import open_session
 from wavefocus.live_session.orders import Order, UseSignal, check_name

@@ -11,9 +11,8 @@ from functools import cache
 from pathlib import Path
 
 from wavefocus.acquisition.setup import Openers
-from wavefocus.config.drivers import DriverTable
 from wavefocus.config.rig import RigConfig
-from wavefocus.config.rig_instruments import ShutterSection, VibrometerSection
+from wavefocus.config.rig_instruments import DriverTable, ShutterSection, VibrometerSection
 from wavefocus.config.run import Virtual
 from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
@@ -32,8 +31,8 @@ from wavefocus.drivers.registry import (
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
 from wavefocus.drivers.shuttered_mirror import ShutteredMirror
 from wavefocus.drivers.timeouts import RECONNECTING, in_time
-from wavefocus.storage.claims import claimed
 from wavefocus.storage.errors import BankBusyError, InputError
+from wavefocus.storage.ledger.owner import claimed
 
 # A decoder's range is a round number; what differs by more is another range.
 SAME_SENSITIVITY = 1e-3

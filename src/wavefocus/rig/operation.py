@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from wavefocus.acquisition.manual import ManualMeasurements, excitation_of
 from wavefocus.acquisition.setup import Sensor, Setup, names_of, naming_role, silence
-from wavefocus.config.messages.codec import Message, MessageError, Refused, tag
+from wavefocus.config.messages import Message, MessageError, Refused, tag
 from wavefocus.config.messages.operate import (
     ORDERS,
     SWEEP_BAND_HZ,

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 
 from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, VIBROMETER, Jog, JogView, Judged
-from wavefocus.config.messages.codec import Message, MessageError, Refused, message_of, tag
+from wavefocus.config.messages import Message, MessageError, Refused, message_of, tag
 from wavefocus.config.messages.operate import InputLevels, Numbers
 from wavefocus.config.messages.rig_checks import (
     Again,

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.config.emulation import Emulation, strength
-from wavefocus.config.plate import plate_of
+from wavefocus.config.emulation import Emulation, plate_of, strength
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import Virtual
 from wavefocus.mocks.virtual.faults import RigFault

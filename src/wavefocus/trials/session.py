@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Protocol
 from msgspec.structs import replace
 
 from wavefocus.acquisition.engine.session import IllegalStateError
-from wavefocus.config.messages.codec import Message, Refused, tag
+from wavefocus.config.messages import Message, Refused, tag
 from wavefocus.config.messages.trials import (
     Answer,
     AnswerStored,

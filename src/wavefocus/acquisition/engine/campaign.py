@@ -37,9 +37,9 @@ from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import FileLostError
-from wavefocus.storage.point_status import Status
 from wavefocus.storage.raw.writer import RawWriter
 
 # As many positions in a row without one good record mean a broken instrument, not a bad spot.

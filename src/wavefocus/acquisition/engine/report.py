@@ -20,8 +20,8 @@ from wavefocus.config.messages.campaign import (
     SessionStarted,
     State,
 )
+from wavefocus.storage.bank.ledger import status_counts
 from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.point_status import status_counts
 
 
 class CampaignReport:

@@ -28,8 +28,8 @@ from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.config.messages.campaign import ScheduleSettled, Subscriber
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import Status
 
 
 class Station:

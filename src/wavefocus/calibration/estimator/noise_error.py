@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Float64Array
+from wavefocus.storage.bank.ledger import median_of_pairs
 from wavefocus.storage.bank.reading import Bank
-from wavefocus.storage.point_status import median_of_pairs
 
 
 def noise_error_db(

@@ -18,13 +18,11 @@ from wavefocus.calibration.imports.conversion import Conversion
 from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.ledger import PointRecord, Status
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import Measured
-from wavefocus.storage.exchange.opening import opened, recognised
+from wavefocus.storage.exchange.measured import Measured, opened, recognised
 from wavefocus.storage.output_files import require_outputs
-from wavefocus.storage.point_status import Status
 
 FLAT = 1e-2
 """Largest distance from a plane, relative to the extent of the places, that still counts as flat."""

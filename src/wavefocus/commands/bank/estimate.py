@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.wording import hours
 from wavefocus.console import progress, say
 from wavefocus.estimation import estimate_into
-from wavefocus.storage.point_status import status_counts
+from wavefocus.storage.bank.ledger import status_counts
 from wavefocus.storage.raw.header import RawHeader
 from wavefocus.storage.raw.writer import open_raw
 

@@ -11,7 +11,7 @@ from wavefocus.acquisition.calibrate_mirror import Operator
 from wavefocus.acquisition.manual import ManualMeasurements
 from wavefocus.acquisition.setup import Setup
 from wavefocus.config.calibration import CalibrationRecord, name_calibration, write_calibration
-from wavefocus.config.messages.codec import to_record
+from wavefocus.config.messages import to_record
 from wavefocus.config.messages.rig_checks import Begin, CalibrationDone
 from wavefocus.configuration import load_rig
 from wavefocus.console import say

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from wavefocus.acquisition.doctor import RigFindings, examine
 from wavefocus.acquisition.setup import Openers
-from wavefocus.config.messages.codec import to_line
+from wavefocus.config.messages import to_line
 from wavefocus.config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig

@@ -7,7 +7,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from wavefocus.acquisition.setup import Sensor
-from wavefocus.config.messages.codec import Refused
+from wavefocus.config.messages import Refused
 from wavefocus.config.messages.operate import Done, End, Ended, Mute, Opening
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from wavefocus.config.messages.codec import EventMessage, MessageError, Number, from_record, tag, to_record
+from wavefocus.config.messages import EventMessage, MessageError, Number, from_record, tag, to_record
 from wavefocus.drivers.protocols import DeviceIdentity
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from wavefocus.config.messages.codec import EventMessage, Message, Number, OrderMessage, Refused
+from wavefocus.config.messages import EventMessage, Message, Number, OrderMessage, Refused
 
 PointMm = tuple[float, float]
 

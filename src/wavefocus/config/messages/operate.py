@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Literal
 
-from wavefocus.config.messages.codec import EventMessage, Message, Number, OrderMessage, Refused
+from wavefocus.config.messages import EventMessage, Message, Number, OrderMessage, Refused
 
 Role = Literal["mirror", "recorder", "player"]
 Numbers = tuple[Number, Number]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from wavefocus.config.messages.codec import EventMessage, Instant, Message, Number, Refused
+from wavefocus.config.messages import EventMessage, Instant, Message, Number, Refused
 from wavefocus.config.messages.operate import Faulted, LevelMeasured, Numbers
 
 

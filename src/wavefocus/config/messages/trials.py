@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Literal
 
-from wavefocus.config.messages.codec import EventMessage, Number, OrderMessage, Refused
+from wavefocus.config.messages import EventMessage, Number, OrderMessage, Refused
 
 Phase = Literal["welcome", "familiarisation", "trial", "break", "done"]
 Waiting = Literal["go_on", "answer", "playing", "nothing"]

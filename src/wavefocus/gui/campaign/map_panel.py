@@ -24,7 +24,7 @@ from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, map_colours, rgba
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float32Array
-from wavefocus.storage.bank.ledger import VALID
+from wavefocus.storage.bank.ledger import Status
 
 
 class SurfaceMap(SurfaceView):
@@ -244,6 +244,6 @@ def _counts_text(status: NDArray[np.uint8]) -> str:
     parts = [
         f"{swatch.format(look.colour(theme), _SIGNS[look.symbol])}&nbsp;{look.word}&nbsp;{count}"
         for look, count in zip(LOOKS, counts, strict=True)
-        if count > 0 or look.bit in (VALID, NOT_MEASURED)
+        if count > 0 or look.bit in (Status.VALID, NOT_MEASURED)
     ]
     return "&nbsp;&nbsp; ".join(reversed(parts))

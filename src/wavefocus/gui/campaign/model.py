@@ -37,7 +37,7 @@ from wavefocus.config.messages.campaign import (
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.theme import LIGHT, Theme
 from wavefocus.rendering.arrays import Float32Array
-from wavefocus.storage.bank.ledger import DISABLED, FAILED, OVER_RANGE, POOR_SIGNAL, VALID
+from wavefocus.storage.bank.ledger import Status
 
 if TYPE_CHECKING:
     from wavefocus.acquisition.limits import DriftPoint
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 NOT_MEASURED = 0
 DAMAGED = 128  # not in the bank: a row whose checksum does not hold
-NOT_GOOD = POOR_SIGNAL | OVER_RANGE | FAILED
+NOT_GOOD = Status.POOR_SIGNAL | Status.OVER_RANGE | Status.FAILED
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +66,11 @@ class Look:
 # A position with several bits has the look of the first of these; colours after Okabe and Ito.
 LOOKS = (
     Look("damaged", DAMAGED, "#7d3c98", "#b57edc", "d"),
-    Look("disabled", DISABLED, "#8c959f", "#6b7580", "+"),
-    Look("failed", FAILED, "#d55e00", "#ff7f3f", "x"),
-    Look("over-range", OVER_RANGE, "#cc79a7", "#e29ac6", "s"),
-    Look("poor", POOR_SIGNAL, "#e69f00", "#f0b030", "t"),
-    Look("valid", VALID, "#0072b2", "#2f8fd0", ""),
+    Look("disabled", Status.DISABLED, "#8c959f", "#6b7580", "+"),
+    Look("failed", Status.FAILED, "#d55e00", "#ff7f3f", "x"),
+    Look("over-range", Status.OVER_RANGE, "#cc79a7", "#e29ac6", "s"),
+    Look("poor", Status.POOR_SIGNAL, "#e69f00", "#f0b030", "t"),
+    Look("valid", Status.VALID, "#0072b2", "#2f8fd0", ""),
     Look("not measured", NOT_MEASURED, "", "", ""),
 )
 
@@ -190,7 +190,7 @@ def _weight(event: Event) -> Weight:
         case Drift(verdict=verdict) if verdict != "steady":
             return Weight.FAULT
         case PositionCommitted(status=status):
-            return Weight.DETAIL if status == VALID else Weight.WARNING
+            return Weight.DETAIL if status == Status.VALID else Weight.WARNING
     return Weight.DETAIL if isinstance(event, PositionStarted) else Weight.NOTE
 
 

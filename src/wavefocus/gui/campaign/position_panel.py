@@ -14,7 +14,7 @@ import pyqtgraph
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QTabWidget, QWidget
 
-from wavefocus.config.limits import DriftLimits
+from wavefocus.config.run import DriftLimits
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import CampaignModel
 from wavefocus.gui.field_map import Plot, Real, whole_ticks

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from PyQt5.QtCore import pyqtSignal
 
-from wavefocus.config.messages.codec import Refused, message_of
+from wavefocus.config.messages import Refused, message_of
 from wavefocus.config.messages.operate import (
     OPERATE_EVENTS,
     Done,

@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
 from wavefocus.config.loading import read_toml
-from wavefocus.config.messages.codec import from_record
+from wavefocus.config.messages import from_record
 from wavefocus.config.messages.operate import Numbers
 from wavefocus.config.messages.rig_checks import Finding, FindingMade
 from wavefocus.config.rig import Surface

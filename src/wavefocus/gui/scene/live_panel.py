@@ -12,7 +12,7 @@ from PyQt5.QtGui import QHideEvent, QShowEvent
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.acquisition.wording import hours
-from wavefocus.config.messages.codec import Message, Refused, message_of, to_record
+from wavefocus.config.messages import Message, Refused, message_of, to_record
 from wavefocus.config.messages.live import (
     EVENTS,
     EndLive,

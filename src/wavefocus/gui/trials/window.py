@@ -8,7 +8,7 @@ from PyQt5.QtCore import QSize, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QCloseEvent, QKeyEvent
 from PyQt5.QtWidgets import QApplication, QMainWindow, QStackedWidget, QWidget
 
-from wavefocus.config.messages.codec import Refused, message_of, to_record
+from wavefocus.config.messages import Refused, message_of, to_record
 from wavefocus.config.messages.trials import (
     EVENTS,
     Answer,

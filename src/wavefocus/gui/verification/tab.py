@@ -13,8 +13,8 @@ from pathlib import Path
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAction, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
+from wavefocus.config.messages import MessageError, message_of
 from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, StateChanged
-from wavefocus.config.messages.codec import MessageError, message_of
 from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.exits import Exit
 from wavefocus.gui import widgets as ui

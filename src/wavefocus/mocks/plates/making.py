@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from wavefocus.config.emulation import FINGER_MM
 from wavefocus.config.outline import Outline
-from wavefocus.config.plate import FINGER_MM
 from wavefocus.mocks.plates import PLATES, Chain, Float64Array, Plate, PlateChange
 from wavefocus.mocks.plates.finger import TouchedPlate
 

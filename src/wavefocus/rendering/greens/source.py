@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array
 from wavefocus.storage.argument_types import bank_row, check_fields, real_array, reals, truths, whole_array
+from wavefocus.storage.bank.ledger import DOUBTFUL, USABLE, Status
+from wavefocus.storage.bank.ledger import usable as usable_rows
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import DOUBTFUL, USABLE, Status
-from wavefocus.storage.point_status import usable as usable_rows
 from wavefocus.storage.units import drive_of
 
 RealArray = Float32Array | Float64Array

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.limits import DriftPoint
-from wavefocus.config.limits import DriftLimits
+from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
 from wavefocus.rendering.field.metrics import normalised_error
@@ -27,7 +27,7 @@ from wavefocus.rendering.report.canvas import (
     draw_surface,
     drawn_in_style,
 )
-from wavefocus.storage.point_status import STATUS_WORDS, Status
+from wavefocus.storage.bank.ledger import STATUS_WORDS, Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

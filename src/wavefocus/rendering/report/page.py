@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.calibration.numerics import evenly_spread
-from wavefocus.config.limits import DriftLimits
+from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.greens.regularisation import focus_gain_map

@@ -15,8 +15,8 @@ from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windo
 from wavefocus.rendering.field.metrics import RealArray, level_db
 from wavefocus.rendering.verify.field_pair import MAX_DELAY_S, BandLimit
 from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource

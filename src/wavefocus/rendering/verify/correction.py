@@ -30,9 +30,9 @@ from wavefocus.rendering.field.quiet_levels import positions_at
 from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.verify.results import Correction, CorrectionRound, StopReason
 from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource

@@ -14,7 +14,7 @@ from wavefocus.rendering.field.metrics import level_db
 from wavefocus.rendering.verify.field_pair import BandLimit
 from wavefocus.rendering.verify.results import Figure, judged
 from wavefocus.rendering.verify.scan import Scan
-from wavefocus.storage.point_status import Status
+from wavefocus.storage.bank.ledger import Status
 
 if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive

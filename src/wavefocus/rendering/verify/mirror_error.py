@@ -15,7 +15,7 @@ from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.verify.results import Sentinel
 from wavefocus.rendering.verify.superposition import Block, energy, sentinel_block, transforms
-from wavefocus.storage.point_status import Status
+from wavefocus.storage.bank.ledger import Status
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefocus.config.messages.codec import Instant, Message, MessageError, Number, from_record, tag, to_record
+from wavefocus.config.messages import Instant, Message, MessageError, Number, from_record, tag, to_record
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,

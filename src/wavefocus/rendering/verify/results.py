@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.config.messages.codec import Number
+from wavefocus.config.messages import Number
 
 PointMm = tuple[float, float]
 

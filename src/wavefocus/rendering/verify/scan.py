@@ -24,7 +24,7 @@ from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field.prediction import field_unit, predict
 from wavefocus.rendering.greens.source import usable
 from wavefocus.rendering.verify.scan_signals import Aligned, Alignment, quiet_above_hz, scan_signals
-from wavefocus.storage.point_status import Status
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 if TYPE_CHECKING:

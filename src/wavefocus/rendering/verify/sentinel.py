@@ -14,8 +14,8 @@ from wavefocus.acquisition.limits import compare_sentinel
 from wavefocus.acquisition.plan import Plan, sentinel_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.numerics import one_blas_thread
-from wavefocus.config.limits import DriftLimits
 from wavefocus.config.messages.campaign import State, Subscriber
+from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.verify.results import Figure, Sentinel, SentinelDrift
 from wavefocus.rendering.verify.symptoms import wave_speed

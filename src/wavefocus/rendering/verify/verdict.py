@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.calibration.crosstalk import Crosstalk
-from wavefocus.config.limits import DriftLimits
+from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.focus_figures import (

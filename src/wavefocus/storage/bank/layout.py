@@ -66,7 +66,7 @@ class BankHeader:
         it; empty where the bank was measured here.
     inter_channel_delay_s: How much later the response was sampled than the reference, as the recorder stated it when
         the bank was begun; None where the configuration says so.
-    origins: JSON text: which banks rows were taken over from, as `wavefocus.storage.bank.origins.Origin` states it;
+    origins: JSON text: which banks rows were taken over from, as `wavefocus.storage.bank.reading.Origin` states it;
         empty where all were measured into this one.
     check_rows: Positions off the grid that were measured only to judge what is interpolated between it.
     """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage import durable, hdf5_reading
 from wavefocus.storage.bank.layout import BankHeader, create_bank, read_layout
-from wavefocus.storage.bank.ledger import BANK, DISABLED, QUALITY_NAMES, VALID, PointRecord, encode_row, figures_of
+from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, PointRecord, Status, encode_row, figures_of
 from wavefocus.storage.bank.notes import Note, write_notes
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.pages import is_empty
@@ -85,8 +85,10 @@ class BankWriter(LedgerWriter):
             kept = self.record(position)
         else:
             unknown = np.full(self.header.actuators, np.nan, np.float32)
-            kept = PointRecord(DISABLED, int(self._attempts[position]), unknown, unknown, unknown, unknown)
-        self.commit(position, self.green(position), replace(kept, status=(kept.status & ~VALID) | DISABLED))
+            kept = PointRecord(Status.DISABLED, int(self._attempts[position]), unknown, unknown, unknown, unknown)
+        self.commit(
+            position, self.green(position), replace(kept, status=(kept.status & ~Status.VALID) | Status.DISABLED)
+        )
 
     def amend(self, position: int, **changes: Any) -> None:
         """Change fields of a measured position's `PointRecord`; InputError where it is not measured."""
@@ -122,7 +124,7 @@ class BankWriter(LedgerWriter):
 
         None where no valid position says.
         """
-        known = (self._status == VALID) & np.isfinite(self._reference_db)
+        known = (self._status == Status.VALID) & np.isfinite(self._reference_db)
         known[position] = False
         rows = np.flatnonzero(known)
         before = rows[rows < position][-_LATEST:]

@@ -39,7 +39,7 @@ EXPORTS = {
     "uff": ExportFormat("wavefocus.storage.exchange.uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
     "wav": ExportFormat("wavefocus.storage.exchange.wav", "WAV", ".wav", folder=True, holds_nan=False),
     "mat": ExportFormat("wavefocus.storage.exchange.mat", "MATLAB", ".mat"),
-    "npz": ExportFormat("wavefocus.storage.exchange.npz", "NumPy", ".npz"),
+    "npz": ExportFormat("wavefocus.storage.exchange.named_arrays", "NumPy", ".npz"),
     "netcdf": ExportFormat("wavefocus.storage.exchange.netcdf", "netCDF", ".nc"),
     "csv": ExportFormat(
         "wavefocus.storage.exchange.places", "a table of positions", ".csv", value_bytes=0, notes_ending=CSV_NOTES
@@ -82,8 +82,10 @@ IMPORTS = {
     "mat": ImportFormat(
         "wavefocus.storage.exchange.mat", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)
     ),
-    "npz": ImportFormat("wavefocus.storage.exchange.npz", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
-    "npy": ImportFormat("wavefocus.storage.exchange.npz", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
+    "npz": ImportFormat("wavefocus.storage.exchange.named_arrays", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
+    "npy": ImportFormat(
+        "wavefocus.storage.exchange.named_arrays", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)
+    ),
     "netcdf": ImportFormat(
         "wavefocus.storage.exchange.netcdf", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
     ),

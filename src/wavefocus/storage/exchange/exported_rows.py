@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage.argument_types import Positions, bank_rows
+from wavefocus.storage.bank.ledger import usable
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.point_status import usable
 from wavefocus.storage.units import green_unit, response_unit
 
 Float64Array = NDArray[np.float64]

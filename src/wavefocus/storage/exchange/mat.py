@@ -16,9 +16,9 @@ from wavefocus.storage import hdf5_reading
 from wavefocus.storage.bank.ledger import QUALITY
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
-from wavefocus.storage.exchange.hdf5_arrays import compound_complex, read_arrays, text_attribute
 from wavefocus.storage.exchange.measured import SPARE_BYTES, UNFOLDS, Measured, require_honest
 from wavefocus.storage.exchange.named_arrays import NamedArrays, bank_arrays, measured_arrays
+from wavefocus.storage.exchange.netcdf import compound_complex, read_arrays, text_attribute
 from wavefocus.storage.output_files import replacement
 
 MAX_BYTES = 2**31 - 2**20

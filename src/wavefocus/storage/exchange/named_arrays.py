@@ -1,9 +1,14 @@
-"""Banks and frequency responses as arrays with names, as NumPy, MATLAB and netCDF files hold them."""
+"""Banks and frequency responses as arrays with names, as NumPy, MATLAB and netCDF files hold them.
 
+NumPy's own files (NPY, NPZ) are written and read here; pickled arrays are never read.
+"""
+
+import zipfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +16,7 @@ from numpy.typing import NDArray
 from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.layout import quality_shape
 from wavefocus.storage.bank.ledger import QUALITY_NAMES
+from wavefocus.storage.bank.notes import notes_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
@@ -18,15 +24,39 @@ from wavefocus.storage.exchange.measured import (
     Measured,
     blocks,
     chosen_direction,
+    require_honest,
     stated_unit,
     uniform_step,
     with_z,
 )
-from wavefocus.storage.exchange.npy import mapped_array
 from wavefocus.storage.exchange.places import table_of
 from wavefocus.storage.hdf5_reading import most_bytes
+from wavefocus.storage.output_files import replacement
 from wavefocus.storage.text_file import read_text
 from wavefocus.storage.units import METRES, require_unit
+
+_MAGIC = b"\x93NUMPY"
+
+
+def mapped_array(path: Path) -> NDArray[Any]:
+    """The array of an NPY file, read as it is used; a pickled one is refused."""
+    with path.open("rb") as file:
+        _, declared = _array_header(file, path)
+        held = path.stat().st_size
+    if declared > held:
+        raise InputError(f"{path} is truncated: it declares {declared} bytes and holds {held}")
+    return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+
+
+def _array_header(file: IO[bytes], path: Path) -> tuple[np.dtype[Any], int]:
+    """Type and bytes of an array in NPY form."""
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    if dtype.hasobject:
+        raise InputError(f"{path} holds pickled objects, which are never read; save plain numbers")
+    return dtype, int(np.prod([int(extent) for extent in shape], dtype=object)) * dtype.itemsize
+
 
 AXES = ("position", "actuator", "sample")
 _OURS = (
@@ -284,3 +314,35 @@ def _some(names: Iterable[str]) -> str:
 def _require_room(path: Path, needed: int) -> None:
     if needed > most_bytes():
         raise InputError(f"{path}: its responses take {needed >> 30} GiB at once; WAVEFOCUS_MOST_GIB allows more")
+
+
+def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None) -> None:
+    """Write an archive that is read without pickle."""
+    with replacement(path) as temporary, temporary.open("wb") as file:
+        texts = {f"publication_{key}": text for key, text in rows.publication.items()}
+        np.savez(file, **(bank_arrays(rows, on_progress) | texts))
+
+
+def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
+    """Read an archive of arrays, or one array as ``green``, whose places and axes options give; never pickled ones."""
+    with path.open("rb") as file:
+        is_array = file.read(len(_MAGIC)) == _MAGIC
+    if is_array:
+        return measured_arrays(NamedArrays(path, {"green": mapped_array(path)}.get, ("green",)), options)
+    archive = stack.enter_context(zipfile.ZipFile(path))
+    members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+
+    def get(name: str) -> Any:
+        if name not in members:
+            return None
+        info = members[name]
+        require_honest(path, f"array {name[:40]!r}", info.file_size, info.compress_size)
+        with archive.open(info) as member:
+            dtype, declared = _array_header(member, path)
+        require_honest(path, f"array {name[:40]!r}", declared, info.file_size)
+        with archive.open(info) as member:
+            array = np.lib.format.read_array(member, allow_pickle=False)
+        return str(array) if dtype.kind == "U" and array.size == 1 else array
+
+    notes = notes_of(str(get("publication_notes") or ""))
+    return replace(measured_arrays(NamedArrays(path, get, members), options), notes=notes)

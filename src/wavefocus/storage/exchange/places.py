@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from wavefocus.options import ImportOptions
+from wavefocus.storage.bank.ledger import status_words
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import CSV_NOTES
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import Float64Array, from_spherical, length_unit, require_plain
 from wavefocus.storage.output_files import staged_folder
-from wavefocus.storage.point_status import status_words
 from wavefocus.storage.text_file import read_text
 from wavefocus.storage.units import METRES
 

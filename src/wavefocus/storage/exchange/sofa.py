@@ -16,7 +16,6 @@ from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import Convention, ExportedRows, OnProgress
-from wavefocus.storage.exchange.hdf5_arrays import numbers, open_hdf5, text_attribute
 from wavefocus.storage.exchange.measured import (
     Float64Array,
     Measured,
@@ -27,6 +26,7 @@ from wavefocus.storage.exchange.measured import (
     length_unit,
     require_honest,
 )
+from wavefocus.storage.exchange.netcdf import numbers, open_hdf5, text_attribute
 from wavefocus.storage.exchange.places import table_of
 from wavefocus.storage.hdf5_writing import attach, bare_dimension, created, filled, reserved
 from wavefocus.storage.output_files import replacement

@@ -22,8 +22,17 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress, printable
 from wavefocus.storage.exchange.measured import Float64Array, Measured, chosen_direction, length_unit
 from wavefocus.storage.exchange.places import coordinates, read_places
-from wavefocus.storage.exchange.uff_sets import NOTE_MARK, NOTE_PART, Contents, Function, contents
-from wavefocus.storage.exchange.uff_systems import CARTESIAN, SPHERICAL, aligned, resolve
+from wavefocus.storage.exchange.uff_sets import (
+    CARTESIAN,
+    NOTE_MARK,
+    NOTE_PART,
+    SPHERICAL,
+    Contents,
+    Function,
+    aligned,
+    contents,
+    resolve,
+)
 from wavefocus.storage.output_files import replacement
 from wavefocus.storage.units import METRES
 

@@ -1,11 +1,14 @@
-"""One writer per file: who owns it, and where its name is written."""
+"""One process at a time: the writer of a file, and the holder of a name, such as an instrument or a rig."""
 
 import contextlib
+import hashlib
 import io
 import json
 import os
 import socket
+import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +16,7 @@ from pathlib import Path
 from wavefocus.storage.durable import PositionedFile, open_file
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.sidecar_files import create, is_replaceable
-from wavefocus.storage.text_file import read_regular, require_regular
+from wavefocus.storage.text_file import permission_words, read_regular, require_regular
 
 # Asking for the owner holds a shared lock for microseconds; a writer that meets it tries again.
 _TRIES = 5
@@ -103,3 +106,37 @@ def _named_owner(path: Path) -> Owner:
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         # Only the lock decides; the name is for people and may be missing for a moment.
         return Owner("unknown host", 0)
+
+
+@contextlib.contextmanager
+def claimed(name: str) -> Iterator[None]:
+    """Hold a name while the block runs; the lock is the system's, so a process that is killed releases it.
+
+    name: What is held, as messages state it, with full names of files.
+
+    Raises BankBusyError: another process holds it; the message names host and process id.
+    """
+    path = Path(tempfile.gettempdir()) / f"wavefocus-{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock"
+    with contextlib.suppress(FileExistsError):
+        create(path).close()
+        path.chmod(0o666)  # other users of this computer hold the same name, whatever the umask
+    try:
+        lock = open_file(path)
+    except PermissionError:
+        raise InputError(f"{name}: its lock {path} may not be opened{permission_words(path)}") from None
+    with lock as file:
+        # Whoever asks for the holder has the lock for microseconds.
+        given_up_s = time.monotonic() + 0.2
+        while not file.try_lock():
+            if time.monotonic() >= given_up_s:
+                holder = bank_owner(path) or Owner("this computer", 0)
+                raise BankBusyError(
+                    f"{name} is held by process {holder.pid or 'unknown'} on {holder.host}; wait until it has finished "
+                    "or stop it, then try again"
+                )
+            time.sleep(0.05)
+        write_owner(path)
+        try:
+            yield
+        finally:
+            remove_owner(path)

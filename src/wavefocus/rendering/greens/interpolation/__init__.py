@@ -2,5 +2,5 @@
 
 Public: `base` (scene_interpolation, interpolation_method, Interpolation, GridInterpolation, Nodes, OffGridError),
 `position_grid` (PositionGrid) and `errors` (judged_errors). Methods are registered in
-`wavefocus.config.interpolations`.
+`wavefocus.config.scene`.
 """

@@ -14,7 +14,7 @@ import numpy as np
 
 from wavefocus.calibration.numerics import evenly_spread, on_a_line
 from wavefocus.calibration.wave_model import Patch
-from wavefocus.config.interpolations import INTERPOLATIONS
+from wavefocus.config.scene import INTERPOLATIONS
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, is_check
@@ -95,7 +95,7 @@ Follow = Callable[[Float64Array], Nodes]
 
 
 class Interpolation(ABC):
-    """An interpolation method over one bank; registered in `wavefocus.config.interpolations`."""
+    """An interpolation method over one bank; registered in `wavefocus.config.scene`."""
 
     name: ClassVar[str]
     choice: InterpolationChoice | None = None

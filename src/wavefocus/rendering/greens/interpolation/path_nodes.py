@@ -13,7 +13,7 @@ from wavefocus.rendering.greens.interpolation.base import Follow, Interpolation,
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.paths import Circle, Path
-from wavefocus.storage.point_status import Status
+from wavefocus.storage.bank.ledger import Status
 
 STENCIL = 4
 """Nodes that make one point: a cubic polynomial in arc length."""
