@@ -9,9 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
-from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from wavefocus.config.fields import Finite, Matrix, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 from wavefocus.config.loading import parse_toml, printable, read_toml, shown, validated
-from wavefocus.config.rig_instruments import Matrix
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.options import CALIBRATION_PARTS
 from wavefocus.storage.errors import ExistsError, InputError

@@ -7,8 +7,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, JsonValue, model_validator
 
-from wavefocus.config.fields import ALWAYS, FREE, Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
-from wavefocus.config.rig_instruments import Matrix
+from wavefocus.config.fields import (
+    ALWAYS,
+    FREE,
+    Finite,
+    Matrix,
+    NonNegative,
+    PointMm,
+    Positive,
+    Table,
+    Text,
+    Whole,
+    default,
+    mistake,
+)
 
 FINGER_MM = 3.0
 """Half the width of a finger, and a little."""
@@ -18,7 +30,7 @@ _OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
 def of_plate(plate: str, description: str) -> Any:
     """A key that only one plate has: its declaration is all that a new key needs."""
     about: dict[str, JsonValue] = {"plate": plate}
-    return Field(default=None, description=f'Of the plate "{plate}": {description}', json_schema_extra=about)
+    return default(None, f'Of the plate "{plate}": {description}', json_schema_extra=about)
 
 
 class Finger(Table):
@@ -33,10 +45,10 @@ class Finger(Table):
 class PlateKeys(Table):
     """The keys of a plate, as tables of run and rig files have them."""
 
-    plate: Literal["soft", "stadium", "thin", "solid"] = Field(
-        default="soft",
-        description="A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), glass, "
-        "or a gel without a rim that moves in its plane",
+    plate: Literal["soft", "stadium", "thin", "solid"] = default(
+        "soft",
+        "A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), glass, or a "
+        "gel without a rim that moves in its plane",
     )
     loss: Literal["damped", "springpot"] | None = of_plate(
         "soft", "the same at all frequencies, nearly, or a springpot's, growing with them"
@@ -53,9 +65,8 @@ class PlateKeys(Table):
     force_deg: Finite | None = of_plate("solid", "direction in which actuators push, from x towards y")
     oscillation_deg: Finite | None = of_plate("solid", "direction of the velocity that is measured")
 
-    finger: Finger | None = Field(
-        default=None,
-        description="A finger on the surface: { place_mm = [x, y], mass_kg, damping_n_s_m, stiffness_n_m }",
+    finger: Finger | None = default(
+        None, "A finger on the surface: { place_mm = [x, y], mass_kg, damping_n_s_m, stiffness_n_m }"
     )
 
     @property
@@ -110,76 +121,59 @@ class Emulation(PlateKeys):
     What is left out is as the rig's own tables say, and without a flaw.
     """
 
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1), ALWAYS] = Field(
-        default=1,
-        description="Seed of the rig's flaws; the run file's virtual.seed is stronger for the noise of records",
+    seed: Annotated[Whole, ALWAYS] = default(
+        1,
+        "Seed of the rig's flaws; the run file's virtual.seed is stronger for the noise of records",
+        ge=0,
+        le=2**63 - 1,
     )
-    noise_v: Annotated[NonNegative | None, ALWAYS] = Field(
-        default=None, description="Rms noise of the vibrometer; the run file's virtual.noise_v is stronger"
+    noise_v: Annotated[NonNegative | None, ALWAYS] = default(
+        None, "Rms noise of the vibrometer; the run file's virtual.noise_v is stronger"
     )
-    reference_noise_v: Annotated[NonNegative | None, ALWAYS] = Field(
-        default=None, description="Rms noise of the reference input"
+    reference_noise_v: Annotated[NonNegative | None, ALWAYS] = default(None, "Rms noise of the reference input")
+    noise_per_response: NonNegative = default(0.0, "Rms noise that grows with the response, in V per V")
+    cubic_per_v2: Finite = default(
+        0.0, "Distortion of the plate: u V come out as u + cubic_per_v2 u^3, in 1/V^2; virtual rigs only"
     )
-    noise_per_response: NonNegative = Field(
-        default=0.0, description="Rms noise that grows with the response, in V per V"
+    crosstalk: Finite = default(
+        0.0,
+        "Share of the loopback voltage that leaks into the response input; the run file's virtual.crosstalk "
+        "is stronger",
+        ge=-1,
+        le=1,
     )
-    cubic_per_v2: Finite = Field(
-        default=0.0,
-        description="Distortion of the plate: u V come out as u + cubic_per_v2 u^3, in 1/V^2; virtual rigs only",
+    crosstalk_delay_s: NonNegative = default(0.0, "How much later the leak comes than the loopback's voltage", le=0.01)
+    clock_ppm: Annotated[Finite, ALWAYS] = default(
+        30.0, "Rate of the recorder's clock beyond the player's", ge=-1000, le=1000
     )
-    crosstalk: Annotated[Finite, Field(ge=-1, le=1)] = Field(
-        default=0.0,
-        description="Share of the loopback voltage that leaks into the response input; the run file's "
-        "virtual.crosstalk is stronger",
+    inter_channel_delay_s: Annotated[Annotated[Finite, Field(ge=-0.001, le=0.001)] | None, ALWAYS] = default(
+        None, "True delay between the inputs; virtual rigs only, and by default the recorder's"
     )
-    crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] = Field(
-        default=0.0, description="How much later the leak comes than the loopback's voltage"
+    mirror_map: Annotated[Matrix | None, ALWAYS] = default(None, "True map of the mirror; by default the mirror's")
+    output_latency_spread_s: Annotated[NonNegative, ALWAYS] = default(
+        0.0, "Largest deviation of an output's latency", le=0.001
     )
-    clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000), ALWAYS] = Field(
-        default=30.0, description="Rate of the recorder's clock beyond the player's"
+    output_gain_spread_db: Annotated[NonNegative, ALWAYS] = default(
+        0.0, "Largest deviation of an output's level", le=20
     )
-    inter_channel_delay_s: Annotated[Annotated[Finite, Field(ge=-0.001, le=0.001)] | None, ALWAYS] = Field(
-        default=None, description="True delay between the inputs; virtual rigs only, and by default the recorder's"
+    output_gains_db: tuple[Finite, ...] = default((), "Deviation of each output's level, from 0 on")
+    output_delays_s: tuple[Annotated[Finite, Field(ge=-0.001, le=0.001)], ...] = default(
+        (), "Deviation of each output's latency, from 0 on"
     )
-    mirror_map: Annotated[Matrix | None, ALWAYS] = Field(
-        default=None, description="True map of the mirror; by default the mirror's"
+    swapped_outputs: tuple[tuple[Actuator, Actuator], ...] = default((), "Pairs of outputs whose cables are exchanged")
+    reversed_outputs: Annotated[tuple[Actuator, ...], ALWAYS] = default((), "Outputs whose wires are crossed")
+    dead_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = default((), "Actuators, from 0, that do nothing")
+    weak_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = default((), "Actuators that move a quarter as much")
+    reversed_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = default((), "Actuators that move the other way")
+    room_c: Finite | None = default(
+        None, "Temperature of the room in degrees Celsius; the run file's virtual.room_c is stronger"
     )
-    output_latency_spread_s: Annotated[NonNegative, Field(le=0.001), ALWAYS] = Field(
-        default=0.0, description="Largest deviation of an output's latency"
+    period_frames: Annotated[Whole, FREE] = default(
+        4096, "Frames per period of the emulated audio server", ge=16, le=65_536
     )
-    output_gain_spread_db: Annotated[NonNegative, Field(le=20), ALWAYS] = Field(
-        default=0.0, description="Largest deviation of an output's level"
-    )
-    output_gains_db: tuple[Finite, ...] = Field(default=(), description="Deviation of each output's level, from 0 on")
-    output_delays_s: tuple[Annotated[Finite, Field(ge=-0.001, le=0.001)], ...] = Field(
-        default=(), description="Deviation of each output's latency, from 0 on"
-    )
-    swapped_outputs: tuple[tuple[Actuator, Actuator], ...] = Field(
-        default=(), description="Pairs of outputs whose cables are exchanged"
-    )
-    reversed_outputs: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
-        default=(), description="Outputs whose wires are crossed"
-    )
-    dead_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
-        default=(), description="Actuators, from 0, that do nothing"
-    )
-    weak_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
-        default=(), description="Actuators that move a quarter as much"
-    )
-    reversed_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
-        default=(), description="Actuators that move the other way"
-    )
-    room_c: Finite | None = Field(
-        default=None,
-        description="Temperature of the room in degrees Celsius; the run file's virtual.room_c is stronger",
-    )
-    period_frames: Annotated[Whole, Field(ge=16, le=65_536), FREE] = Field(
-        default=4096, description="Frames per period of the emulated audio server"
-    )
-    ni_product: Annotated[Text, FREE] = Field(default="USB-6211", description="NI box that is emulated")
-    fault_plan: Annotated[tuple[WireFaultTable, ...], FREE] = Field(
-        default=(),
-        description="Faults of the emulated wires: tables with role, kind, operation, at_call or at_s, count, seconds",
+    ni_product: Annotated[Text, FREE] = default("USB-6211", "NI box that is emulated")
+    fault_plan: Annotated[tuple[WireFaultTable, ...], FREE] = default(
+        (), "Faults of the emulated wires: tables with role, kind, operation, at_call or at_s, count, seconds"
     )
 
     @property

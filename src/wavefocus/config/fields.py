@@ -21,6 +21,8 @@ Whole = Annotated[int, Strict()]
 Switch = StrictBool
 Text = Annotated[str, Strict(), Field(min_length=1)]
 PointMm = tuple[Finite, Finite]
+Row = tuple[Finite, Finite, Finite]
+Matrix = tuple[Row, Row, Row]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,11 @@ class Table(BaseModel):
     def _unused_in_plan(self) -> frozenset[str]:
         """Keys without effect beside the values of others."""
         return frozenset()
+
+
+def default(value: object, description: str, **more: Any) -> Any:
+    """A key that may be left out: its value then, what it means, and whatever else pydantic's `Field` takes."""
+    return Field(default=value, description=description, **more)
 
 
 def plan_mark(field: FieldInfo) -> PlanMark | None:

@@ -22,6 +22,7 @@ from wavefocus.config.fields import (
     Table,
     Text,
     Whole,
+    default,
     mistake,
 )
 from wavefocus.config.outline import Kind, Outline
@@ -38,8 +39,8 @@ from wavefocus.config.rig_instruments import (
 class CalibrationSection(Table):
     """Which calibration file holds, and for how long it is trusted without a word."""
 
-    file: Text | None = Field(default=None, description="File of wavefocus calibrate; what it has measured wins")
-    stale_after_days: Positive = Field(default=90.0, description="Age from which a calibration is warned of")
+    file: Text | None = default(None, "File of wavefocus calibrate; what it has measured wins")
+    stale_after_days: Positive = default(90.0, "Age from which a calibration is warned of")
     measured: CalibrationRecord | None = None
     """What the file holds; filled in on loading, so that a bank needs no other file."""
 
@@ -47,12 +48,11 @@ class CalibrationSection(Table):
 class RecoverySection(Table):
     """How long a lost instrument is waited for, and when a call to one counts as hung."""
 
-    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = Field(
-        default=600.0, description="Longest wait for a lost instrument; then the campaign ends"
+    give_up_after_s: NonNegative = default(
+        600.0, "Longest wait for a lost instrument; then the campaign ends", le=7 * 86_400
     )
-    hung_after_s: Annotated[Positive, Field(le=3600)] = Field(
-        default=20.0,
-        description="Time beyond the operation's own after which a call counts as hung, its instrument as lost",
+    hung_after_s: Positive = default(
+        20.0, "Time beyond the operation's own after which a call counts as hung, its instrument as lost", le=3600
     )
 
 
@@ -62,9 +62,7 @@ class UsbSection(Table):
     role: Literal["mirror", "recorder", "player", "vibrometer"] = Field(description="Role of the device")
     vendor_id: Annotated[Whole, Field(ge=0, le=0xFFFF)] = Field(description="Vendor")
     product_id: Annotated[Whole, Field(ge=0, le=0xFFFF)] = Field(description="Product")
-    serial_number: Text | None = Field(
-        default=None, description="Serial number; needed where two devices have the same ids"
-    )
+    serial_number: Text | None = default(None, "Serial number; needed where two devices have the same ids")
 
 
 About = Literal["finished", "failed", "stopped", "suspended", "drift"]
@@ -77,41 +75,39 @@ class MessagesSection(Table):
     The addresses are secrets: they are left out wherever a rig is written, so a bank never holds them.
     """
 
-    urls: Annotated[tuple[Text, ...], Field(max_length=64, exclude=True, repr=False)] = Field(
-        default=(),
-        description="Addresses as apprise has them (pip install 'wavefocus[notify]'); secrets, in no bank or log",
+    urls: tuple[Text, ...] = default(
+        (),
+        "Addresses as apprise has them (pip install 'wavefocus[notify]'); secrets, in no bank or log",
+        max_length=64,
+        exclude=True,
+        repr=False,
     )
-    about: tuple[About, ...] = Field(default=ABOUT, description='Events that send a message; also "stopped"')
-    suspended_after_min: Annotated[NonNegative, Field(le=10_000)] = Field(
-        default=10.0, description="Wait, suspended or for a lost instrument, after which a message is sent"
+    about: tuple[About, ...] = default(ABOUT, 'Events that send a message; also "stopped"')
+    suspended_after_min: NonNegative = default(
+        10.0, "Wait, suspended or for a lost instrument, after which a message is sent", le=10_000
     )
-    alive_url: Annotated[Text | None, Field(exclude=True, repr=False)] = Field(
-        default=None,
-        description="Address that is asked for each minute while a run is on, so that its service raises the alarm "
-        "when all is silent; a secret, in no bank or log",
+    alive_url: Text | None = default(
+        None,
+        "Address that is asked for each minute while a run is on, so that its service raises the alarm when "
+        "all is silent; a secret, in no bank or log",
+        exclude=True,
+        repr=False,
     )
-    alive_file: Text | None = Field(
-        default=None, description="File that is touched each minute while a run is on, relative to the rig file"
+    alive_file: Text | None = default(
+        None, "File that is touched each minute while a run is on, relative to the rig file"
     )
 
 
 class BandSection(Table):
     """Where a value must stay, and within which thresholds it is back."""
 
-    leaves_below: Finite | None = Field(
-        default=None,
-        description="Below this the condition has left its band; a band needs leaves_below or leaves_above",
+    leaves_below: Finite | None = default(
+        None, "Below this the condition has left its band; a band needs leaves_below or leaves_above"
     )
-    leaves_above: Finite | None = Field(default=None, description="Above this the condition has left its band")
-    returns_above: Finite | None = Field(
-        default=None, description="Above this it is back; by default a tenth inside leaves_below"
-    )
-    returns_below: Finite | None = Field(
-        default=None, description="Below this it is back; by default a tenth inside leaves_above"
-    )
-    settle_s: Annotated[NonNegative, Field(le=86_400)] = Field(
-        default=60.0, description="Time for which it must have been back"
-    )
+    leaves_above: Finite | None = default(None, "Above this the condition has left its band")
+    returns_above: Finite | None = default(None, "Above this it is back; by default a tenth inside leaves_below")
+    returns_below: Finite | None = default(None, "Below this it is back; by default a tenth inside leaves_above")
+    settle_s: NonNegative = default(60.0, "Time for which it must have been back", le=86_400)
 
     @model_validator(mode="before")
     @classmethod
@@ -145,35 +141,28 @@ class BandSection(Table):
 class RoomSection(BandSection):
     """Room temperature: a transmitter's voltage at an input of the recorder's box."""
 
-    input: AnalogInput = Field(
-        default="ai2", description="Input of the recorder's box that the transmitter is wired to"
-    )
-    celsius_per_v: Finite = Field(default=100.0, description="Scale of the transmitter")
-    celsius_at_0_v: Finite = Field(default=0.0, description="Temperature at 0 V, in degrees Celsius")
+    input: AnalogInput = default("ai2", "Input of the recorder's box that the transmitter is wired to")
+    celsius_per_v: Finite = default(100.0, "Scale of the transmitter")
+    celsius_at_0_v: Finite = default(0.0, "Temperature at 0 V, in degrees Celsius")
 
 
 class WatchSection(Table):
     """What is watched while a campaign is under way; nothing, if absent."""
 
-    probe_every_s: Annotated[Positive, Field(le=86_400)] = Field(
-        default=30.0, description="Interval of the checks whether all conditions are back"
+    probe_every_s: Positive = default(30.0, "Interval of the checks whether all conditions are back", le=86_400)
+    give_up_after_s: NonNegative = default(
+        7200.0, "Longest suspension; then the campaign ends with exit 3", le=7 * 86_400
     )
-    give_up_after_s: Annotated[NonNegative, Field(le=7 * 86_400)] = Field(
-        default=7200.0, description="Longest suspension; then the campaign ends with exit 3"
+    reference: BandSection | None = default(
+        None, "Band: energy of the loopback relative to the drive's, in dB; of the record farthest out of it"
     )
-    reference: BandSection | None = Field(
-        default=None,
-        description="Band: energy of the loopback relative to the drive's, in dB; of the record farthest out of it",
+    noise: BandSection | None = default(
+        None, "Band: response above 1.5 times the sweep's end, as rms of white noise in V"
     )
-    noise: BandSection | None = Field(
-        default=None, description="Band: response above 1.5 times the sweep's end, as rms of white noise in V"
+    light: BandSection | None = default(
+        None, "Band: signal level of a Polytec controller, 0 to 1; read after each position"
     )
-    light: BandSection | None = Field(
-        default=None, description="Band: signal level of a Polytec controller, 0 to 1; read after each position"
-    )
-    room: RoomSection | None = Field(
-        default=None, description="Band: room temperature in degrees Celsius; read after each position"
-    )
+    room: RoomSection | None = default(None, "Band: room temperature in degrees Celsius; read after each position")
 
 
 _DEFAULT_ACTUATORS = 20
@@ -182,23 +171,17 @@ _DEFAULT_ACTUATORS = 20
 class RigSection(Table):
     """What the rig is called."""
 
-    name: Text = Field(default="virtual", description="Name for messages and reports")
+    name: Text = default("virtual", "Name for messages and reports")
 
 
 class Surface(Table):
     """The outline of the plate, its length along x; all but a polygon are centred on the origin."""
 
-    kind: Annotated[Kind, ALWAYS] = Field(
-        default="stadium", description="A stadium is a rectangle with a half disk at either end"
-    )
-    length_mm: Annotated[Positive, Field(le=100_000), ALWAYS] = Field(
-        default=250.0, description="Length along x, or diameter of a disk"
-    )
-    width_mm: Annotated[Positive, Field(le=100_000), ALWAYS] = Field(
-        default=150.0, description="Width along y; of a stadium at most length_mm"
-    )
-    corners_mm: Annotated[tuple[PointMm, ...], Field(min_length=3, max_length=1024)] | None = Field(
-        default=None, description="[x, y] of the corners of a polygon, anticlockwise; length and width follow from them"
+    kind: Annotated[Kind, ALWAYS] = default("stadium", "A stadium is a rectangle with a half disk at either end")
+    length_mm: Annotated[Positive, ALWAYS] = default(250.0, "Length along x, or diameter of a disk", le=100_000)
+    width_mm: Annotated[Positive, ALWAYS] = default(150.0, "Width along y; of a stadium at most length_mm", le=100_000)
+    corners_mm: Annotated[tuple[PointMm, ...], Field(min_length=3, max_length=1024)] | None = default(
+        None, "[x, y] of the corners of a polygon, anticlockwise; length and width follow from them"
     )
 
     @property

@@ -31,11 +31,13 @@ from wavefocus.config.fields import (
     DERIVED,
     FREE,
     Finite,
+    Matrix,
     NonNegative,
     Positive,
     Table,
     Text,
     Whole,
+    default,
     like,
     mistake,
     plan_mark,
@@ -169,7 +171,7 @@ def _keys(driver: type[Any]) -> dict[str, Any]:
     hints, keys = get_type_hints(driver), {}
     for key in fields(driver):
         about = key.metadata
-        described = Field(default=None, description=about["description"])
+        described = default(None, about["description"])
         checked: Any = Union[_checked(hints[key.name], about), None]  # noqa: UP007
         mark = {"free": FREE, "always": ALWAYS}.get(about["in_plan"])
         keys[key.name] = (Annotated[checked, mark] if mark else checked, described)
@@ -198,8 +200,6 @@ def _either(names: Sequence[str]) -> str:
 
 
 _DEFAULT_DISTANCE_MM = 1000.0
-Row = tuple[Finite, Finite, Finite]
-Matrix = tuple[Row, Row, Row]
 
 
 class SerialSection(DriverTable):
@@ -211,15 +211,14 @@ class SerialSection(DriverTable):
         "identity": "",
     }
 
-    port: Annotated[Text | None, FREE] = Field(
-        default=None,
-        description='"/dev/ttyUSB0", "COM3", "socket://HOST:PORT" or "serial-number:ABC123" (of its USB adapter)',
+    port: Annotated[Text | None, FREE] = default(
+        None, '"/dev/ttyUSB0", "COM3", "socket://HOST:PORT" or "serial-number:ABC123" (of its USB adapter)'
     )
-    baud: Annotated[Annotated[Whole, Field(ge=300, le=10_000_000)] | None, FREE] = Field(
-        default=None, description="Bits per second; by default the driver's own"
+    baud: Annotated[Annotated[Whole, Field(ge=300, le=10_000_000)] | None, FREE] = default(
+        None, "Bits per second; by default the driver's own"
     )
-    identity: Annotated[Text | None, FREE] = Field(
-        default=None, description="Text that the device's own identification, or its decoder's name, must contain"
+    identity: Annotated[Text | None, FREE] = default(
+        None, "Text that the device's own identification, or its decoder's name, must contain"
     )
 
     @model_validator(mode="after")
@@ -238,20 +237,18 @@ class SerialSection(DriverTable):
 class MirrorSection(SerialSection):
     """The scanning mirror and the map from the surface to its angles."""
 
-    distance_mm: Annotated[Positive, DERIVED] = Field(
-        default=_DEFAULT_DISTANCE_MM,
-        description="Distance from the mirror to the surface's centre, the beam square to it",
+    distance_mm: Annotated[Positive, DERIVED] = default(
+        _DEFAULT_DISTANCE_MM, "Distance from the mirror to the surface's centre, the beam square to it"
     )
-    map: Annotated[Matrix | None, DERIVED] = Field(
-        default=None, description="In place of distance_mm: H of (tan x, tan y, 1) ~ H (x_mm, y_mm, 1)"
+    map: Annotated[Matrix | None, DERIVED] = default(
+        None, "In place of distance_mm: H of (tan x, tan y, 1) ~ H (x_mm, y_mm, 1)"
     )
-    settle_s: Annotated[NonNegative, FREE] = Field(default=0.005, description="Time that the beam swings after a move")
-    limit_mrad: Annotated[Positive, Field(lt=1000 * math.pi / 2), FREE] = Field(
-        default=250.0, description="Largest optical angle on either axis"
+    settle_s: Annotated[NonNegative, FREE] = default(0.005, "Time that the beam swings after a move")
+    limit_mrad: Annotated[Positive, FREE] = default(
+        250.0, "Largest optical angle on either axis", lt=1000 * math.pi / 2
     )
-    park_mrad: Annotated[tuple[Finite, Finite], FREE] = Field(
-        default=(-240.0, -240.0),
-        description="Safe direction, within limit_mrad: off the plate, and where no eye can be",
+    park_mrad: Annotated[tuple[Finite, Finite], FREE] = default(
+        (-240.0, -240.0), "Safe direction, within limit_mrad: off the plate, and where no eye can be"
     )
 
     @property
@@ -289,24 +286,21 @@ AnalogInput = Annotated[Text, like(*ANALOG_INPUT)]
 class RecorderSection(DriverTable):
     """The two-channel DAQ: reference (loopback) and response (vibrometer)."""
 
-    reference_range_v: Annotated[Positive, ALWAYS] = Field(default=10.0, description="Input range of the loopback")
-    response_range_v: Annotated[Positive, ALWAYS] = Field(default=10.0, description="Input range of the vibrometer")
-    response_ranges_v: Annotated[tuple[Positive, ...] | None, FREE] = Field(
-        default=None,
-        description="Larger ranges for a position that was over response_range_v; by default all that the device has",
+    reference_range_v: Annotated[Positive, ALWAYS] = default(10.0, "Input range of the loopback")
+    response_range_v: Annotated[Positive, ALWAYS] = default(10.0, "Input range of the vibrometer")
+    response_ranges_v: Annotated[tuple[Positive, ...] | None, FREE] = default(
+        None, "Larger ranges for a position that was over response_range_v; by default all that the device has"
     )
-    reference_gain: Annotated[Positive, ALWAYS] = Field(
-        default=1.0, description="Volts at the reference input per volt of drive"
+    reference_gain: Annotated[Positive, ALWAYS] = default(1.0, "Volts at the reference input per volt of drive")
+    inter_channel_delay_s: Annotated[Finite, ALWAYS] = default(
+        5e-6,
+        "Delay of the response's sampling after the reference's; from calibrate, or the device",
+        ge=-0.001,
+        le=0.001,
     )
-    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001), ALWAYS] = Field(
-        default=5e-6,
-        description="Delay of the response's sampling after the reference's; from calibrate, or the device",
-    )
-    pre_roll_s: Annotated[NonNegative, Field(le=10), ALWAYS] = Field(
-        default=0.02, description="Recorded before the player starts"
-    )
-    post_roll_s: Annotated[NonNegative, Field(le=10), ALWAYS] = Field(
-        default=0.1, description="Recorded after the player should have ended; covers its latency"
+    pre_roll_s: Annotated[NonNegative, ALWAYS] = default(0.02, "Recorded before the player starts", le=10)
+    post_roll_s: Annotated[NonNegative, ALWAYS] = default(
+        0.1, "Recorded after the player should have ended; covers its latency", le=10
     )
 
     @model_validator(mode="before")
@@ -320,13 +314,11 @@ class VibrometerSection(SerialSection):
     """The laser vibrometer's calibration: typed in, or read from the device."""
 
     driver: Annotated[str, FREE] = "fixed"
-    sensitivity_m_s_per_v: Annotated[Positive | None, ALWAYS] = Field(
-        default=None,
-        description="m/s per volt at the DAQ; optional where a port is given, and must then agree with the device",
+    sensitivity_m_s_per_v: Annotated[Positive | None, ALWAYS] = default(
+        None, "m/s per volt at the DAQ; optional where a port is given, and must then agree with the device"
     )
-    latency_s: Annotated[NonNegative, Field(le=0.001)] | None = Field(
-        default=None,
-        description="Delay of the voltage after the velocity; by default 0, or read from a polytec-ofv5000",
+    latency_s: Annotated[NonNegative, Field(le=0.001)] | None = default(
+        None, "Delay of the voltage after the velocity; by default 0, or read from a polytec-ofv5000"
     )
 
     @model_validator(mode="before")
@@ -344,9 +336,7 @@ if not TYPE_CHECKING:
 class ShutterSection(DriverTable):
     """What blocks the laser beam while it rests, and whenever something fails; nothing, if absent."""
 
-    opens_s: Annotated[NonNegative, Field(le=10), FREE] = Field(
-        default=0.02, description="Time that it takes to open or close"
-    )
+    opens_s: Annotated[NonNegative, FREE] = default(0.02, "Time that it takes to open or close", le=10)
 
 
 if not TYPE_CHECKING:
@@ -365,25 +355,18 @@ class PlayerSection(DriverTable):
     loopback_channel: Annotated[Channel, ALWAYS] = Field(
         description="Spare output that is wired to the reference input"
     )
-    interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000), FREE] = Field(
-        default=48_000, description="Rate of the audio interface"
+    interface_rate_hz: Annotated[Whole, FREE] = default(48_000, "Rate of the audio interface", ge=8_000, le=768_000)
+    full_scale_v: Annotated[Positive, ALWAYS] = default(5.0, "Volts at full scale, all outputs")
+    channel_full_scale_v: tuple[Positive, ...] | None = default(
+        None, "Volts at full scale of each output from 0 to the highest used; from calibrate"
     )
-    full_scale_v: Annotated[Positive, ALWAYS] = Field(default=5.0, description="Volts at full scale, all outputs")
-    channel_full_scale_v: tuple[Positive, ...] | None = Field(
-        default=None, description="Volts at full scale of each output from 0 to the highest used; from calibrate"
+    limit_v: Annotated[Positive, FREE] = default(5.0, "Largest voltage of an actuator, at most full_scale_v")
+    limit_rms_v: Annotated[Positive | None, FREE] = default(None, "Largest rms voltage of an actuator over any second")
+    coil_resistance_ohm: Annotated[Positive | None, FREE] = default(
+        None, "Resistance of an actuator's coil; needed for limit_power_w"
     )
-    limit_v: Annotated[Positive, FREE] = Field(
-        default=5.0, description="Largest voltage of an actuator, at most full_scale_v"
-    )
-    limit_rms_v: Annotated[Positive | None, FREE] = Field(
-        default=None, description="Largest rms voltage of an actuator over any second"
-    )
-    coil_resistance_ohm: Annotated[Positive | None, FREE] = Field(
-        default=None, description="Resistance of an actuator's coil; needed for limit_power_w"
-    )
-    limit_power_w: Annotated[Positive | None, FREE] = Field(
-        default=None,
-        description="Largest mean power of a coil over any second; the stricter of it and limit_rms_v counts",
+    limit_power_w: Annotated[Positive | None, FREE] = default(
+        None, "Largest mean power of a coil over any second; the stricter of it and limit_rms_v counts"
     )
 
     @property

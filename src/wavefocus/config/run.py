@@ -21,6 +21,7 @@ from wavefocus.config.fields import (
     Table,
     Text,
     Whole,
+    default,
     like,
     mistake,
 )
@@ -39,33 +40,30 @@ class QualityLimits(Table):
     to its response. The reference may be `CALIBRATION_SPARE` times `reference_db` from its calibration.
     """
 
-    poor_residual_db: Annotated[Finite, Field(le=0), ALWAYS] = Field(
-        default=-50.0, description="A record is suspect when its fit leaves more than this unexplained"
+    poor_residual_db: Annotated[Finite, ALWAYS] = default(
+        -50.0, "A record is suspect when its fit leaves more than this unexplained", le=0
     )
-    excess_noise_db: Annotated[Positive, ALWAYS] = Field(
-        default=8.0,
-        description="A suspect record makes its position poor when it is this much above the quietest record",
+    excess_noise_db: Annotated[Positive, ALWAYS] = default(
+        8.0, "A suspect record makes its position poor when it is this much above the quietest record"
     )
-    poor_snr_db: Annotated[Finite, ALWAYS] = Field(
-        default=20.0, description="A position is poor when even its best record has less signal-to-noise ratio"
+    poor_snr_db: Annotated[Finite, ALWAYS] = default(
+        20.0, "A position is poor when even its best record has less signal-to-noise ratio"
     )
-    max_attempts: Annotated[Whole, Field(ge=1, le=100), ALWAYS] = Field(default=3, description="Attempts at a position")
-    poor_harmonic_db: Annotated[Finite, Field(le=0)] = Field(
-        default=-42.0, description="A record is clipped when its third harmonic at the loudest moment is above this"
+    max_attempts: Annotated[Whole, ALWAYS] = default(3, "Attempts at a position", ge=1, le=100)
+    poor_harmonic_db: Finite = default(
+        -42.0, "A record is clipped when its third harmonic at the loudest moment is above this", le=0
     )
-    speckle_step_mm: Annotated[NonNegative, Field(le=2)] = Field(
-        default=0.1, description="Distance that the laser moves aside to find light when speckle dims it"
+    speckle_step_mm: NonNegative = default(
+        0.1, "Distance that the laser moves aside to find light when speckle dims it", le=2
     )
-    remeasure_pass: Annotated[Whole, Field(ge=0, le=10)] = Field(
-        default=1, description="Rounds at the end over all positions that are not valid"
-    )
-    second_look: Annotated[Literal["twice", "auto", "never"], BeforeValidator(_second_look)] = Field(
-        default="auto",
-        description='"twice": measure twice the positions that the others cannot judge (too few, too far); else they '
+    remeasure_pass: Whole = default(1, "Rounds at the end over all positions that are not valid", ge=0, le=10)
+    second_look: Annotated[Literal["twice", "auto", "never"], BeforeValidator(_second_look)] = default(
+        "auto",
+        '"twice": measure twice the positions that the others cannot judge (too few, too far); else they '
         'stay valid. "auto" and "never" are of earlier versions and mean the same',
     )
-    reference_db: Annotated[Positive, Field(le=20)] = Field(
-        default=0.1, description="Largest deviation of the reference's level; from its calibration 2.5 times that"
+    reference_db: Positive = default(
+        0.1, "Largest deviation of the reference's level; from its calibration 2.5 times that", le=20
     )
 
     @property
@@ -80,20 +78,16 @@ class DriftLimits(Table):
     At the default noise a re-measured position correlates above 0.999.
     """
 
-    every_positions: Annotated[Whole, Field(ge=1)] = Field(
-        default=50, description="Positions after which the sentinel position is measured again"
+    every_positions: Whole = default(50, "Positions after which the sentinel position is measured again", ge=1)
+    every_s: Positive = default(3600.0, "Time after which it is measured again, if that comes first")
+    warn_level_db: Positive = default(0.5, "Largest change of level before a warning")
+    stop_level_db: Positive = default(3.0, "Largest change of level before the campaign stops")
+    warn_delay_samples: Positive = default(0.5, "Largest shift in time before a warning")
+    stop_delay_samples: Positive = default(5.0, "Largest shift in time before the campaign stops")
+    warn_correlation: Finite = default(
+        0.98, "Smallest correlation with the first measurement before a warning", gt=0, lt=1
     )
-    every_s: Positive = Field(default=3600.0, description="Time after which it is measured again, if that comes first")
-    warn_level_db: Positive = Field(default=0.5, description="Largest change of level before a warning")
-    stop_level_db: Positive = Field(default=3.0, description="Largest change of level before the campaign stops")
-    warn_delay_samples: Positive = Field(default=0.5, description="Largest shift in time before a warning")
-    stop_delay_samples: Positive = Field(default=5.0, description="Largest shift in time before the campaign stops")
-    warn_correlation: Annotated[Finite, Field(gt=0, lt=1)] = Field(
-        default=0.98, description="Smallest correlation with the first measurement before a warning"
-    )
-    stop_correlation: Annotated[Finite, Field(gt=0, lt=1)] = Field(
-        default=0.9, description="Smallest correlation before the campaign stops"
-    )
+    stop_correlation: Finite = default(0.9, "Smallest correlation before the campaign stops", gt=0, lt=1)
 
     @model_validator(mode="after")
     def _warned_first(self) -> DriftLimits:
@@ -124,24 +118,23 @@ Waveform = Literal["linear", "multisine"]
 class Grid(Table):
     """Where to measure: a grid inside the surface, or a list of positions in its place."""
 
-    lattice: Annotated[Literal["square", "hexagonal"], DERIVED] = Field(
-        default="square",
-        description='Arrangement of the positions; hexagonal needs fewer, and no interpolation "bilinear"',
+    lattice: Annotated[Literal["square", "hexagonal"], DERIVED] = default(
+        "square", 'Arrangement of the positions; hexagonal needs fewer, and no interpolation "bilinear"'
     )
-    spacing_mm: Annotated[Positive, DERIVED] = Field(default=4.0, description="Distance of neighbouring positions")
-    margin_mm: Annotated[NonNegative, DERIVED] = Field(
-        default=14.3, description="Distance kept from the outline, less than half the surface's width"
+    spacing_mm: Annotated[Positive, DERIVED] = default(4.0, "Distance of neighbouring positions")
+    margin_mm: Annotated[NonNegative, DERIVED] = default(
+        14.3, "Distance kept from the outline, less than half the surface's width"
     )
-    positions_file: Annotated[Text | None, DERIVED] = Field(
-        default=None, description="CSV file with the header x_mm,y_mm, in place of a lattice"
+    positions_file: Annotated[Text | None, DERIVED] = default(
+        None, "CSV file with the header x_mm,y_mm, in place of a lattice"
     )
-    regular_positions: Annotated[Whole | None, FREE, Field(ge=1)] = Field(
-        default=None, description="Positions on the lattice, in banks of earlier versions that were refined"
+    regular_positions: Annotated[Whole | None, FREE, Field(ge=1)] = default(
+        None, "Positions on the lattice, in banks of earlier versions that were refined"
     )
-    check_positions: Annotated[Whole, Field(ge=0, le=1000), DERIVED] | None = Field(
-        default=None,
-        description="Positions off the lattice, measured to judge what is interpolated; 24 by default where its"
-        " spacing is above half a wavelength, else 0",
+    check_positions: Annotated[Whole, Field(ge=0, le=1000), DERIVED] | None = default(
+        None,
+        "Positions off the lattice, measured to judge what is interpolated; 24 by default where its spacing "
+        "is above half a wavelength, else 0",
     )
 
     @model_validator(mode="after")
@@ -154,21 +147,15 @@ class Grid(Table):
 class Sweep(Table):
     """The sweep that drives each actuator, or another waveform that fills a band."""
 
-    start_hz: Annotated[Positive, ALWAYS] = Field(default=20.0, description="Start of the sweep")
-    stop_hz: Annotated[Positive, ALWAYS] = Field(
-        default=500.0, description="End of the sweep, above start_hz and below half of sample_rate_hz"
+    start_hz: Annotated[Positive, ALWAYS] = default(20.0, "Start of the sweep")
+    stop_hz: Annotated[Positive, ALWAYS] = default(
+        500.0, "End of the sweep, above start_hz and below half of sample_rate_hz"
     )
     # It fades in and out over 10 ms each, and must sound in between.
-    duration_s: Annotated[Finite, Field(ge=0.05, le=3600), ALWAYS] = Field(
-        default=1.0, description="Duration of one sweep"
-    )
-    amplitude_v: Annotated[Positive, ALWAYS] = Field(
-        default=1.0, description="Peak of the sweep, at most the rig's player.limit_v"
-    )
+    duration_s: Annotated[Finite, ALWAYS] = default(1.0, "Duration of one sweep", ge=0.05, le=3600)
+    amplitude_v: Annotated[Positive, ALWAYS] = default(1.0, "Peak of the sweep, at most the rig's player.limit_v")
 
-    waveform: Waveform = Field(
-        default="linear", description="A linear sweep, or a multisine: all frequencies of the band throughout"
-    )
+    waveform: Waveform = default("linear", "A linear sweep, or a multisine: all frequencies of the band throughout")
 
     @model_validator(mode="after")
     def _upwards(self) -> Sweep:
@@ -180,34 +167,28 @@ class Sweep(Table):
 class Capture(Table):
     """How each position is recorded."""
 
-    averages: Annotated[Whole, Field(ge=1, le=1000), ALWAYS] = Field(
-        default=3, description="Sweeps per actuator and position"
+    averages: Annotated[Whole, ALWAYS] = default(3, "Sweeps per actuator and position", ge=1, le=1000)
+    decay_s: Annotated[Positive, ALWAYS] = default(
+        0.2, "Silence after each sweep; the response must be over by then", le=3600
     )
-    decay_s: Annotated[Positive, Field(le=3600), ALWAYS] = Field(
-        default=0.2, description="Silence after each sweep; the response must be over by then"
+    excitation: Annotated[Literal["sequential", "staggered"], ALWAYS] = default(
+        "sequential", "One actuator after another, or all at once"
     )
-    excitation: Annotated[Literal["sequential", "staggered"], ALWAYS] = Field(
-        default="sequential", description="One actuator after another, or all at once"
+    taps: Annotated[Whole, ALWAYS] = default(
+        2000, "Length of a Green's function in samples, at most decay_s * sample_rate_hz", ge=1, le=10_000_000
     )
-    taps: Annotated[Whole, Field(ge=1, le=10_000_000), ALWAYS] = Field(
-        default=2000, description="Length of a Green's function in samples, at most decay_s * sample_rate_hz"
-    )
-    sample_rate_hz: Annotated[Positive, Field(le=10_000_000), ALWAYS] = Field(
-        default=10_000.0, description="Rate of the recordings and of the bank"
+    sample_rate_hz: Annotated[Positive, ALWAYS] = default(
+        10_000.0, "Rate of the recordings and of the bank", le=10_000_000
     )
     stagger_s: Annotated[Positive, ALWAYS] = Field(
         description="Staggered: from one actuator's start to the next one's, at least 1.2 taps / sample_rate_hz"
     )
-    groups: Annotated[Whole, Field(ge=1, le=1024), ALWAYS] = Field(
-        default=1, description="Staggered: records per position, the actuators divided among them"
+    groups: Annotated[Whole, ALWAYS] = default(
+        1, "Staggered: records per position, the actuators divided among them", ge=1, le=1024
     )
-    periods: Annotated[Whole, Field(ge=1, le=1000), ALWAYS] = Field(
-        default=1, description="Staggered: periods of a record"
-    )
-    level_db: Annotated[Finite, Field(ge=-40, le=0)] = Field(default=0.0, description="Drive relative to amplitude_v")
-    keep_raw: Annotated[Switch, FREE] = Field(
-        default=False, description="Keep the recordings in BANK.raw.h5, for wavefocus estimate"
-    )
+    periods: Annotated[Whole, ALWAYS] = default(1, "Staggered: periods of a record", ge=1, le=1000)
+    level_db: Finite = default(0.0, "Drive relative to amplitude_v", ge=-40, le=0)
+    keep_raw: Annotated[Switch, FREE] = default(False, "Keep the recordings in BANK.raw.h5, for wavefocus estimate")
 
     def _unused_in_plan(self) -> frozenset[str]:
         return frozenset() if self.excitation == "staggered" else frozenset({"stagger_s", "groups", "periods"})
@@ -293,30 +274,26 @@ Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_risin
 class Virtual(PlateKeys):
     """Settings of the virtual rig."""
 
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1), ALWAYS] = Field(
-        default=1, description="The same seed gives the same bytes"
+    seed: Annotated[Whole, ALWAYS] = default(1, "The same seed gives the same bytes", ge=0, le=2**63 - 1)
+    noise_v: Annotated[NonNegative | None, ALWAYS] = default(None, "Rms noise at the vibrometer's output")
+    crosstalk: Annotated[Finite, Field(ge=-1, le=1)] | None = default(
+        None, "Share of the loopback voltage that leaks into the response input; 0 by default"
     )
-    noise_v: Annotated[NonNegative | None, ALWAYS] = Field(
-        default=None, description="Rms noise at the vibrometer's output"
+    crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] | None = default(
+        None, "How much later the leak comes than the loopback's voltage; 0 by default"
     )
-    crosstalk: Annotated[Finite, Field(ge=-1, le=1)] | None = Field(
-        default=None, description="Share of the loopback voltage that leaks into the response input; 0 by default"
+    fault_plan: Annotated[tuple[FaultSection, ...], FREE] = default(
+        (), "Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )
-    crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] | None = Field(
-        default=None, description="How much later the leak comes than the loopback's voltage; 0 by default"
+    room_c: Annotated[Course, FREE] = default(
+        (), "Temperature of the room: pairs of seconds, rising, and degrees Celsius"
     )
-    fault_plan: Annotated[tuple[FaultSection, ...], FREE] = Field(
-        default=(), description="Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
+    speed_per_k: Finite | None = default(
+        None, "Change of the wave speed per kelvin of the room above 21 degrees Celsius, relative"
     )
-    room_c: Annotated[Course, FREE] = Field(
-        default=(), description="Temperature of the room: pairs of seconds, rising, and degrees Celsius"
-    )
-    speed_per_k: Finite | None = Field(
-        default=None, description="Change of the wave speed per kelvin of the room above 21 degrees Celsius, relative"
-    )
-    loss_per_k: Finite | None = Field(default=None, description="The same of the loss")
-    light: Annotated[Course, FREE] = Field(
-        default=(), description="Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
+    loss_per_k: Finite | None = default(None, "The same of the loss")
+    light: Annotated[Course, FREE] = default(
+        (), "Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
     )
 
     def plan_values(self) -> dict[str, Any]:
@@ -327,11 +304,9 @@ class Virtual(PlateKeys):
 class Tolerance(Table):
     """When a scan agrees with its prediction."""
 
-    normalised_error: Positive = Field(default=0.05, description="Norm of scan minus prediction over norm of the scan")
-    correlation: Annotated[Finite, Field(gt=0, le=1)] = Field(
-        default=0.99, description="Correlation of scan and prediction"
-    )
-    focus_error_mm: Positive = Field(default=4.0, description="Distance of the measured from the intended focus")
+    normalised_error: Positive = default(0.05, "Norm of scan minus prediction over norm of the scan")
+    correlation: Finite = default(0.99, "Correlation of scan and prediction", gt=0, le=1)
+    focus_error_mm: Positive = default(4.0, "Distance of the measured from the intended focus")
 
 
 Line = Annotated[Text, like(r"[^\x00-\x1f\x7f-\x9f]+", "must be one line of text"), Field(max_length=1000)]
@@ -341,30 +316,28 @@ class Person(Table):
     """Somebody who made the measurements."""
 
     name: Line = Field(description="Name as on a paper")
-    orcid: Annotated[Text, like(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", 'must be like "0000-0002-1825-0097"')] | None = Field(
-        default=None, description="ORCID identifier"
+    orcid: Annotated[Text, like(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", 'must be like "0000-0002-1825-0097"')] | None = (
+        default(None, "ORCID identifier")
     )
-    affiliation: Line | None = Field(default=None, description="University, institute or company")
+    affiliation: Line | None = default(None, "University, institute or company")
 
 
 class Publication(Table):
     """What is said of the measurements where they are published; no part of the plan."""
 
-    title: Line | None = Field(default=None, description="Title of the data set")
-    description: Annotated[Text, like(r"[^\x00-\x08\x0b-\x1f\x7f-\x9f]+", "must be plain text")] | None = Field(
-        default=None, description="What was measured, and what for; one paragraph or more"
+    title: Line | None = default(None, "Title of the data set")
+    description: Annotated[Text, like(r"[^\x00-\x08\x0b-\x1f\x7f-\x9f]+", "must be plain text")] | None = default(
+        None, "What was measured, and what for; one paragraph or more"
     )
-    licence: Line | None = Field(
-        default=None, description='Licence as an SPDX identifier ("CC-BY-4.0", "CC0-1.0"), an address or a sentence'
+    licence: Line | None = default(
+        None, 'Licence as an SPDX identifier ("CC-BY-4.0", "CC0-1.0"), an address or a sentence'
     )
-    people: tuple[Person, ...] = Field(
-        default=(), description="Who made the measurements: a list of { name, orcid, affiliation }"
-    )
-    organisation: Line | None = Field(default=None, description="Who publishes them")
-    database: Line | None = Field(default=None, description="Name of the collection that they belong to")
-    room: Line | None = Field(default=None, description="The room or set-up that the plate stood in")
-    keywords: tuple[Line, ...] = Field(default=(), description="Words to find them by")
-    references: tuple[Line, ...] = Field(default=(), description="Papers about them, as DOIs or addresses")
+    people: tuple[Person, ...] = default((), "Who made the measurements: a list of { name, orcid, affiliation }")
+    organisation: Line | None = default(None, "Who publishes them")
+    database: Line | None = default(None, "Name of the collection that they belong to")
+    room: Line | None = default(None, "The room or set-up that the plate stood in")
+    keywords: tuple[Line, ...] = default((), "Words to find them by")
+    references: tuple[Line, ...] = default((), "Papers about them, as DOIs or addresses")
 
     @property
     def texts(self) -> dict[str, str]:
@@ -389,8 +362,8 @@ class PublicationFile(Table):
 class RunConfig(Table):
     """A validated run file."""
 
-    rig: Annotated[Text, FREE] = Field(
-        default="virtual", description='The rig file, relative to this file; "virtual" is the built-in virtual rig'
+    rig: Annotated[Text, FREE] = default(
+        "virtual", 'The rig file, relative to this file; "virtual" is the built-in virtual rig'
     )
     grid: Grid = Grid()
     sweep: Sweep = Sweep()

@@ -15,6 +15,7 @@ from wavefocus.config.fields import (
     Table,
     Text,
     Whole,
+    default,
     mistake,
     toml_table,
 )
@@ -40,7 +41,7 @@ else:
 class SceneTable(Table):
     """What the scene is called."""
 
-    name: Text = Field(default="scene", description="For pictures and reports")
+    name: Text = default("scene", "For pictures and reports")
 
 
 class PointTable(Table):
@@ -64,10 +65,10 @@ class CircleTable(Table):
     """An arc or several turns of a circle, anticlockwise where turns are positive."""
 
     kind: Literal["circle"] = "circle"
-    centre_mm: PointMm = Field(default=(0.0, 0.0), description="Centre of the circle")
+    centre_mm: PointMm = default((0.0, 0.0), "Centre of the circle")
     radius_mm: NonNegative = Field(description="Radius of the circle", examples=[20.0])
-    turns: Finite = Field(default=1.0, description="Number of turns; negative: clockwise")
-    start_deg: Finite = Field(default=0.0, description="Direction of the start from the centre, anticlockwise from x")
+    turns: Finite = default(1.0, "Number of turns; negative: clockwise")
+    start_deg: Finite = default(0.0, "Direction of the start from the centre, anticlockwise from x")
 
 
 class PolylineTable(Table):
@@ -80,7 +81,7 @@ class PolylineTable(Table):
         max_length=1_000_000,
         examples=[((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))],
     )
-    closed: Switch = Field(default=False, description="Whether a last line leads back to the first vertex")
+    closed: Switch = default(False, "Whether a last line leads back to the first vertex")
 
 
 class SvgTable(Table):
@@ -88,9 +89,9 @@ class SvgTable(Table):
 
     kind: Literal["svg"] = "svg"
     file: Text = Field(description="SVG file, relative to the scene file", examples=[""])
-    path_id: str = Field(default="", description="Id of the path in the drawing; empty: the first one")
-    scale: Positive = Field(default=1.0, description="Millimetres per unit of the drawing")
-    origin_mm: PointMm = Field(default=(0.0, 0.0), description="Position of the drawing's (0, 0) on the surface")
+    path_id: str = default("", "Id of the path in the drawing; empty: the first one")
+    scale: Positive = default(1.0, "Millimetres per unit of the drawing")
+    origin_mm: PointMm = default((0.0, 0.0), "Position of the drawing's (0, 0) on the surface")
 
 
 class TextTable(Table):
@@ -101,7 +102,7 @@ class TextTable(Table):
     height_mm: Positive = Field(
         description="Height of the drawn letters, from lowest to highest point", examples=[20.0]
     )
-    centre_mm: PointMm = Field(default=(0.0, 0.0), description="Centre of the text")
+    centre_mm: PointMm = default((0.0, 0.0), "Centre of the text")
 
 
 class TrajectoryTable(Table):
@@ -139,9 +140,7 @@ class NoiseTable(Table):
         description="Lower and upper edge of the band, up to half the bank's sample rate", examples=[(50.0, 450.0)]
     )
     duration_s: Positive = Field(description="Duration of the noise", examples=[0.015])
-    seed: Whole = Field(
-        default=0, description="The same seed gives the same noise on every computer", ge=0, le=2**63 - 1, examples=[1]
-    )
+    seed: Whole = default(0, "The same seed gives the same noise on every computer", ge=0, le=2**63 - 1, examples=[1])
 
     @model_validator(mode="after")
     def _band_upwards(self) -> NoiseTable:
@@ -175,27 +174,20 @@ def tables_by_kind(union: Any) -> dict[str, Any]:
 class SourceTable(Table):
     """One source: what it emits, where it goes and how fast."""
 
-    start_s: NonNegative = Field(default=0.0, description="Start time in the scene")
-    speed_mm_s: NonNegative | None = Field(
-        default=None, description="Speed along the path; not needed for a point or a trajectory"
+    start_s: NonNegative = default(0.0, "Start time in the scene")
+    speed_mm_s: NonNegative | None = default(None, "Speed along the path; not needed for a point or a trajectory")
+    step_mm: Positive | None = default(
+        None, "Distance d between path points; one is emitted every d / v; not needed for a point or a trajectory"
     )
-    step_mm: Positive | None = Field(
-        default=None,
-        description="Distance d between path points; one is emitted every d / v; not needed for a point or a"
-        " trajectory",
-    )
-    amplitude: Finite = Field(
-        default=1.0, description="Factor on the signal; with normalisation, response of an impulse at the focus"
-    )
+    amplitude: Finite = default(1.0, "Factor on the signal; with normalisation, response of an impulse at the focus")
     path: PathTable = Field(description="Path of the source")
     signal: SignalTable = Field(description="Signal that the source emits; its peak is 1 before the amplitude")
-    emission: Literal["per_point", "continuous"] = Field(
-        default="continuous", description="Continuous along the path, or the whole signal anew at every path point"
+    emission: Literal["per_point", "continuous"] = default(
+        "continuous", "Continuous along the path, or the whole signal anew at every path point"
     )
 
-    repeat: Switch = Field(
-        default=False,
-        description="Whether the signal of a continuous source begins anew at its end, as long as the source moves",
+    repeat: Switch = default(
+        False, "Whether the signal of a continuous source begins anew at its end, as long as the source moves"
     )
 
     @model_validator(mode="after")
@@ -214,16 +206,12 @@ INDEPENDENT_LEVEL_DB = -30.0
 class QuietTable(Table):
     """A place where the response is kept low."""
 
-    at_mm: PointMm | None = Field(default=None, description="Place on the surface; or a path")
-    path: PathTable | None = Field(default=None, description="Path of a place that moves from time 0 on")
-    speed_mm_s: NonNegative | None = Field(
-        default=None, description="Speed along the path; not needed for a point or a trajectory"
-    )
-    radius_mm: Annotated[NonNegative, Field(le=100)] = Field(
-        default=0.0, description="Radius of a disc, as of a fingertip; 0: a point"
-    )
-    level_db: Annotated[Finite, Field(lt=0, ge=-200)] = Field(
-        default=INDEPENDENT_LEVEL_DB, description="Energy of the response there over that at the loudest focus"
+    at_mm: PointMm | None = default(None, "Place on the surface; or a path")
+    path: PathTable | None = default(None, "Path of a place that moves from time 0 on")
+    speed_mm_s: NonNegative | None = default(None, "Speed along the path; not needed for a point or a trajectory")
+    radius_mm: NonNegative = default(0.0, "Radius of a disc, as of a fingertip; 0: a point", le=100)
+    level_db: Finite = default(
+        INDEPENDENT_LEVEL_DB, "Energy of the response there over that at the loudest focus", lt=0, ge=-200
     )
 
     @model_validator(mode="after")
@@ -239,12 +227,10 @@ class QuietTable(Table):
 class Regularisation(Table):
     """How weak and strong actuators are evened out, and whether sources keep quiet at one another."""
 
-    saturation: NonNegative = Field(
-        default=0.0, description="C of eq. (14) as a fraction of the bank's median rms; 0: off"
-    )
-    saturation_absolute: NonNegative = Field(default=0.0, description="C of eq. (14) in the unit of the bank; 0: off")
-    normalise: Switch = Field(default=True, description="Equal response to an impulse at every focus (eq. 15)")
-    independent: Switch = Field(default=False, description="Whether each source is quiet where the other sources are")
+    saturation: NonNegative = default(0.0, "C of eq. (14) as a fraction of the bank's median rms; 0: off")
+    saturation_absolute: NonNegative = default(0.0, "C of eq. (14) in the unit of the bank; 0: off")
+    normalise: Switch = default(True, "Equal response to an impulse at every focus (eq. 15)")
+    independent: Switch = default(False, "Whether each source is quiet where the other sources are")
 
     @model_validator(mode="after")
     def _one_saturation(self) -> Regularisation:
@@ -263,21 +249,22 @@ def regularisation_toml(regularisation: Regularisation) -> str:
 class Output(Table):
     """Between grid points, and at the amplifier."""
 
-    interpolation: InterpolationName = Field(
-        default="auto",
-        description="Method for Green's functions between the bank's positions; waves works on coarse grids and needs"
-        " the actuators' places, auto takes the cheapest whose expected error is below 2 %",
+    interpolation: InterpolationName = default(
+        "auto",
+        "Method for Green's functions between the bank's positions; waves works on coarse grids and needs "
+        "the actuators' places, auto takes the cheapest whose expected error is below 2 %",
     )
-    limit_v: Positive | None = Field(
-        default=None, description="Largest drive of any actuator; beyond it all drives are scaled down together"
+    limit_v: Positive | None = default(
+        None, "Largest drive of any actuator; beyond it all drives are scaled down together"
     )
-    limit_rms_v: Positive | None = Field(
-        default=None, description="Largest rms of any actuator's drive over any second; beyond it all are scaled down"
+    limit_rms_v: Positive | None = default(
+        None, "Largest rms of any actuator's drive over any second; beyond it all are scaled down"
     )
-    most_energy: Annotated[Finite, Field(ge=1)] = Field(
-        default=10.0,
-        description="Largest energy of the drives of a scene with quiet places over that of plain time reversal; beyond"
-        " it the level that can be reached is taken and reported",
+    most_energy: Finite = default(
+        10.0,
+        "Largest energy of the drives of a scene with quiet places over that of plain time reversal; beyond "
+        "it the level that can be reached is taken and reported",
+        ge=1,
     )
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
+from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, default, like, mistake
 from wavefocus.config.scene import WITHOUT_SPEED, Output, PathTable, QuietTable, Regularisation, SignalTable
 
 Count = Annotated[Whole, Field(ge=1, le=10_000)]
@@ -32,46 +32,34 @@ Amplitudes = Annotated[tuple[Finite, ...], BeforeValidator(_listed), Field(min_l
 class TrialsTable(Table):
     """The question, its answers, and the order and number of trials."""
 
-    name: Name = Field(default="trials", description="Name of the experiment, for files and pages")
-    instruction: str = Field(default="", description="Text of the first page: what participants feel and do")
+    name: Name = default("trials", "Name of the experiment, for files and pages")
+    instruction: str = default("", "Text of the first page: what participants feel and do")
     question: Text = Field(description="Question asked after each stimulus")
     answers: tuple[Words, ...] = Field(
         description="Choices, from left to right on the screen", min_length=2, max_length=9
     )
-    keys: tuple[Key, ...] = Field(
-        default=(),
-        description="Key of each answer: a letter, a digit, Left, Right, Up, Down or Space; empty: 1, 2, ...",
+    keys: tuple[Key, ...] = default(
+        (), "Key of each answer: a letter, a digit, Left, Right, Up, Down or Space; empty: 1, 2, ..."
     )
-    correct: Factor | None = Field(
-        default=None, description="Factor whose level decides the right answer; without it no answer is right or wrong"
+    correct: Factor | None = default(
+        None, "Factor whose level decides the right answer; without it no answer is right or wrong"
     )
-    correct_levels: dict[str, Words] = Field(
-        default={},
-        description="Right answer for each level of that factor; a level that is not listed is an answer itself",
+    correct_levels: dict[str, Words] = default(
+        {}, "Right answer for each level of that factor; a level that is not listed is an answer itself"
     )
-    repetitions: Count = Field(default=10, description="Trials with each stimulus, all blocks together")
-    blocks: Count = Field(default=1, description="Parts of the session; each holds every stimulus equally often")
-    most_alike: Annotated[Whole, Field(ge=0, le=100)] = Field(
-        default=2, description="Most trials in a row with one level of alike; 0: any number"
+    repetitions: Count = default(10, "Trials with each stimulus, all blocks together")
+    blocks: Count = default(1, "Parts of the session; each holds every stimulus equally often")
+    most_alike: Whole = default(2, "Most trials in a row with one level of alike; 0: any number", ge=0, le=100)
+    alike: Factor | Literal["stimulus"] | None = default(
+        None, "Factor that most_alike is about; by default correct, else stimulus"
     )
-    alike: Factor | Literal["stimulus"] | None = Field(
-        default=None, description="Factor that most_alike is about; by default correct, else stimulus"
-    )
-    seed: Annotated[Whole, Field(ge=0)] = Field(
-        default=1, description="Seed of the orders; with the participant's code it gives each order"
-    )
-    familiarise: Switch = Field(
-        default=True, description="Whether every stimulus is felt once first, without a question"
-    )
-    replays: Annotated[Whole, Field(ge=0, le=100)] = Field(
-        default=0, description="Times that a participant may ask for the stimulus of a trial again"
-    )
-    break_every: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
-        default=0, description="Trials between breaks; 0: breaks only between blocks"
-    )
-    waits: Switch = Field(default=False, description="Whether the participant starts each trial")
-    before_s: Pause = Field(default=0.5, description="Pause before each stimulus")
-    pause_s: Pause = Field(default=1.0, description="Pause between the plays of one stimulus")
+    seed: Whole = default(1, "Seed of the orders; with the participant's code it gives each order", ge=0)
+    familiarise: Switch = default(True, "Whether every stimulus is felt once first, without a question")
+    replays: Whole = default(0, "Times that a participant may ask for the stimulus of a trial again", ge=0, le=100)
+    break_every: Whole = default(0, "Trials between breaks; 0: breaks only between blocks", ge=0, le=10_000)
+    waits: Switch = default(False, "Whether the participant starts each trial")
+    before_s: Pause = default(0.5, "Pause before each stimulus")
+    pause_s: Pause = default(1.0, "Pause between the plays of one stimulus")
 
     @model_validator(mode="after")
     def _one_key_each(self) -> TrialsTable:
@@ -95,20 +83,15 @@ class StimuliTable(Table):
 
     path: Names = Field(description="Names of tables [path.NAME]")
     signal: Names = Field(description="Names of tables [signal.NAME]")
-    speed_mm_s: Speeds = Field(default=(), description="Speeds along the path; none for a point or a trajectory")
-    amplitude: Amplitudes = Field(default=(1.0,), description="Amplitudes as of a scene's source; 0: no stimulus")
-    step_mm: Positive | None = Field(default=None, description="Distance between path points, as of a scene's source")
-    emission: Literal["per_point", "continuous"] = Field(
-        default="continuous", description="Emission as of a scene's source"
+    speed_mm_s: Speeds = default((), "Speeds along the path; none for a point or a trajectory")
+    amplitude: Amplitudes = default((1.0,), "Amplitudes as of a scene's source; 0: no stimulus")
+    step_mm: Positive | None = default(None, "Distance between path points, as of a scene's source")
+    emission: Literal["per_point", "continuous"] = default("continuous", "Emission as of a scene's source")
+    repeat: Switch = default(False, "Whether a continuous signal repeats, as of a scene's source")
+    quiet: Annotated[tuple[Name, ...], BeforeValidator(_listed)] = default(
+        (), "Names of tables [quiet.NAME]: places that stay quiet; that of the stimulus' own path is left out"
     )
-    repeat: Switch = Field(default=False, description="Whether a continuous signal repeats, as of a scene's source")
-    quiet: Annotated[tuple[Name, ...], BeforeValidator(_listed)] = Field(
-        default=(),
-        description="Names of tables [quiet.NAME]: places that stay quiet; that of the stimulus' own path is left out",
-    )
-    plays: Annotated[Whole, Field(ge=1, le=100)] = Field(
-        default=1, description="Times that a stimulus is played in one trial"
-    )
+    plays: Whole = default(1, "Times that a stimulus is played in one trial", ge=1, le=100)
 
 
 class AdaptiveTable(Table):
@@ -118,25 +101,13 @@ class AdaptiveTable(Table):
         description="Transformed up-down staircase, or QUEST+ (Watson 2017)"
     )
     factor: Literal["amplitude", "speed_mm_s"] = Field(description="Factor whose levels in [[stimuli]] are the ladder")
-    harder: Literal["lower", "higher"] = Field(
-        default="lower", description="Levels of that factor that are harder to answer rightly"
-    )
-    trials: Count = Field(default=40, description="Trials of each track at most")
-    right: Annotated[Whole, Field(ge=1, le=10)] = Field(
-        default=2, description="Right answers in a row that make it harder (up_down)"
-    )
-    wrong: Annotated[Whole, Field(ge=1, le=10)] = Field(
-        default=1, description="Wrong answers in a row that make it easier (up_down)"
-    )
-    reversals: Annotated[Whole, Field(ge=4, le=1000)] = Field(
-        default=10, description="Reversals after which a track ends (up_down)"
-    )
-    guess_rate: Annotated[Finite, Field(ge=0, lt=1)] = Field(
-        default=0.5, description="Share of right answers where nothing is felt"
-    )
-    lapse_rate: Annotated[Finite, Field(ge=0, lt=0.5)] = Field(
-        default=0.02, description="Share of wrong answers at the easiest levels"
-    )
+    harder: Literal["lower", "higher"] = default("lower", "Levels of that factor that are harder to answer rightly")
+    trials: Count = default(40, "Trials of each track at most")
+    right: Whole = default(2, "Right answers in a row that make it harder (up_down)", ge=1, le=10)
+    wrong: Whole = default(1, "Wrong answers in a row that make it easier (up_down)", ge=1, le=10)
+    reversals: Whole = default(10, "Reversals after which a track ends (up_down)", ge=4, le=1000)
+    guess_rate: Finite = default(0.5, "Share of right answers where nothing is felt", ge=0, lt=1)
+    lapse_rate: Finite = default(0.02, "Share of wrong answers at the easiest levels", ge=0, lt=0.5)
 
     @model_validator(mode="after")
     def _rises(self) -> AdaptiveTable:
@@ -152,9 +123,7 @@ class MaskingTable(Table):
         description="Output of the audio interface, from 0; not of an actuator nor of the loopback"
     )
     rms_v: Positive = Field(description="RMS voltage of the noise")
-    around_s: Pause = Field(
-        default=0.5, description="Time before and after each stimulus in which the noise plays, too"
-    )
+    around_s: Pause = default(0.5, "Time before and after each stimulus in which the noise plays, too")
 
 
 class TrialsConfig(Table):
