@@ -10,13 +10,11 @@ from scipy.sparse.linalg import splu
 from wavefocus.config.outline import Outline
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import Virtual
-from wavefocus.mocks.plates.finger import DISK_MM, DISK_WEIGHTS
-from wavefocus.mocks.plates.making import make_plate
+from wavefocus.mocks.plates.making import DISK_MM, DISK_WEIGHTS, make_plate
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
 from wavefocus.mocks.virtual.settings import VirtualSettings
-from wavefocus.mocks.virtual.signals import SignalStore
-from wavefocus.mocks.virtual.synthesis import Spot, Synthesis, VirtualPlay, chain_response
+from wavefocus.mocks.virtual.synthesis import SignalStore, Spot, Synthesis, VirtualPlay, chain_response
 from wavefocus.mocks.wire.emulated_rig import WireBench
 from wavefocus.rig.virtual_bench import virtual_settings
 

@@ -6,8 +6,7 @@ from scipy.sparse import block_array
 from scipy.sparse.linalg import splu
 
 from wavefocus.config.outline import Outline
-from wavefocus.mocks.plates.soft import DampedWave
-from wavefocus.mocks.plates.solid import SolidPlate
+from wavefocus.mocks.plates.soft import DampedWave, SolidPlate
 from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
 
 DISK = Outline.of("disk", 90.0, 90.0)

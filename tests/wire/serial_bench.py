@@ -10,7 +10,7 @@ from typing import Any
 
 from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MIRRORS
-from wavefocus.drivers.serial_mirror import SerialMirror
+from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire, garble
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan

@@ -15,7 +15,7 @@ from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
 from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire.analog_scanner import AnalogScanner
+from wavefocus.mocks.wire.emulated_rig import AnalogScanner
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import openers_of
 from wavefocus.storage.errors import InputError

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
-from wavefocus.drivers.audio.stream.signals import HALF_STEP, BeyondFullScaleError, converted_frames
+from wavefocus.drivers.audio.resampling import (
+    HALF_STEP,
+    BeyondFullScaleError,
+    converted,
+    converted_frames,
+    lead_samples,
+    rate_ratio,
+)
 
 RATES_HZ = [(10_000, 48_000), (12_500, 44_100), (48_000, 96_000), (44_100, 48_000), (96_000, 48_000), (50_000, 44_100)]
 

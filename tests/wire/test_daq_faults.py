@@ -11,8 +11,7 @@ from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.errors import DaqError, DaqWarning, RpcError
 
 from tests.wire.daq_bench import RANGE_V, TAKE, Tone, ask, check_tone, daq_bench, take_one
-from wavefocus.drivers.daq.ni.ni_failures import MEANINGS, explain
-from wavefocus.drivers.daq.ni.ni_session import TlsFiles
+from wavefocus.drivers.daq.ni.ni_session import MEANINGS, TlsFiles, explain
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError, UnknownFaultError
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer

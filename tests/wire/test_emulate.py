@@ -6,7 +6,7 @@ from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
 from wavefocus.drivers.protocols import WallClock
-from wavefocus.drivers.serial_mirror import SerialMirror
+from wavefocus.drivers.serial_device import SerialMirror
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> str:

@@ -12,7 +12,7 @@ import pytest
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
-from wavefocus.mocks.wire.mirrors.generic import GenericMirrorDevice
+from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 REFERENCE = Path(__file__).parents[2] / "docs/reference/generic-mirror.md"

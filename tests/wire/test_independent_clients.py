@@ -8,8 +8,8 @@ from asitiger.errors import Errors
 from asitiger.tigercontroller import TigerController as AsiTigerClient
 
 from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire
-from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the clients open a serial port: a pseudo-terminal")
 

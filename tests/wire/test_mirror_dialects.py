@@ -9,10 +9,8 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, Trans
 from wavefocus.drivers.mirror.generic import GenericMirror
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS
-from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES
-from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
-from wavefocus.mocks.wire.mirrors.mirrorcle import MirrorcleDevice
-from wavefocus.mocks.wire.mirrors.optotune import OptotuneDevice
+from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
+from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorcleDevice, OptotuneDevice
 
 
 @pytest.fixture(params=EACH)
@@ -24,7 +22,7 @@ def bench(request, tmp_path):
 
 def test_every_dialect_is_in_the_table_and_has_an_emulated_device():
     # "analog" follows outputs of the emulated NI box.
-    assert set(MIRRORS.all()) - {"analog"} == set(MIRROR_DEVICES.all()) == set(DIALECTS)
+    assert set(MIRRORS.all()) - {"analog"} == set(MIRROR_DEVICES) == set(DIALECTS)
 
 
 def test_given_a_move_then_the_beam_stands_there_when_the_driver_says_so(bench):

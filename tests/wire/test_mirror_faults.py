@@ -8,7 +8,7 @@ import pytest
 from tests.wire.serial_bench import DIALECTS, EACH, FIRST, LOCAL, OVER_TCP, PARK_MRAD, mirror_bench
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.mocks.wire.faults import WireFault
-from wavefocus.mocks.wire.mirrors.generic import GenericMirrorDevice
+from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 
 NAMED = [where for where in EACH if DIALECTS[where.split("/")[0]].names_itself]
 # Long enough that a busy machine answers in time where it shall, short enough to wait for where it shall not.

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from tests.wire.serial_bench import LOCAL, WIRES, mirror_bench
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.mirror.generic import checksum
+from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.drivers.serial_line import LineSettings, NoAnswerError, SerialLine
-from wavefocus.drivers.serial_mirror import SerialMirror
 from wavefocus.mocks.wire.faults import WireFault
 
 Bytes = Callable[[bytes], bytes]

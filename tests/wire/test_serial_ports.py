@@ -172,7 +172,7 @@ def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_inst
             (tmp_path / name).symlink_to(packages / name, target_is_directory=True)
     program = (
         "from wavefocus.drivers.protocols import WallClock\n"
-        "from wavefocus.drivers.serial_mirror import SerialMirror\n"
+        "from wavefocus.drivers.serial_device import SerialMirror\n"
         "from wavefocus.drivers.mirror.generic import GenericMirror\n"
         "SerialMirror(GenericMirror(), '/dev/ttyUSB0', settle_s=0, limit_mrad=1, park_mrad=(0, 0), clock=WallClock())\n"
     )

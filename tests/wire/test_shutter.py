@@ -16,11 +16,11 @@ from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Instruments, Shutter
 from wavefocus.drivers.registry import SHUTTERS
+from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
-from wavefocus.drivers.shuttered_mirror import ShutteredMirror
 from wavefocus.drivers.timeouts import BoundedMirror, bounded
+from wavefocus.mocks.virtual.mirror import VirtualShutter
 from wavefocus.mocks.virtual.rig import VirtualRig
-from wavefocus.mocks.virtual.shutter import VirtualShutter
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import openers_of

@@ -4,7 +4,7 @@ import pytest
 
 from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.vibrometer.polytec_ofv3001 import PolytecOfv3001
+from wavefocus.drivers.vibrometer.polytec import PolytecOfv3001
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.vibrometer import Ofv3001Device, vibrometer_device
 

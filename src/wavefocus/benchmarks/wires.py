@@ -25,14 +25,13 @@ from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.messages.campaign import Event, Fault, PositionStarted
-from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
+from wavefocus.drivers.audio.resampling import HALF_STEP, converted, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream.player import StreamPlayer
-from wavefocus.drivers.audio.stream.signals import HALF_STEP
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
 from wavefocus.drivers.protocols import Float64Array, Instruments, RecordLabel, WallClock
-from wavefocus.drivers.serial_mirror import SerialMirror
+from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
 ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))

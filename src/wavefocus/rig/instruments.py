@@ -28,8 +28,8 @@ from wavefocus.drivers.registry import (
     VibrometerDriver,
     VibrometerReading,
 )
+from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
-from wavefocus.drivers.shuttered_mirror import ShutteredMirror
 from wavefocus.drivers.timeouts import RECONNECTING, in_time
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.ledger.owner import claimed
@@ -121,7 +121,7 @@ def _with_shutter(rig: RigConfig, mirror: Mirror, clock: Clock) -> Mirror:
 def open_shutter(section: ShutterSection) -> Shutter:
     """Open a rig's shutter alone; it stays as it is. Raises InstrumentError."""
     if section.driver == "virtual":
-        from wavefocus.mocks.virtual.shutter import VirtualShutter  # a real rig needs none of it
+        from wavefocus.mocks.virtual.mirror import VirtualShutter  # a real rig needs none of it
 
         return VirtualShutter()
     driver: ShutterDriver = section.make_driver()

@@ -1,1 +1,1 @@
-"""Scanning mirrors: one module for each dialect; those on serial lines use `wavefocus.drivers.serial_mirror`."""
+"""Scanning mirrors: one module for each dialect; those on serial lines use `wavefocus.drivers.serial_device`."""

@@ -73,8 +73,7 @@ class AnalogMirror(Mirror):
         for angles in ((settings.limit_mrad, settings.limit_mrad), settings.park_mrad):
             self._volts_at(*angles, "preparing")
         # Loaded where such a mirror is opened: whoever reads a rig file reads every driver's keys.
-        from wavefocus.drivers.daq.ni.ni_outputs import OutputSettings
-        from wavefocus.drivers.daq.ni.ni_process import ProcessOutputs
+        from wavefocus.drivers.daq.ni.ni_process import OutputSettings, ProcessOutputs
 
         names = (driver.x_output, driver.y_output)
         outputs = OutputSettings(

@@ -26,7 +26,7 @@ from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, Re
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, rig_key
-from wavefocus.drivers.serial_mirror import Dialect, tolerance_key
+from wavefocus.drivers.serial_device import Dialect, tolerance_key
 
 # Every answer ends with a line feed, and a move answers without its target.
 PLAIN_ANSWERS = "VB X=0"

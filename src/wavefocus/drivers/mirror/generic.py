@@ -10,7 +10,7 @@ from typing import TypeVar
 from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS
-from wavefocus.drivers.serial_mirror import Dialect, tolerance_key
+from wavefocus.drivers.serial_device import Dialect, tolerance_key
 
 Answer = TypeVar("Answer")
 

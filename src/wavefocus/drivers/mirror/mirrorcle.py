@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, rig_key
-from wavefocus.drivers.serial_mirror import Dialect
+from wavefocus.drivers.serial_device import Dialect
 
 WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS
-from wavefocus.drivers.serial_mirror import Dialect
+from wavefocus.drivers.serial_device import Dialect
 
 IDENTITY = "Optotune MR-E-2"
 FULL_SCALE = math.tan(math.radians(50.0))

@@ -39,8 +39,7 @@ class NiShutter(Shutter):
 
     def __init__(self, driver: NiShutterDriver) -> None:
         # Loaded where such a shutter is opened: whoever reads a rig file reads every driver's keys.
-        from wavefocus.drivers.daq.ni.ni_outputs import OutputSettings
-        from wavefocus.drivers.daq.ni.ni_process import ProcessOutputs
+        from wavefocus.drivers.daq.ni.ni_process import OutputSettings, ProcessOutputs
 
         self._opens_when_high = driver.opens_when_high
         self._name = f"shutter ({driver.name} at {driver.device}/{driver.line})"

@@ -1,8 +1,14 @@
-"""Plates: responses from actuators to positions, by the plate's name; a new one is a module here."""
+"""Plates: responses from actuators to positions, by the plate's name; a new one is a module here.
+
+`Plate` is the base of all, `ModalPlate` of those whose responses are sums over modes of a shape times a function of
+frequency.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -114,3 +120,146 @@ class Plate(ABC):
 
 
 PLATES: Registry[type[Plate]] = Registry("wavefocus.mocks.plates")
+
+POSITIONS_AT_ONCE = 64
+
+# Responses in single precision are computed at frequencies so much denser than they must be, and interpolated by so
+# many of them on either side, which together leave -135 dB (Kaiser's window, J. F. Kaiser, 1974).
+OVERSAMPLING = 4.0
+SIDE_TAPS = 6
+KAISER_BETA = 14.0
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothness:
+    """Where velocities of modes are smooth over frequency.
+
+    from_hz: Lowest frequency from which they are.
+    decay_per_s: There, the slowest of them dies away like ``exp(-decay_per_s t)``.
+    """
+
+    from_hz: float
+    decay_per_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Spread:
+    """Bins of which the first are given, and the others interpolated from every so many.
+
+    bins: All of them.
+    dense: How many of them are given.
+    weights, complex64 (2 SIDE_TAPS, every): Of the bins given around a cell, for each bin in it.
+    chain, complex64 (bins,): What all of them are multiplied by.
+    """
+
+    bins: int
+    dense: int
+    weights: Complex64Array
+    chain: Complex64Array
+
+    def __call__(self, given: Complex64Array) -> Complex64Array:
+        """All bins (rows, bins) from those given (rows, dense and more)."""
+        response = np.empty((len(given), self.bins), dtype=np.complex64)
+        response[:, : self.dense] = given[:, : self.dense]
+        around = np.lib.stride_tricks.sliding_window_view(given[:, self.dense :], len(self.weights), axis=1)
+        cells = np.ascontiguousarray(around) @ self.weights
+        response[:, self.dense :] = cells.reshape(len(given), -1)[:, : self.bins - self.dense]
+        response *= self.chain
+        return response
+
+
+class ModalPlate(Plate):
+    """A plate whose responses are sums over modes.
+
+    What it costs is proportional to the places, actuators, modes and frequencies asked for.
+
+    actuator_mm, outline, chain: See `Plate`.
+    """
+
+    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Chain) -> None:
+        super().__init__(actuator_mm, outline, chain)
+        self._table = lru_cache(6)(self._make_table)
+        self._cut_table = lru_cache(1)(self._make_cut_table)
+
+    @abstractmethod
+    def coefficients(self, place_mm: Float64Array) -> Float64Array:
+        """How much of every mode reaches places (n, 2) from each actuator: float64 (n, actuators, modes)."""
+
+    @abstractmethod
+    def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
+        """Velocity of every mode at frequencies >= 0 for a unit force on it: complex128 (modes, frequencies)."""
+
+    @property
+    def smoothness(self) -> Smoothness | None:
+        """Where `mode_velocities` are smooth; None where nothing is known of it."""
+        return None
+
+    def response(
+        self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
+    ) -> Complex64Array | Complex128Array:
+        spectra, spread = self._table(step_hz, bins, single)
+        response = _product(self.coefficients(np.array([place_mm], dtype=np.float64))[0], spectra)
+        return response if spread is None else spread(response)
+
+    def fir_spectra(
+        self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
+    ) -> Complex128Array:
+        table = self._cut_table(taps, sample_rate_hz, length, bins.start, bins.stop)
+        place = np.asarray(position_mm, dtype=np.float64).reshape(-1, 2)
+        spectra = np.empty((len(place), len(self._actuator_mm), table.shape[1]), dtype=np.complex128)
+        for first in range(0, len(place), POSITIONS_AT_ONCE):
+            some = slice(first, first + POSITIONS_AT_ONCE)
+            spectra[some] = _product(self.coefficients(place[some]), table)
+        return spectra
+
+    def _make_table(
+        self, step_hz: float, bins: int, single: bool
+    ) -> tuple[NDArray[np.complexfloating], _Spread | None]:
+        """Spectra (modes, bins), and what makes all bins of a response from them where they are fewer."""
+        frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
+        if single and self.smoothness is not None:
+            spread, given_hz = _spread(self.smoothness, step_hz, bins, self._chain(frequency_hz))
+            if spread is not None:
+                return self.mode_velocities(given_hz).astype(np.complex64), spread
+        table = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
+        return table.astype(np.complex64) if single else table, None
+
+    def _make_cut_table(self, taps: int, sample_rate_hz: float, length: int, start: int, stop: int) -> Complex128Array:
+        full = impulse_length(taps, sample_rate_hz, self.ringing_s)
+        frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
+        spectra = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
+        # Folded, a transform of any length has the values at its frequencies.
+        folded = np.zeros((len(spectra), -(-taps // length) * length))
+        folded[:, :taps] = scipy.fft.irfft(spectra, full)[:, :taps]
+        return np.asarray(scipy.fft.rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop])
+
+
+def _spread(
+    smoothness: Smoothness, step_hz: float, bins: int, chain: Complex128Array
+) -> tuple[_Spread | None, Float64Array]:
+    """How to interpolate over frequency, and at which frequencies values are needed; None where it does not pay.
+
+    Modes that die away have transforms as smooth as their impulse responses are short. Those are moved to the middle of
+    the interval of time in which a transform of so many bins would repeat them.
+    """
+    # Tails below this share are of no account in single precision.
+    lasts_s = -np.log(1e-7) / smoothness.decay_per_s
+    every = int(1.0 / (OVERSAMPLING * lasts_s * step_hz))
+    dense = ceil(smoothness.from_hz / step_hz) + SIDE_TAPS * every
+    if every < 2 or dense + 2 * every >= bins:
+        return None, np.zeros(0)
+    cells = -(-(bins - dense) // every)
+    given = dense + every * np.arange(1 - SIDE_TAPS, cells + SIDE_TAPS)
+    # In distances of the values: where each bin of a cell lies, from each value around it.
+    apart = np.arange(every) / every - np.arange(1 - SIDE_TAPS, SIDE_TAPS + 1)[:, None]
+    window = np.i0(KAISER_BETA * np.sqrt(np.maximum(1.0 - np.square(apart / SIDE_TAPS), 0.0))) / np.i0(KAISER_BETA)
+    weights = np.sinc(apart) * window * np.exp(-1j * np.pi * every * step_hz * lasts_s * apart)
+    spread = _Spread(bins, dense, weights.astype(np.complex64), chain.astype(np.complex64))
+    return spread, step_hz * np.concatenate([np.arange(dense), given]).astype(np.float64)
+
+
+def _product(part: Float64Array, table: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+    """Real coefficients (..., modes) times complex spectra (modes, bins), as one product of real matrices."""
+    real = table.view(table.real.dtype)
+    product = part.reshape(-1, len(table)).astype(real.dtype) @ real
+    return np.asarray(product.view(table.dtype).reshape(*part.shape[:-1], table.shape[1]))

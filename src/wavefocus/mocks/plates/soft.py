@@ -1,4 +1,17 @@
-"""Soft plates without a rim: scalar waves that leave a small source, damped or with the loss of a springpot."""
+"""Soft plates without a rim: scalar waves that leave a small source, damped or with the loss of a springpot; a solid.
+
+The plate "solid" is an elastic solid in plane strain: the paper's eq. (3), with moduli that are complex.
+
+-rho w^2 u = mu laplacian(u) + (K + mu / 3) grad(div u) + f for time as exp(+j w t). Its Green's tensor is
+
+    G = [g_s I + grad grad (g_s - g_p) / k_s^2] / mu,    g = -j/4 H0(2)(k r),
+
+with k_s^2 = rho w^2 / mu and k_p^2 = rho w^2 / (K + 4 mu / 3) (Eringen and Suhubi 1975, section 5.10). In plane polar
+coordinates G = A I + B n n, n the unit vector from the actuator; A and B have a part that travels with either wave.
+
+The gel relaxes (Maxwell): every modulus is its instantaneous value times 1 / (1 - j b / w), so that k^2 = (w^2 - j w b)
+/ c^2 for both waves, which is the damped wave of the scalar plate.
+"""
 
 from __future__ import annotations
 
@@ -199,3 +212,92 @@ class SoftPlate(InfinitePlate):
     ) -> None:
         self._wave = (SPRINGPOT_PLATE if loss == "springpot" else SOFT_PLATE).changed(change)
         super().__init__(actuator_mm, outline, change.softened(chain), (self._wave,))
+
+
+PRESSURE_SPEED_M_S = 9.4
+"""Twice the shear speed: pressure waves of a thin free layer of an incompressible gel."""
+
+
+@dataclass(frozen=True, slots=True)
+class _SolidWave(DampedWave):
+    """Shear or pressure wave of the solid.
+
+    shear_speed_m_s: Speed of the solid's shear wave.
+    is_shear: Whether this is that wave.
+    """
+
+    shear_speed_m_s: float
+    is_shear: bool
+
+    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
+        """Parts of A and B that travel with this wave, for a force spread over a disk: j w (rho c_s^2) G.
+
+        Each is a cylinder function times the mean of J0 over the disk; within the disk J and H change places.
+        """
+        frequency = np.asarray(frequency_hz, dtype=np.float64)
+        still = frequency == 0
+        angular = 2 * np.pi * np.where(still, 1.0, frequency)
+        k = self.wavenumber(angular / (2 * np.pi))
+        z, a = k * radius_mm / 1e3, k * source_radius_mm / 1e3
+        if radius_mm >= source_radius_mm:
+            zero, one, two = (2 * scipy.special.jv(1, a) / a * scipy.special.hankel2(order, z) for order in range(3))
+            one = one / z
+        else:
+            mean = 2 * scipy.special.hankel2(1, a) / a
+            zero, two = mean * scipy.special.jv(0, z) - 4j / (np.pi * a * a), mean * scipy.special.jv(2, z)
+            # J1(z) / z, finite at the centre.
+            one = mean * (scipy.special.jv(0, z) + scipy.special.jv(2, z)) / 2
+        if self.is_shear:
+            kernels = np.stack([zero - one, two])
+        else:
+            kernels = (self.shear_speed_m_s / self.speed_m_s) ** 2 * np.stack([one, -two])
+        softness = (1j * angular + self.damping_per_s) * -0.25j
+        return np.asarray(np.where(still, 0.0, softness * kernels))
+
+
+@PLATES.register
+class SolidPlate(InfinitePlate):
+    """A gel without a rim that moves in its plane: g^{alpha beta} for one direction of force and one of oscillation.
+
+    actuator_mm, outline, chain: See `Plate`.
+    shear_speed_m_s, pressure_speed_m_s: Speeds of the fronts of both waves.
+    damping_per_s: Rate b of relaxation, >= 0.
+    force_deg, oscillation_deg: Direction in which every actuator pushes, and in which the velocity is seen, from x
+        towards y.
+    """
+
+    name = "solid"
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        outline: Outline,
+        chain: Chain,
+        *,
+        shear_speed_m_s: float = SOFT_PLATE.speed_m_s,
+        pressure_speed_m_s: float = PRESSURE_SPEED_M_S,
+        damping_per_s: float = SOFT_PLATE.damping_per_s,
+        force_deg: float = 0.0,
+        oscillation_deg: float = 0.0,
+        change: PlateChange = UNCHANGED,
+    ) -> None:
+        self.unit_force_n = UNIT_FORCE_N * (shear_speed_m_s / SOFT_PLATE.speed_m_s) ** 2
+        shear, pressure = change.speed * shear_speed_m_s, change.speed * pressure_speed_m_s
+        slowest = 2 / np.sqrt(3) * shear
+        if not pressure > slowest:
+            raise ValueError(
+                f"pressure_speed_m_s is {pressure:g}; it must be above {slowest:.4g}, 2 / sqrt(3) times the shear"
+                " speed, for the bulk modulus would be negative"
+            )
+        loss = change.loss * damping_per_s
+        waves = _SolidWave(shear, loss, shear, is_shear=True), _SolidWave(pressure, loss, shear, is_shear=False)
+        super().__init__(actuator_mm, outline, change.softened(chain), waves)
+        self._force, self._oscillation = (
+            np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([force_deg, oscillation_deg])
+        )
+
+    def weights(self, gap_mm: Float64Array) -> Float64Array:
+        length = np.hypot(*gap_mm.T)[:, None]
+        outward = gap_mm / np.where(length > 0, length, 1.0)
+        across = np.full(len(gap_mm), self._force @ self._oscillation)
+        return np.stack([across, (outward @ self._force) * (outward @ self._oscillation)], axis=1)

@@ -39,9 +39,10 @@ from wavefocus.mocks.plates import (
     Chain,
     Complex128Array,
     Float64Array,
+    ModalPlate,
     PlateChange,
+    Smoothness,
 )
-from wavefocus.mocks.plates.modal import ModalPlate, Smoothness
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 HIGHEST_HZ = 500.0

@@ -19,10 +19,10 @@ from wavefocus.mocks.plates import (
     Chain,
     Complex128Array,
     Float64Array,
+    ModalPlate,
     PlateChange,
 )
 from wavefocus.mocks.plates.infinite import InfinitePlate
-from wavefocus.mocks.plates.modal import ModalPlate
 from wavefocus.mocks.plates.soft import mean_hankel
 
 KAPPA_M2_S = 1.57

@@ -1,4 +1,4 @@
-"""How a scanning mirror moves, and the virtual mirror that moves so."""
+"""How a scanning mirror moves, the virtual mirror that moves so, and a virtual shutter."""
 
 import threading
 import time
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Mirror
+from wavefocus.drivers.protocols import Mirror, Shutter
 from wavefocus.mocks.virtual.faults import VirtualDevice
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock
 from wavefocus.mocks.virtual.settings import VirtualSettings
@@ -143,3 +143,22 @@ class VirtualMirror(VirtualDevice, Mirror):
     def park(self) -> None:
         self._faults.meet("park", "parking")
         self.motion.start(*self.motion.park_mrad)
+
+
+class VirtualShutter(VirtualDevice, Shutter):
+    """Blocks the virtual beam.
+
+    is_open: Whether it lets the beam through.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("shutter", (), "closed by default")
+        self.is_open = False
+
+    def open_beam(self) -> None:
+        self._check_open("opening")
+        self.is_open = True
+
+    def block_beam(self) -> None:
+        self._check_open("closing")
+        self.is_open = False

@@ -14,8 +14,7 @@ from wavefocus.drivers.protocols import Float64Array, Player, RecordLabel
 from wavefocus.mocks.virtual.faults import VirtualDevice
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock, label_share
 from wavefocus.mocks.virtual.settings import VirtualSettings
-from wavefocus.mocks.virtual.signals import PlayedSignal, SignalStore
-from wavefocus.mocks.virtual.synthesis import VirtualPlay
+from wavefocus.mocks.virtual.synthesis import PlayedSignal, SignalStore, VirtualPlay
 
 
 @dataclass(slots=True)

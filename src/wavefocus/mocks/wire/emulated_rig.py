@@ -1,9 +1,13 @@
-"""The emulated instruments of a whole rig before one plate and one clock: what real drivers find without hardware."""
+"""The emulated instruments of a whole rig before one plate and one clock: what real drivers find without hardware.
 
+Galvanometers follow two analog outputs of the emulated NI box.
+"""
+
+import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,16 +18,34 @@ from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS, PatchBay
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.settings import VirtualSettings
-from wavefocus.mocks.virtual.signals import SignalStore
-from wavefocus.mocks.virtual.synthesis import TAIL_S, Synthesis, VirtualPlay
-from wavefocus.mocks.wire.analog_scanner import AnalogScanner
+from wavefocus.mocks.virtual.synthesis import TAIL_S, SignalStore, Synthesis, VirtualPlay
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
-from wavefocus.mocks.wire.jack_capture import PlayedAudio
-from wavefocus.mocks.wire.jack_server import JackServer
+from wavefocus.mocks.wire.jack_server import JackServer, PlayedAudio
 from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.mocks.wire.vibrometer import vibrometer_device
+
+
+@dataclass(frozen=True, slots=True)
+class AnalogScanner:
+    """Called with the levels of the box's outputs; the beam turns by twice the mirror's angle.
+
+    motion: How the mirror moves.
+    outputs: Names of the outputs of x and y.
+    volts_per_degree: What its jumper is set to, which need not be what the rig file says.
+    """
+
+    motion: MirrorMotion
+    outputs: tuple[str, str]
+    volts_per_degree: float = 0.8
+
+    def __call__(self, levels: Mapping[str, float]) -> None:
+        """Follow new voltages."""
+        x_v, y_v = (levels.get(name, 0.0) for name in self.outputs)
+        mrad_per_v = 2 * 1000 * math.radians(1) / self.volts_per_degree
+        self.motion.start(x_v * mrad_per_v, y_v * mrad_per_v)
+
 
 # What a converter cannot put out is silence: -160 dB of full scale.
 SILENCE = 1e-8
@@ -166,7 +188,7 @@ SOCKET = "socket://"
 class Wiring:
     """Which instrument is at the end of each wire, and where it is reached.
 
-    mirror_dialect: A dialect of `wavefocus.drivers.serial_mirror`.
+    mirror_dialect: A dialect of `wavefocus.drivers.serial_device`.
     mirror_port: Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
     mirror_full_scale_mrad: Optical angle at full deflection, see `mirror_device`.
     ni_product, ni_device, ni_address: Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import re
 import select
 import socket
 import threading
@@ -19,6 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
+from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 
 IDLE_S = 0.5
@@ -61,6 +63,29 @@ class SerialDevice(ABC):
     def banner(self) -> str:
         """What it sends by itself once it has started."""
         return ""
+
+
+class MirrorDevice(SerialDevice):
+    """A controller with one mirror, as the commands of a dialect reach it."""
+
+    role = "mirror"
+    name: str
+
+    def __init__(self, motion: MirrorMotion) -> None:
+        self._motion = motion
+
+    @classmethod
+    def turning(cls, motion: MirrorMotion, full_scale_mrad: float | None) -> MirrorDevice:
+        """A device whose mirror turns by this angle at full deflection, by default as far as its kind does."""
+        return cls(motion)
+
+    def restart(self) -> None:
+        self._motion.start(0.0, 0.0)
+
+
+def number(text: str | None) -> float | None:
+    """The number that a text is, or None."""
+    return float(text) if text is not None and re.fullmatch(r"[+-]?(?:\d+\.?\d*|\.\d+)", text) else None
 
 
 def garble(answer: bytes) -> bytes:

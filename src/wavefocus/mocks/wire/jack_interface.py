@@ -21,9 +21,7 @@ from typing import Any
 import numpy as np
 
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
-from wavefocus.mocks.wire.jack_capture import AudioRing, RingWriter
-
-PLACE_S = 60.0
+from wavefocus.mocks.wire.jack_server import DEVICE, PLACE_S, START_S, STOP_S, AudioRing, RingWriter
 
 
 @contextlib.contextmanager
@@ -60,9 +58,6 @@ def _not_through_links(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW, 0o600)
 
 
-DEVICE = "wavefocus interface"
-START_S = 20.0
-STOP_S = 5.0
 TERMINATE_S = 1.0
 """jackd takes five seconds over a client that died; that is not waited for."""
 

@@ -18,9 +18,7 @@ import math
 from abc import abstractmethod
 
 from wavefocus.drivers.dialogue import RefusedError, UnreadableError
-from wavefocus.drivers.vibrometer.polytec import sensitivity_m_s_per_v
-from wavefocus.drivers.vibrometer.polytec_ofv3001 import FULL_LEVEL
-from wavefocus.drivers.vibrometer.polytec_ofv3001 import RANGES as OFV3001_RANGES
+from wavefocus.drivers.vibrometer.polytec import FULL_LEVEL, OFV3001_RANGES, sensitivity_m_s_per_v
 from wavefocus.mocks.wire.emulated_serial import SerialDevice
 
 # Ranges of the VD-09 and VX-09 decoders as public programs offer them, each with its low-pass filter too.

@@ -11,7 +11,7 @@ from importlib import import_module
 
 import numpy as np
 
-from wavefocus.drivers.audio.stream.playback import UNDERFLOW, PlayEnded, Taken
+from wavefocus.drivers.audio.resampling import PlayFrames
 from wavefocus.drivers.audio.stream.player_process import (
     BeginPieces,
     Clocked,
@@ -21,8 +21,7 @@ from wavefocus.drivers.audio.stream.player_process import (
     OpeningRefused,
     Piece,
 )
-from wavefocus.drivers.audio.stream.portaudio import StreamRequest
-from wavefocus.drivers.audio.stream.signals import PlayFrames
+from wavefocus.drivers.audio.stream.portaudio import UNDERFLOW, PlayEnded, StreamRequest, Taken
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
 from wavefocus.drivers.protocols import DeviceIdentity, Float64Array, Player

@@ -8,10 +8,11 @@ import time
 import traceback
 from dataclasses import dataclass
 
-from wavefocus.drivers.audio.stream.playback import FADE_S, StreamPlay
 from wavefocus.drivers.audio.stream.portaudio import (
+    FADE_S,
     DeviceChoiceError,
     OutputDevice,
+    StreamPlay,
     StreamRequest,
     WatchedStream,
     load_sounddevice,

@@ -6,8 +6,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.drivers.daq.ni.ni_failures import REPEAT
-from wavefocus.drivers.daq.ni.ni_session import NiSession, TlsFiles
+from wavefocus.drivers.daq.ni.ni_session import REPEAT, NiSession, TlsFiles
 from wavefocus.drivers.daq.ni.ni_task import (
     InputWiring,
     RecordTask,

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.drivers.daq.ni.ni_failures import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE
-from wavefocus.drivers.daq.ni.ni_session import TERMINALS, NiSession
+from wavefocus.drivers.daq.ni.ni_session import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE, TERMINALS, NiSession
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import RecordRequest
 

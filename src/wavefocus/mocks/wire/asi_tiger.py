@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
+from wavefocus.mocks.wire.emulated_serial import MirrorDevice, number
 
 Board = Literal["mems", "dac_4ch", "signal_dac", "stage"]
 ASI_AXIS = re.compile(r"([A-Z])(?:=(\S+))?")
@@ -63,7 +63,6 @@ class Card:
     modules: tuple[str, ...]
 
 
-@MIRROR_DEVICES.register
 class AsiTigerDevice(MirrorDevice):
     """A TG-1000 with an XY stage and, as a rule, one scanner card.
 
