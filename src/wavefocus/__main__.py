@@ -3,6 +3,8 @@
 Nothing slow is imported before `main` has taken over Ctrl-C and the standard streams.
 """
 
+from __future__ import annotations
+
 import os
 import signal
 import sys
