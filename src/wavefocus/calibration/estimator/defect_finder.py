@@ -98,7 +98,7 @@ WINDOW_S = 0.0256
 # In bins of the window: below, the fundamental's skirt reaches the third harmonic.
 MIN_BIN = 3
 # The harmonic must stand this far above the noise, which is taken from the upper half of the spectrum.
-OVER_FLOOR = 10.0
+OVER_FLOOR = 16.0
 # Between these a second look decides.
 UNSURE_DB = -72.0
 SURE_DB = -36.0
