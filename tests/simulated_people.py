@@ -13,12 +13,11 @@ import numpy as np
 from wavefocus.config.messages import Message
 from wavefocus.config.messages.trials import Answer, GoOn, TrialsState
 from wavefocus.trials.analysis.results import psychometric_of
-from wavefocus.trials.analysis.shares import table_of
+from wavefocus.trials.analysis.statistics import table_of
 from wavefocus.trials.answers import AnswersFile, Row
 from wavefocus.trials.design import Stimulus, TrialsDesign, load_trials
+from wavefocus.trials.order import Experiment, share_right
 from wavefocus.trials.presentation import Onset
-from wavefocus.trials.psychometric import share_right
-from wavefocus.trials.resuming import Experiment
 from wavefocus.trials.session import TrialsSession
 
 PEOPLE = 200
@@ -64,7 +63,7 @@ REACTION_S = 0.4
 class Observer:
     """The psychometric function of a simulated participant, over one factor of the stimuli.
 
-    threshold, slope: Of log10 of the level, as `wavefocus.trials.psychometric.share_right`.
+    threshold, slope: Of log10 of the level, as `wavefocus.trials.order.share_right`.
     """
 
     factor: str

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.benchmarks.diagrams import pareto
-from wavefocus.benchmarks.harness import cell, heading, markdown
+from wavefocus.benchmarks.harness import cell, heading, markdown, pareto
 
 PAGE, PICTURES = Path("docs/reference/measured.md"), Path("docs/pictures")
 SHOWN = {"render": "one moving source", "estimate": "estimating 20 records"}

@@ -66,7 +66,7 @@ STABILITY = """
 kappa^2 biharmonic(w) + w'' = 0 is stiff: the fastest oscillation of a grid of spacing h has the angular frequency
 8 kappa / h^2.
 
-| method (`benchmarks/time_stepping.py`) | stable steps | error in time |
+| method (`benchmarks/plate.py`) | stable steps | error in time |
 |---|---|---|
 | leapfrog (`TimeStepper`, beta = 0) | dt <= h^2 / (4 kappa): 2.55 us at 4 mm of 1 mm glass; longer: refused | small |
 | Newmark (`TimeStepper`, beta = 1/4) | all | modes ring too low: -0.8 % at 500 Hz for dt = 0.1 ms (`frequency_error`) |

@@ -69,7 +69,7 @@ def open_closed_streams() -> None:
         os.set_inheritable(descriptor, True)
         opened.append(descriptor)
     os.close(descriptor)
-    from wavefocus.exits import STAND_IN
+    from wavefocus.console import STAND_IN
 
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is None:
@@ -88,8 +88,7 @@ def show_warning(
     line: str | None = None,
 ) -> None:
     """Show a warning of a library, NumPy's about arithmetic above all, as one plain line."""
-    from wavefocus.console import say
-    from wavefocus.exits import one_line
+    from wavefocus.console import one_line, say
 
     of_arithmetic = "; figures that follow from it may be wrong" if issubclass(category, RuntimeWarning) else ""
     say(f"warning: {one_line(str(message))}{of_arithmetic}")
@@ -97,7 +96,7 @@ def show_warning(
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code."""
-    from wavefocus.exits import Exit, account, exit_code, one_line
+    from wavefocus.console import Exit, account, exit_code, one_line
 
     try:
         from wavefocus import cli
@@ -131,8 +130,7 @@ def main() -> None:
     import warnings
 
     import wavefocus.cli  # noqa: F401  (all that is slow to load before a command is chosen)
-    from wavefocus.console import Listener
-    from wavefocus.exits import Exit
+    from wavefocus.console import Exit, Listener
 
     warnings.showwarning = show_warning
     try:

@@ -22,10 +22,10 @@ from wavefocus.cluster import estimate_on_cluster
 from wavefocus.config.run import QualityLimits
 from wavefocus.configuration import check_rows, plate_behind
 from wavefocus.storage.argument_types import checked
-from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.layout import BankHeader, create_bank
 from wavefocus.storage.bank.ledger import PointRecord, Status
 from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import RawHeader

@@ -13,8 +13,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 from wavefocus.config.messages import AnyMessage, Message, MessageError, from_record, tag, to_line
-from wavefocus.console import print_line
-from wavefocus.exits import one_line
+from wavefocus.console import one_line, print_line
 from wavefocus.storage.errors import InputError, WavefocusError
 
 # No order is longer; a line without an end must not fill the memory.

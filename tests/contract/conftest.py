@@ -17,7 +17,8 @@ from tests.wire.daq_bench import Tone
 from tests.wire.emulated import free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL
 from tests.wire.serial_bench import wire as serial_wire
-from wavefocus.commands.rig.emulate import wiring_of
+from wavefocus.acquisition.setup import Openers
+from wavefocus.commands.emulate import wiring_of
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
@@ -27,7 +28,7 @@ from wavefocus.mocks.wire.emulated_rig import EmulatedRig
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
-from wavefocus.rig.instruments import Openers, openers_of
+from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.virtual_bench import virtual_settings
 
 Taken = TypeVar("Taken")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from wavefocus.console import EXTRAS, Exit, exit_code, sentence
 from wavefocus.drivers.errors import MissingPackageError
-from wavefocus.exits import EXTRAS, Exit, exit_code, sentence
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

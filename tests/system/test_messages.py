@@ -13,7 +13,7 @@ from wavefocus.acquisition.event_wording import sentence
 from wavefocus.config.messages.campaign import Drift, Fault, SessionEnded, State, StateChanged
 from wavefocus.config.rig import MessagesSection
 from wavefocus.configuration import load_rig
-from wavefocus.rig.notifications import AppriseOutbox, Messenger, message_findings
+from wavefocus.rig.unattended import AppriseOutbox, Messenger, message_findings
 
 PASSWORD = "secret-word-7"
 COUNTS = {"not-measured": 0, "valid": 6, "poor": 0}

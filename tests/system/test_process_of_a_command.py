@@ -61,7 +61,7 @@ AS_ANOTHER = f"""
 @pytest.mark.skipif(os.name != "posix", reason="signals to a process of its own")
 @pytest.mark.parametrize(
     ("module", "act"),
-    [(module, KILL) for module in ("argparse", "wavefocus.cli", "numpy", "wavefocus.commands.bank.check")]
+    [(module, KILL) for module in ("argparse", "wavefocus.cli", "numpy", "wavefocus.commands.bank")]
     + [("h5py", act) for act in (KILL, IN_A_FINALISER, AS_ANOTHER)],
 )
 def test_ctrl_c_while_modules_are_loaded_then_exit_code_is_130_without_traceback(tmp_path, module, act):

@@ -12,7 +12,7 @@ from tests.system.crash.processes import Ended, How, Order, Processes
 from tests.system.test_trials import TRIALS
 from wavefocus.trials.answers import read_answers
 from wavefocus.trials.design import load_trials
-from wavefocus.trials.resuming import order_of
+from wavefocus.trials.order import order_of
 
 pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and /proc are Linux's"),

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from wavefocus.config.trials import AdaptiveTable
-from wavefocus.trials.adaptive import QuestPlus, Track, UpDown, track_of
 from wavefocus.trials.design import load_trials
-from wavefocus.trials.order import Trial
-from wavefocus.trials.psychometric import share_right
-from wavefocus.trials.resuming import order_of
+from wavefocus.trials.order import QuestPlus, Track, Trial, UpDown, order_of, share_right, track_of
 
 LADDER = tuple(np.geomspace(0.01, 1.0, 17).tolist())
 

@@ -11,8 +11,7 @@ import time
 import pytest
 
 from wavefocus.config.rig import MessagesSection
-from wavefocus.rig.alive import AliveSignal, alive_findings
-from wavefocus.rig.awake import inhibitors, kept_awake
+from wavefocus.rig.unattended import AliveSignal, alive_findings, inhibitors, kept_awake
 from wavefocus.storage.errors import InputError
 
 
@@ -118,7 +117,7 @@ def test_session_manager_then_it_is_told_reason_and_released_however_run_ends(tm
         assert "--who=wavefocus --why=measuring plate.h5" in noted.read_text()
     assert noted.read_text().endswith("over\n")
     noted.unlink()
-    hold = "import time; from wavefocus.rig.awake import kept_awake\nwith kept_awake('x'): time.sleep(100)"
+    hold = "import time; from wavefocus.rig.unattended import kept_awake\nwith kept_awake('x'): time.sleep(100)"
     with subprocess.Popen([sys.executable, "-c", hold]) as holder:
         until(noted.exists)
         holder.kill()

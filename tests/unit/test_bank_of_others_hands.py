@@ -1,11 +1,15 @@
 """Banks that people have touched: attributes added, notes, copies object by object, repacked."""
 
+from __future__ import annotations
+
 import json
 import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import h5py
 import numpy as np
@@ -23,7 +27,7 @@ from wavefocus.storage.ledger.owner import claimed
 
 
 @pytest.fixture
-def bank(tmp_path):
+def bank(tmp_path: Path) -> Path:
     return write_bank(tmp_path / "plate.h5", np.random.default_rng(4).normal(size=(4, 2, 16)), rows=range(3))
 
 
@@ -52,7 +56,9 @@ def by_references(source: h5py.File, target: h5py.File) -> None:
 @pytest.mark.parametrize(
     ("copy", "libver"), [(by_objects, "earliest"), (by_values, "latest"), (by_references, "latest")]
 )
-def test_given_a_copy_object_by_object_then_it_reads_as_the_bank(bank, copy, libver):
+def test_given_a_copy_object_by_object_then_it_reads_as_the_bank(
+    bank: Path, copy: Callable[[h5py.File, h5py.File], None], libver: str
+) -> None:
     other = bank.with_name("copy.h5")
     with h5py.File(bank) as source, h5py.File(other, "w", libver=libver) as target:
         copy(source, target)
@@ -68,7 +74,7 @@ def test_given_a_copy_object_by_object_then_it_reads_as_the_bank(bank, copy, lib
         BankWriter.open(other)
 
 
-def test_given_a_copy_with_a_changed_value_then_its_row_is_damaged(bank):
+def test_given_a_copy_with_a_changed_value_then_its_row_is_damaged(bank: Path) -> None:
     other = bank.with_name("copy.h5")
     with h5py.File(bank) as source, h5py.File(other, "w") as target:
         by_objects(source, target)
@@ -81,7 +87,7 @@ def test_given_a_copy_with_a_changed_value_then_its_row_is_damaged(bank):
 
 
 @pytest.mark.parametrize("value", ["made by me", np.arange(4), h5py.Empty("f4"), b"\xff"], ids=repr)
-def test_an_attribute_that_a_person_added_then_the_bank_is_sound_and_it_is_named(bank, value):
+def test_an_attribute_that_a_person_added_then_the_bank_is_sound_and_it_is_named(bank: Path, value: object) -> None:
     with h5py.File(bank, "r+") as file:
         file.attrs["my remark"] = value
     with open_bank(bank, contents=True) as view:
@@ -93,7 +99,7 @@ def test_an_attribute_that_a_person_added_then_the_bank_is_sound_and_it_is_named
         assert writer.status.any()
 
 
-def test_given_an_own_attribute_changed_then_the_bank_is_damaged_all_the_same(bank):
+def test_given_an_own_attribute_changed_then_the_bank_is_damaged_all_the_same(bank: Path) -> None:
     with h5py.File(bank, "r+") as file:
         file.attrs["my remark"] = "x"
         file["status"].attrs["flag_meanings"] = "valid"
@@ -101,7 +107,9 @@ def test_given_an_own_attribute_changed_then_the_bank_is_damaged_all_the_same(ba
         open_bank(bank, contents=True)
 
 
-def test_given_notes_then_status_shows_them_and_the_bank_is_as_it_was(bank, capsys):
+def test_given_notes_then_status_shows_them_and_the_bank_is_as_it_was(
+    bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with open_bank(bank) as before:
         rows = [before.green(row).copy() for row in range(before.positions)]
     assert run(["note", str(bank), "bolt 3 was loose"]) == 0
@@ -127,7 +135,7 @@ def test_given_notes_then_status_shows_them_and_the_bank_is_as_it_was(bank, caps
         ("csv", lambda path: json.loads(path.with_name("out-metadata.json").read_text())["notes"][0]["text"]),
     ],
 )
-def test_given_a_note_then_exports_not_read_back_carry_it(bank, to, read):
+def test_given_a_note_then_exports_not_read_back_carry_it(bank: Path, to: str, read: Callable[[Path], str]) -> None:
     add_note(bank, "bolt 3 was loose")
     out = bank.with_name("out")
     wf.export_bank(bank, out, to)
@@ -137,7 +145,9 @@ def test_given_a_note_then_exports_not_read_back_carry_it(bank, to, read):
 @pytest.mark.parametrize(
     ("to", "binary"), [("uff", False), ("uff", True), ("wav", False), ("npz", False), ("netcdf", False)]
 )
-def test_given_notes_then_they_come_back_from_exports(bank, to, binary):
+def test_given_notes_then_they_come_back_from_exports(
+    bank: Path, to: Literal["uff", "wav", "npz", "netcdf"], binary: bool
+) -> None:
     texts = [
         "bolt 3 was loose",
         "Schraube l\u00f6ste sich,\nline 2 \\ -1" + 9 * " a very long story of what happened",
@@ -155,7 +165,7 @@ def test_given_notes_then_they_come_back_from_exports(bank, to, binary):
         assert not [one for one in check_bank(back) if one.severity == "error"]
 
 
-def test_given_a_table_without_notes_over_one_with_notes_then_those_are_gone(bank):
+def test_given_a_table_without_notes_over_one_with_notes_then_those_are_gone(bank: Path) -> None:
     out, other = bank.with_name("out.csv"), bank.with_name("other.h5")
     other.write_bytes(bank.read_bytes())
     add_note(bank, "bolt 3 was loose")
@@ -168,14 +178,14 @@ def test_given_a_table_without_notes_over_one_with_notes_then_those_are_gone(ban
 
 
 @pytest.mark.parametrize("text", ["", "  ", "a" * 4001, "bell\x07", "\x1b[31mred"])
-def test_given_a_text_that_is_no_note_then_it_is_refused(bank, text):
+def test_given_a_text_that_is_no_note_then_it_is_refused(bank: Path, text: str) -> None:
     before = bank.read_bytes()
     with pytest.raises(InputError):
         add_note(bank, text)
     assert bank.read_bytes() == before
 
 
-def test_given_a_bank_that_is_written_then_no_note_is_added(bank):
+def test_given_a_bank_that_is_written_then_no_note_is_added(bank: Path) -> None:
     with BankWriter.open(bank), pytest.raises(BankBusyError):
         add_note(bank, "too early")
     add_note(bank, "now")
@@ -183,7 +193,7 @@ def test_given_a_bank_that_is_written_then_no_note_is_added(bank):
 
 @pytest.mark.may_skip("links need a privilege on Windows")
 @pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
-def test_given_a_link_or_another_file_then_no_note_is_added(bank):
+def test_given_a_link_or_another_file_then_no_note_is_added(bank: Path) -> None:
     link, text = bank.with_name("link.h5"), bank.with_name("text.h5")
     link.symlink_to(bank.name)
     text.write_text("no bank")
@@ -192,7 +202,7 @@ def test_given_a_link_or_another_file_then_no_note_is_added(bank):
             add_note(path, "x")
 
 
-def test_given_objects_with_arrays_then_their_text_is_three_lines_at_most(bank):
+def test_given_objects_with_arrays_then_their_text_is_three_lines_at_most(bank: Path) -> None:
     green = wf.GreenArray(np.exp(-np.arange(50)) * np.ones((4, 2, 1)), np.arange(8.0).reshape(4, 2) * 4, 1000.0)
     drive = wf.render(wf.Scene("tap", [wf.Source(wf.Point((0.0, 4.0)), wf.Impulse())]), green)
     with open_bank(bank) as view:
@@ -201,7 +211,7 @@ def test_given_objects_with_arrays_then_their_text_is_three_lines_at_most(bank):
             assert len(repr(made)) < 400
 
 
-def test_given_a_bank_that_a_notebook_has_open_in_h5py_then_both_read_it(bank):
+def test_given_a_bank_that_a_notebook_has_open_in_h5py_then_both_read_it(bank: Path) -> None:
     with h5py.File(bank) as notebook, open_bank(bank) as view:
         assert np.array_equal(view.green(2), notebook["green"][2])
     with open_bank(bank) as view, h5py.File(bank) as notebook:
@@ -210,7 +220,9 @@ def test_given_a_bank_that_a_notebook_has_open_in_h5py_then_both_read_it(bank):
 
 @pytest.mark.may_skip("permissions of POSIX")
 @pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
-def test_given_a_closed_umask_then_the_lock_of_a_name_stays_open_to_other_users(tmp_path, monkeypatch):
+def test_given_a_closed_umask_then_the_lock_of_a_name_stays_open_to_other_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     former = os.umask(0o077)
     try:
@@ -224,8 +236,8 @@ def test_given_a_closed_umask_then_the_lock_of_a_name_stays_open_to_other_users(
 # Root becomes another user once all is imported: that user may not read the interpreter's folder.
 ANOTHER_USER = """
 import os, sys, tempfile
-from wavefocus.exits import one_line
-from wavefocus.storage.ledger.owner import claimed
+from wavefocus.console import one_line
+from wavefocus.storage.claims import claimed
 tempfile.tempdir = sys.argv[1]
 os.umask(0o077)
 if sys.argv[2] != "root":
@@ -242,7 +254,7 @@ except Exception as failure:
 
 @pytest.mark.may_skip("only root can become another user")
 @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can become another user")
-def test_the_lock_of_another_user_names_the_holder_and_a_dead_ones_is_taken():
+def test_the_lock_of_another_user_names_the_holder_and_a_dead_ones_is_taken() -> None:
     with tempfile.TemporaryDirectory(prefix="wavefocus-", dir="/tmp") as name:
         folder = Path(name)
         folder.chmod(0o1777)

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.benchmarks.diagrams import draw_diagrams
-from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, draw_diagrams
 from wavefocus.benchmarks.machine import conditions, load
 
 

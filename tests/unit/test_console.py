@@ -10,7 +10,7 @@ import pytest
 
 import wavefocus as wf
 from wavefocus import cli
-from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.status import CampaignView
 from wavefocus.config.messages.campaign import Progress, State, StateChanged
 from wavefocus.console import progress
 

@@ -1,11 +1,13 @@
 """Every event has one sentence, which the terminal and the window show alike."""
 
+from __future__ import annotations
+
 from datetime import UTC, datetime
 
 import pytest
 
 from wavefocus.acquisition.event_wording import sentence
-from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.status import CampaignView
 from wavefocus.config.messages import tag
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
@@ -55,13 +57,15 @@ IN_THE_WINDOW: tuple[Event, ...] = (
 SHOWN_OTHERWISE = {Progress, RecordTaken}
 
 
-def test_each_kind_of_event_has_an_example_here():
+def test_each_kind_of_event_has_an_example_here() -> None:
     kinds = {type(event) for event in (*AT_THE_TERMINAL, *IN_THE_WINDOW)} | SHOWN_OTHERWISE
     assert {kind.__name__ for kind in Event.__subclasses__()} == {kind.__name__ for kind in kinds}
 
 
 @pytest.mark.parametrize("event", [*AT_THE_TERMINAL, *IN_THE_WINDOW], ids=lambda event: type(event).__name__)
-def test_given_an_event_then_terminal_and_window_show_its_one_sentence(event, capsys):
+def test_given_an_event_then_terminal_and_window_show_its_one_sentence(
+    event: Event, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = sentence(event)
     assert text != tag(event)
     assert "nan" not in text

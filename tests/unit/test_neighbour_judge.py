@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
-from wavefocus.benchmarks.time_stepping import ThinPlate
+from wavefocus.benchmarks.plate import ThinPlate
 from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
 from wavefocus.calibration.neighbour_judge import NeighbourResult, RowsAtFrequencies, judge_rows
 

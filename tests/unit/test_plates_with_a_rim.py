@@ -5,7 +5,7 @@ import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
 from tests.unit.wave_travel import thin_plate_green
-from wavefocus.benchmarks.time_stepping import ThinPlate
+from wavefocus.benchmarks.plate import ThinPlate
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
 from wavefocus.mocks.plates.stadium import Elements, StadiumPlate, spacing_mm, triangulate

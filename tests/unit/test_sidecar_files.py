@@ -5,8 +5,7 @@ import os
 
 import pytest
 
-from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, write_whole
-from wavefocus.campaign.verification_log import VerifyLog
+from wavefocus.campaign.sidecar_files import EventLog, VerifyLog, drift_path, log_path, write_whole
 from wavefocus.config.calibration import name_calibration
 from wavefocus.config.messages.campaign import Drift
 from wavefocus.storage.ledger.owner import owner_path, remove_owner, write_owner

@@ -8,7 +8,7 @@ import pytest
 import scipy.fft
 
 from tests.unit.plate_banks import SQUARE_MM, errors_at, plate_bank
-from wavefocus.benchmarks.time_stepping import ThinPlate
+from wavefocus.benchmarks.plate import ThinPlate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.scene import Output

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavefocus.benchmarks.time_stepping import ExactPlate, ThinPlate, TimeStepper, explicit_limit_s
+from wavefocus.benchmarks.plate import ExactPlate, ThinPlate, TimeStepper, explicit_limit_s
 from wavefocus.mocks.plates.soft import SOFT_PLATE, mean_hankel
 
 GLASS = ThinPlate(0.24, 0.16, 1.566)

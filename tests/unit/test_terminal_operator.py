@@ -4,9 +4,9 @@ import io
 
 import pytest
 
+from wavefocus.commands.calibrate import TerminalOperator
 from wavefocus.mocks.virtual.laboratory import PatchBay
 from wavefocus.rig.calibration_session import Cables
-from wavefocus.rig.operators import TerminalOperator
 
 
 def typing(text: str) -> TerminalOperator:

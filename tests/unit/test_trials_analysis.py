@@ -12,10 +12,9 @@ from wavefocus.config.trials import AdaptiveTable, TrialsTable
 from wavefocus.trials.analysis.psychometric_fit import MAX_LAPSES, fit_psychometric
 from wavefocus.trials.analysis.report import build_report
 from wavefocus.trials.analysis.results import analysis_of, psychometric_of
-from wavefocus.trials.analysis.sensitivity import d_prime, sensitivities_of
-from wavefocus.trials.analysis.shares import RIGHT, combinations_of, shares_of, table_of
+from wavefocus.trials.analysis.statistics import RIGHT, combinations_of, d_prime, sensitivities_of, shares_of, table_of
 from wavefocus.trials.answers import Row
-from wavefocus.trials.psychometric import share_right
+from wavefocus.trials.order import share_right
 
 NASTY = "<script>alert(1)</script>"
 ANSWERS = ("left", "right")

@@ -15,8 +15,7 @@ from wavefocus.rendering.scene.paths import Line, Point
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.design import TrialsDesign, load_trials
-from wavefocus.trials.order import Draws, FixedOrder, ordered
-from wavefocus.trials.resuming import order_of
+from wavefocus.trials.order import Draws, FixedOrder, order_of, ordered
 
 TRIALS = """
 [trials]

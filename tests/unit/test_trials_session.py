@@ -23,8 +23,8 @@ from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, read_answers
 from wavefocus.trials.design import load_trials
+from wavefocus.trials.order import Experiment
 from wavefocus.trials.presentation import Onset
-from wavefocus.trials.resuming import Experiment
 from wavefocus.trials.session import TrialsSession
 
 TRIALS = f"""

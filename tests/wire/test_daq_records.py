@@ -11,7 +11,7 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, RecordRequest
 from wavefocus.mocks.wire.ni_products import PRODUCTS
-from wavefocus.rig.input_delay import with_stated_delay
+from wavefocus.rig.setup import with_stated_delay
 from wavefocus.storage.bank.layout import BankHeader
 
 

@@ -11,6 +11,7 @@ from tests.wire.analog_bench import analog_rig
 from tests.wire.audio_bench import wait_until
 from tests.wire.daq_bench import Tone
 from wavefocus.acquisition.setup import silence
+from wavefocus.commands.doctor import shutter_findings
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
@@ -24,7 +25,6 @@ from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import openers_of
-from wavefocus.rig.shutter_check import shutter_findings
 from wavefocus.storage.errors import InputError
 
 LINE = "port1/line0"

@@ -14,10 +14,10 @@ import h5py
 import numpy as np
 
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
-from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.layout import BankHeader, create_bank
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 
 ACTUATORS, TAPS = 20, 2000
 SHA = "0" * 64

@@ -18,9 +18,9 @@ from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, 
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import BAND_HZ, QUICK_ERROR_DB, RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.mocks.virtual.rig import VirtualRig
-from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.layout import BankHeader, create_bank
 from wavefocus.storage.bank.ledger import PointRecord
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.drive_file import read_drive
 
 Key = TypeVar("Key")

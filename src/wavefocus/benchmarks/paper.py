@@ -15,7 +15,8 @@ from wavefocus.benchmarks import paper_figures as figures
 from wavefocus.benchmarks.harness import Entry, Findings, measure
 from wavefocus.benchmarks.paper_measures import CLEAR_MM, SATURATION, Paper, clear_rows, focus_fields, focus_figures
 from wavefocus.benchmarks.rig_bank import paper_bank
-from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rendering.field.wave_figures import impulse_travel
 from wavefocus.storage.output_files import write_whole
 

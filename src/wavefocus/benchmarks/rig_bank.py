@@ -19,9 +19,9 @@ from wavefocus.config.run import QualityLimits
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.layout import BankHeader, create_bank
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 
 Float64Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def paper_bank(out: Path, rig: VirtualRig, name: str, *, quick: bool) -> PaperBa
         # Under its final name only once it is whole: what is there is taken for a bank.
         part = path.with_name(f"measuring-{path.name}")
         part.unlink(missing_ok=True)
-        measure(part, sweep_plan(default_grid(rig), rig), rig_setup(rig))
+        measure_bank(part, sweep_plan(default_grid(rig), rig), rig_setup(rig))
         part.rename(path)
     with open_bank(path) as view:
         values = np.stack([view.green(row) for row in range(view.positions)])
@@ -97,7 +97,7 @@ def sweep_plan(
     return Plan(position_mm, actuator_mm, np.arange(len(position_mm)), sweep, TAPS, "0" * 64, quality, staggered=signal)
 
 
-def measure(path: Path, plan: Plan, setup: Setup, on_event: Subscriber = lambda event: None) -> None:
+def measure_bank(path: Path, plan: Plan, setup: Setup, on_event: Subscriber = lambda event: None) -> None:
     """Carry out a plan, into a new bank."""
     band_hz = plan.excitation.band_hz
     places = (plan.position_mm, plan.actuator_mm)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup, record_samples, take_record
 from wavefocus.benchmarks.harness import Entry, Findings, Mark
-from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, measure
+from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, measure_bank
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.calibration.timing import ClockFitter
@@ -159,7 +159,7 @@ def _positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple
                 disturbed.add(position)
 
     with tempfile.TemporaryDirectory() as folder:
-        measure(Path(folder) / "bank.h5", plan, setup, note)
+        measure_bank(Path(folder) / "bank.h5", plan, setup, note)
     # The last position has no next; one with a repeated record says nothing of the overhead.
     quiet = [row for row in range(positions - 1) if row not in disturbed and row + 1 in starts]
     return np.array([starts[row + 1] - starts[row] for row in quiet]), len(disturbed)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from wavefocus.acquisition.limits import compare_sentinel
-from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.campaign.blueprint import (
     Blueprint,
@@ -18,17 +17,18 @@ from wavefocus.campaign.blueprint import (
     blueprint_of,
     listed_differences,
 )
-from wavefocus.campaign.schedule_choice import with_chosen_schedule
+from wavefocus.campaign.session_files import with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.configuration import Configuration, load_run, plan_differences
 from wavefocus.input_files import parse_positions
 from wavefocus.storage.bank.foreign import ForeignRows
-from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord, Status
+from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord, Status, row_ranges
 from wavefocus.storage.bank.reading import Bank, Origin, open_bank, origins_of
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs
-from wavefocus.storage.raw.writer import RawFile, RawWriter, create_raw, open_raw
+from wavefocus.storage.raw.layout import create_raw
+from wavefocus.storage.raw.writer import RawFile, RawWriter, open_raw
 
 STEP_MM = 1e-6
 """Positions are the same where they agree to this: they are written as whole numbers of it."""

@@ -1,4 +1,4 @@
-"""Bank and raw file of a session: made where there are none, else found to be of its plan."""
+"""Bank and raw file of a session, made or found to be of its plan; staggered runs are compared with sequential ones."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
@@ -19,18 +19,19 @@ from wavefocus.campaign.blueprint import (
     listed_differences,
     refuse_differences,
 )
-from wavefocus.campaign.schedule_choice import compared_schedules, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, raw_path, unvouched_rows
-from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Subscriber
+from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Fault, ScheduleSettled, Subscriber
 from wavefocus.configuration import DEFAULT_CHECKS, Configuration, check_rows, named_rig, plan_differences, with_rig
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import with_one_calibration
-from wavefocus.rig.input_delay import with_stated_delay
+from wavefocus.rig.setup import open_setup, with_stated_delay
+from wavefocus.storage.bank.layout import create_bank
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import ExistsError, InputError
-from wavefocus.storage.raw.writer import RawWriter, create_raw
+from wavefocus.storage.raw.layout import create_raw
+from wavefocus.storage.raw.writer import RawWriter
 
 
 def with_bank(
@@ -163,3 +164,40 @@ def _opened_raw(
         raw.close()
         raise
     return raw
+
+
+def compared_schedules(blueprint: Blueprint, source: str) -> tuple[ScheduleSettled, ...]:
+    """Measure one position of a staggered run by its schedule and sequentially, and say what the difference is.
+
+    Returns events to report; none for sequential runs. Raises InputError: the responses are longer than the taps.
+    InstrumentError: an instrument failed.
+    """
+    if blueprint.plan.staggered is None:
+        return ()
+    from wavefocus.acquisition.engine.station import compare_schedules
+
+    say("one position is measured by both schedules first, to state what staggered capture loses")
+    try:
+        with open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup:
+            found = compare_schedules(blueprint.plan, setup, _say_fault)
+    except InputError as error:
+        raise InputError(f"{source}: capture: {error}") from None
+    say(found.reason)
+    return (found,)
+
+
+def _say_fault(event: Event) -> None:
+    if isinstance(event, Fault):
+        say(f"{event.instrument}: {event.operation}: {event.cause}" + ("; repeated" if event.retried else ""))
+
+
+def with_chosen_schedule(asked: Configuration, own: Configuration) -> Configuration:
+    """Use the schedule that a bank of an earlier version has settled, where the run file still asks for the same."""
+    run, held = asked.run, own.run
+    if run.settled is not None or held.settled is None or run.capture.excitation != "staggered":
+        return asked
+    without = {"keep_raw"}
+    if held.settled.asked.model_dump(exclude=without) != run.capture.model_dump(exclude=without):
+        return asked
+    capture = held.capture.model_copy(update={"keep_raw": run.capture.keep_raw})
+    return replace(asked, run=run.with_schedule(capture, held.settled.reason))

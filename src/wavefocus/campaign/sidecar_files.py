@@ -1,4 +1,4 @@
-"""Files next to a bank: event log, drift history and small JSON files that are replaced whole."""
+"""Files next to a bank: event log, drift history, small JSON files; and the log of a verification that runs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import glob
 import json
 import os
 import secrets
+import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -15,8 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 from wavefocus.acquisition.limits import DriftPoint
-from wavefocus.acquisition.wording import row_ranges
-from wavefocus.config.messages import from_record
+from wavefocus.config.messages import Message, from_record, to_line
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
@@ -32,7 +32,10 @@ from wavefocus.config.messages.campaign import (
     event_line,
     read_event,
 )
-from wavefocus.console import say
+from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
+from wavefocus.console import Pace, exit_code, say, sentence
+from wavefocus.rendering.verify.record import LOG_NAME
+from wavefocus.storage.bank.ledger import row_ranges
 from wavefocus.storage.sidecar_files import Log, create, is_replaceable
 from wavefocus.storage.text_file import open_regular, read_regular
 
@@ -240,3 +243,61 @@ def read_crosstalk(bank: Path) -> CrosstalkMeasured | None:
 def suspect_rows(points: list[DriftPoint]) -> str:
     """Positions that the latest measurement of the sentinel speaks against, as ``--positions`` takes them."""
     return row_ranges(points[-1].suspect) if points else ""
+
+
+class VerifyLog:
+    """Writes the log of one verification; a context manager, and a subscriber of the scan's events.
+
+    A line is an object with ``at`` and ``event``: first ``started`` (``pid``, ``host``), then ``step`` (``step``,
+    ``done``, ``total``, ``left_s``) and any event of a scan as in a bank's log, at the end ``ended`` (``code``,
+    ``reason``). A disk that refuses lines does not end the verification.
+    """
+
+    def __init__(self, out: Path) -> None:
+        # A file of its own, so that followers see that it is another one.
+        (out / LOG_NAME).unlink(missing_ok=True)
+        self._file = create(out / LOG_NAME)
+        self._lines = EventLines(lambda line: self._file.write(line.encode()), str(out / LOG_NAME), "verification")
+        self._write(VerifyStarted(_now(), os.getpid(), socket.gethostname()))
+
+    def __call__(self, event: Event) -> None:
+        """Write an event of the scan."""
+        self._lines(event)
+
+    def step(self, name: str, total: int) -> Callable[[int, int], None]:
+        """Begin a step of `total` items; the result is called with the number done."""
+        told_s, pace = time.monotonic(), Pace(0, total)
+        self._write(VerifyStep(_now(), name, 0, total))
+
+        def report(done: int, total: int) -> None:
+            nonlocal told_s
+            rate, now_s = pace.per_s(done, total), time.monotonic()
+            # Followers look twenty times a second; more lines would only fill the disk.
+            if done < total and now_s - told_s < 0.1:
+                return
+            told_s = now_s
+            self._write(VerifyStep(_now(), name, done, total, round((total - done) / rate, 1) if rate > 0 else None))
+
+        return report
+
+    def done(self, code: int, reason: str) -> None:
+        """Say how it ended."""
+        self._write(VerifyEnded(_now(), int(code), reason))
+
+    def __enter__(self) -> VerifyLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self.done(exit_code(error), sentence(error))
+        with suppress(OSError):
+            self._file.close()
+
+    def _write(self, message: Message) -> None:
+        self._lines.write(to_line(message))
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)

@@ -11,7 +11,7 @@ from wavefocus.trials.analysis.bids import write_bids
 from wavefocus.trials.analysis.consistency import stored_design, unfit_rows
 from wavefocus.trials.analysis.report import build_report, left_out_lines, percent
 from wavefocus.trials.analysis.results import FORMAT, analysis_of
-from wavefocus.trials.analysis.shares import RIGHT
+from wavefocus.trials.analysis.statistics import RIGHT
 from wavefocus.trials.answers import ANSWERS, FACTS, read_answers, read_facts
 
 _RESULT = "analysis.json"

@@ -10,27 +10,23 @@ import numpy as np
 from wavefocus.acquisition.attempt import without_recordings
 from wavefocus.acquisition.drift_watch import DriftError, SentinelUnusableError
 from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration.crosstalk import REMEDY
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
-from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, command_line, resume_line
 from wavefocus.campaign.session_files import opened_campaign, resumed_campaign, with_bank
 from wavefocus.campaign.sidecar_files import EventLines, log_path, read_drift
+from wavefocus.campaign.status import CampaignView
 from wavefocus.commands.status import is_paused, order
 from wavefocus.config.messages.campaign import Event, State, Subscriber
-from wavefocus.console import print_line, progress, say
+from wavefocus.console import Exit, print_line, progress, say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import stop_on_signals
-from wavefocus.exits import Exit
 from wavefocus.input_files import parse_positions
 from wavefocus.options import SessionOptions
-from wavefocus.rig.alive import AliveSignal
-from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.calibration_validity import refuse_other_devices
-from wavefocus.rig.notifications import messenger_for
 from wavefocus.rig.setup import open_setup
-from wavefocus.storage.bank.ledger import STATUS_WORDS, Status, not_valid
+from wavefocus.rig.unattended import AliveSignal, kept_awake, messenger_for
+from wavefocus.storage.bank.ledger import STATUS_WORDS, Status, not_valid, row_ranges
 from wavefocus.storage.bank.reading import open_bank, origins_of
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError

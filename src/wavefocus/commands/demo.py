@@ -13,16 +13,15 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from wavefocus.commands import bank as bank_commands
 from wavefocus.commands import init, plan, status
 from wavefocus.commands import predict as prediction
 from wavefocus.commands import render as rendering
 from wavefocus.commands import verify as verification
-from wavefocus.commands.bank import check
 from wavefocus.config.messages.campaign import Logged, Progress, read_event
 from wavefocus.config.run import Virtual
 from wavefocus.configuration import load_run
-from wavefocus.console import people, say
-from wavefocus.exits import Exit
+from wavefocus.console import Exit, people, say
 from wavefocus.input_files import scan_rows
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.options import RenderOptions
@@ -56,7 +55,7 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
         "Capture, until the power is cut half-way": lambda: _capture_and_kill(run, bank),
         "What the bank says after the power cut": lambda: status.status(bank, as_json=False),
         "Resume from the bank alone": lambda: _resume(bank),
-        "Check every row": lambda: check.check(bank, as_json=False),
+        "Check every row": lambda: bank_commands.check(bank, as_json=False),
         "Compare with the plate's truth": lambda: _compare(bank),
         "Render the scene": lambda: rendering.render(
             scene, bank, drive, wav=out / "drive.wav", rig_file=None, options=RenderOptions(), as_json=False

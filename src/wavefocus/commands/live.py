@@ -14,9 +14,8 @@ from msgspec.structs import replace
 
 from wavefocus.config.messages import Message, Refused
 from wavefocus.config.messages.live import LiveEnded, LiveNotice, LiveReady
-from wavefocus.console import say
+from wavefocus.console import Exit, say
 from wavefocus.ending import ending_at_once
-from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesOut, input_objects
 from wavefocus.live_session.opening import open_session
 from wavefocus.live_session.orders import order_of

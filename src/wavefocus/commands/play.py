@@ -16,10 +16,9 @@ from wavefocus.config.messages import to_line
 from wavefocus.config.messages.operate import DrivePlaying
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
-from wavefocus.console import print_line, progress, say
+from wavefocus.console import Exit, print_line, progress, say
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.ending import ended_by_input, ending_at_once
-from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified
 from wavefocus.rendering.drive.wav import InterfaceRate
 from wavefocus.rig.limits import check_drive

@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 
 from wavefocus.acquisition.event_wording import sentence
-from wavefocus.acquisition.wording import a_while, hours, row_ranges
+from wavefocus.acquisition.wording import a_while, hours
 from wavefocus.calibration.estimator.noise_error import median_noise_error_db
-from wavefocus.campaign.campaign_view import remaining
 from wavefocus.campaign.control import Word, give_order, read_heartbeat, resume_line, withdraw
 from wavefocus.campaign.sidecar_files import read_crosstalk, read_drift, suspect_rows
-from wavefocus.campaign.status import CampaignStatus, Heartbeat, campaign_status, instant
+from wavefocus.campaign.status import CampaignStatus, Heartbeat, campaign_status, instant, remaining
 from wavefocus.config.messages import to_record
 from wavefocus.config.messages.campaign import State
-from wavefocus.console import answer, say
-from wavefocus.exits import Exit
-from wavefocus.storage.bank.ledger import median_of_pairs, status_counts
+from wavefocus.console import Exit, answer, say
+from wavefocus.storage.bank.ledger import median_of_pairs, row_ranges, status_counts
 from wavefocus.storage.bank.reading import open_bank, origins_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner, bank_owner

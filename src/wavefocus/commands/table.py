@@ -68,7 +68,7 @@ VARIANTS: Mapping[str, tuple[str, dict[str, Any]]] = {
 
 def _export(to: str, options: ExportOptions, **rest: Any) -> None:
     kind, settings = VARIANTS.get(to, (to, {}))
-    found("bank.export:export")(to=kind, options=replace(options, **settings), **rest)
+    found("bank:export")(to=kind, options=replace(options, **settings), **rest)
 
 
 MEASURE = (
@@ -134,11 +134,11 @@ MEASURE = (
     Command("pause", _order("pause"), "Pause a running capture after its position.", (BANK, JSON)),
     Command("stop", _order("stop"), "End a running capture after its position.", (BANK, JSON)),
     Command(
-        "check", "bank.check:check", "Verify checksums and, of banks, every row's plausibility.",
+        "check", "bank:check", "Verify checksums and, of banks, every row's plausibility.",
         (file("file", metavar="FILE.h5", help="A bank, raw recordings, a drive or a field."), JSON),
     ),
     Command(
-        "note", "bank.note:note", "Add a dated note to a bank; `status` shows it, exports carry it.",
+        "note", "bank:note", "Add a dated note to a bank; `status` shows it, exports carry it.",
         (BANK, argument("text", metavar="TEXT", help="The note, in quotes."), JSON),
     ),
 )  # fmt: skip
@@ -254,14 +254,14 @@ USE = (
 
 RIG_AND_DATA = (
     Command(
-        "doctor", "rig.doctor:doctor", "Check every instrument, and say what to do about each fault.",
+        "doctor", "doctor:doctor", "Check every instrument, and say what to do about each fault.",
         (
             RIG, *options_of(DoctorOptions),
         ),
         DoctorOptions,
     ),
     Command(
-        "calibrate", "rig.calibrate:calibrate",
+        "calibrate", "calibrate:calibrate",
         "Measure mirror map, latencies, levels and polarities.\n\n"
         "The result is a calibration file, which the rig file names.",
         (
@@ -275,7 +275,7 @@ RIG_AND_DATA = (
         CalibrationOptions,
     ),
     Command(
-        "operate", "rig.operate:operate",
+        "operate", "operate:operate",
         "Operate a rig by hand, by JSON lines.\n\n"
         "Orders are read from standard input, answers written to standard output:\n\n"
         '{"order": "jog", "x_mm": 10, "y_mm": 5} moves the beam; or x_mrad, y_mrad.\n\n'
@@ -287,9 +287,9 @@ RIG_AND_DATA = (
         "answer.",
         (RIG,),
     ),
-    Command("emulate", "rig.emulate:emulate", "Emulate instruments at the ends of a rig's wires.", (RIG, JSON)),
+    Command("emulate", "emulate:emulate", "Emulate instruments at the ends of a rig's wires.", (RIG, JSON)),
     Command(
-        "estimate", "bank.estimate:estimate",
+        "estimate", "bank:estimate",
         "Estimate Green's functions from kept recordings.\n\nGoes on where a stopped estimate left off.",
         (
             file("raw", metavar="RAW.h5", help="The file of raw recordings."),
@@ -297,7 +297,7 @@ RIG_AND_DATA = (
         ),
     ),
     Command(
-        "import", "bank.import_bank:import_bank",
+        "import", "bank:import_bank",
         "Make a bank of responses that were measured elsewhere.\n\n"
         "Reads impulse responses and frequency responses, and turns the latter into causal impulse responses. Prints "
         "what was read, assumed and left out, and stores it in the bank. A fact that the file lacks is asked for by "

@@ -14,9 +14,8 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.config.messages import Message, tag
 from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from wavefocus.config.rig import RigConfig
-from wavefocus.console import progress, say
+from wavefocus.console import Exit, progress, say
 from wavefocus.ending import ending_at_once, interrupt
-from wavefocus.exits import Exit
 from wavefocus.input_files import require_sound
 from wavefocus.json_lines import LinesIn, LinesOut, read_order
 from wavefocus.options import TrialsOptions
@@ -26,8 +25,8 @@ from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, check_participant, write_facts
 from wavefocus.trials.design import TrialsDesign, load_trials
+from wavefocus.trials.order import Experiment, resume_sequence
 from wavefocus.trials.presentation import MASKING_CREST, Masking, Onset, RigPresenter, Sound
-from wavefocus.trials.resuming import Experiment, resume_sequence
 from wavefocus.trials.session import TrialsSession
 from wavefocus.trials.stimuli import Prepared, prepare
 

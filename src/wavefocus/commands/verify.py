@@ -16,17 +16,15 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.crosstalk import UNKNOWN_ROWS_SHARE, Crosstalk, share_of_median_row
 from wavefocus.calibration.evidence import SOUND
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
-from wavefocus.campaign.campaign_view import CampaignView
-from wavefocus.campaign.sidecar_files import read_drift
-from wavefocus.campaign.verification_log import VerifyLog
+from wavefocus.campaign.sidecar_files import VerifyLog, read_drift
+from wavefocus.campaign.status import CampaignView
 from wavefocus.config.messages.campaign import Event, Subscriber
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
-from wavefocus.console import Report, progress, say
+from wavefocus.console import Exit, Report, progress, say
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drives import naming, render_by_options
 from wavefocus.ending import ended_by_file, ending_at_once
-from wavefocus.exits import Exit
 from wavefocus.input_files import input_files, require_sound, scan_rows
 from wavefocus.options import RenderOptions
 from wavefocus.rendering.arrays import Float64Array, Int64Array
@@ -66,10 +64,9 @@ from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
 from wavefocus.rendering.verify.scan_signals import marker_v
 from wavefocus.rendering.verify.sentinel import drift_sentence, measure_sentinel
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
-from wavefocus.rig.alive import AliveSignal
-from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.limits import check_drive, stricter
 from wavefocus.rig.setup import open_setup
+from wavefocus.rig.unattended import AliveSignal, kept_awake
 from wavefocus.storage.bank.ledger import median_of_pairs, usable
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, write_drive

@@ -12,7 +12,7 @@ from wavefocus.config.fields import Table
 from wavefocus.config.loading import validated
 from wavefocus.config.messages.live import ORDERS, EndLive, EndSource, MoveSource, SetSignal
 from wavefocus.config.scene import SignalTable
-from wavefocus.exits import one_line
+from wavefocus.console import one_line
 from wavefocus.json_lines import read_order
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.live.emitted import live_samples

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 
-from wavefocus.exits import one_line
+from wavefocus.console import one_line
 from wavefocus.live_session.osc_packet import OscError, read, split
 from wavefocus.storage.errors import InputError
 

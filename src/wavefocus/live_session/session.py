@@ -17,9 +17,9 @@ from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.messages import Message, Refused
 from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveState, MoveSource, NoticeCode
 from wavefocus.config.messages.live import SoundingSource as Sounding
+from wavefocus.console import one_line
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.timeouts import BoundedPlayer
-from wavefocus.exits import one_line
 from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import Inbox, Order, UseSignal
 from wavefocus.live_session.pace import Change, Pace

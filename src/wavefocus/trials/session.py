@@ -25,9 +25,8 @@ from wavefocus.config.messages.trials import (
 )
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import ANSWERS, AnswersFile, Row, check_participant
-from wavefocus.trials.order import Trial
+from wavefocus.trials.order import Experiment, Trial, resume_sequence
 from wavefocus.trials.presentation import Onset
-from wavefocus.trials.resuming import Experiment, resume_sequence
 
 # An answer's instant may lie so far in the future of this process: clocks are read one after the other.
 AHEAD_S = 0.05

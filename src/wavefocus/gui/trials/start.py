@@ -108,7 +108,7 @@ def _standing(trials: Path, out: Path, participant: str) -> tuple[str, bool]:
     """
     from wavefocus.trials.answers import ANSWERS, check_participant, read_answers  # loads SciPy, and runs in a thread
     from wavefocus.trials.design import load_trials
-    from wavefocus.trials.resuming import Experiment, resume_sequence
+    from wavefocus.trials.order import Experiment, resume_sequence
 
     design = load_trials(trials)
     of = "" if design.trials is None else f" of {design.trials}"

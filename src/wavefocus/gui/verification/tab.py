@@ -16,7 +16,7 @@ from PyQt5.QtWidgets import QAction, QGridLayout, QLabel, QLineEdit, QStackedWid
 from wavefocus.config.messages import MessageError, message_of
 from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, StateChanged
 from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
-from wavefocus.exits import Exit
+from wavefocus.console import Exit
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import LogTail
 from wavefocus.gui.files import FileKind, PathField, names_virtual_rig, record_of

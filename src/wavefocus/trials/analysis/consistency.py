@@ -11,8 +11,7 @@ from wavefocus.config.trials import AdaptiveTable, TrialsConfig, TrialsTable
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import COLUMNS, DEFAULTS, Row
 from wavefocus.trials.design import Stimulus, TrialsDesign
-from wavefocus.trials.order import Order
-from wavefocus.trials.resuming import order_of
+from wavefocus.trials.order import Order, order_of
 
 FACTS_OF_A_STIMULUS = ("path", "signal", "speed_mm_s", "amplitude", "plays", "track")
 

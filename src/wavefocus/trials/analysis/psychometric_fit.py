@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import xlogy
 from scipy.stats import chi2
 
-from wavefocus.trials.psychometric import share_right
+from wavefocus.trials.order import share_right
 
 Float64Array = NDArray[np.float64]
 Interval = tuple[float | None, float | None]
@@ -29,7 +29,7 @@ _DROP = chi2.ppf(0.95, 1) / 2.0
 
 @dataclass(frozen=True, slots=True)
 class PsychometricFit:
-    """A fitted psychometric function (`wavefocus.trials.psychometric.share_right`).
+    """A fitted psychometric function (`wavefocus.trials.order.share_right`).
 
     levels: Above 0, hardest first, with `right` of `of` answers each.
     guess: Held at this value; lapse: fitted.

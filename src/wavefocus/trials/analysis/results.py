@@ -9,14 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wavefocus.config.trials import AdaptiveTable, TrialsTable
-from wavefocus.trials.adaptive import UpDown
-from wavefocus.trials.analysis.confusion import Confusion, confusions_of
 from wavefocus.trials.analysis.consistency import UnfitRow
 from wavefocus.trials.analysis.psychometric_fit import PsychometricFit, fit_psychometric
-from wavefocus.trials.analysis.sensitivity import Sensitivity, sensitivities_of
-from wavefocus.trials.analysis.shares import Share, factors_of, groups, shares_of, table_of
-from wavefocus.trials.analysis.times import OnsetErrors, ReactionTime, onset_errors_of, reaction_times_of
+from wavefocus.trials.analysis.statistics import (
+    Confusion,
+    OnsetErrors,
+    ReactionTime,
+    Sensitivity,
+    Share,
+    confusions_of,
+    factors_of,
+    groups,
+    onset_errors_of,
+    reaction_times_of,
+    sensitivities_of,
+    shares_of,
+    table_of,
+)
 from wavefocus.trials.answers import Row
+from wavefocus.trials.order import UpDown
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -30,7 +41,7 @@ class Psychometric:
 
     factor: Column whose levels are the function's.
     factors: Levels of the other factors that part the trials; empty for a track.
-    reversals_threshold: Of an up-down staircase, as `wavefocus.trials.adaptive.UpDown.threshold`, in the level's unit.
+    reversals_threshold: Of an up-down staircase, as `wavefocus.trials.order.UpDown.threshold`, in the level's unit.
     """
 
     participant: str

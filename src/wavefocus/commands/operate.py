@@ -11,11 +11,10 @@ from wavefocus.config.messages import Refused
 from wavefocus.config.messages.operate import Done, End, Ended, Mute, Opening
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
-from wavefocus.console import say
+from wavefocus.console import Exit, say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.timeouts import BoundedPlayer, CallThread, HungError
 from wavefocus.ending import ending_at_once
-from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
 from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of

@@ -1,4 +1,4 @@
-"""Messages to people who are away: finished, failed, suspended, drift; through apprise."""
+"""Sessions that nobody watches: messages to people through apprise, a sign of life each minute, and no sleep."""
 
 from __future__ import annotations
 
@@ -6,13 +6,20 @@ import logging
 import os
 import queue
 import re
+import shutil
 import socket
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from http.client import HTTPException
 from pathlib import Path
 from types import TracebackType
+from urllib.error import HTTPError
 
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import hours
@@ -216,3 +223,175 @@ def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Findi
             yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY, _EDIT)
         else:
             yield Finding("messages", f"address {number}", "ok", f"{kind}: took a message")
+
+
+ALIVE_VARIABLE = "WAVEFOCUS_ALIVE_URL"
+"""The address of the outside service, for sessions that go on from a bank alone: the bank does not hold it."""
+
+
+class AliveSignal:
+    """Touches a file and asks for an address each minute while a block runs, in threads of its own.
+
+    A server that hangs delays neither the file nor the campaign; what fails is reported once, without the address.
+
+    section: Has `alive_url` and `alive_file`.
+    every_s: Seconds between two signals, > 0.
+
+    Raises InputError: the address is not one of a web server.
+    """
+
+    def __init__(self, section: MessagesSection, every_s: float = 60.0) -> None:
+        self._url = section.alive_url or os.environ.get(ALIVE_VARIABLE, "")
+        if self._url and not self._url.startswith(("http://", "https://")):
+            raise InputError("messages.alive_url: must begin with http:// or https://")
+        self._file = None if section.alive_file is None else Path(section.alive_file)
+        self._every_s = every_s
+        self._over = threading.Event()
+
+    def __enter__(self) -> AliveSignal:
+        for key, signal in self.signals().items():
+            threading.Thread(target=self._repeat, args=(signal, key), name=key, daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+
+    def _repeat(self, signal: Callable[[], None], key: str) -> None:
+        reported = False
+        while True:
+            why = _failure_of(signal)
+            if why and not reported:
+                say(f"messages.{key}: no sign of life was given ({why}); it is tried again each minute")
+            reported = bool(why)
+            if self._over.wait(self._every_s):
+                return
+
+    def signals(self) -> dict[str, Callable[[], None]]:
+        """How a sign of life is given once, by the key that asks for it."""
+        found: dict[str, Callable[[], None]] = {}
+        if self._file is not None:
+            found["alive_file"] = self._touch
+        if self._url:
+            found["alive_url"] = self._ask
+        return found
+
+    def _touch(self) -> None:
+        assert self._file is not None
+        self._file.touch()
+
+    def _ask(self) -> None:
+        with urllib.request.urlopen(self._url, timeout=20.0) as answer:
+            answer.read(1)
+
+
+def _failure_of(signal: Callable[[], None]) -> str:
+    """Why a sign of life was not given, without its address; empty where it was."""
+    try:
+        signal()
+    except HTTPError as failure:
+        return f"the server answered {failure.code}"  # its phrase may repeat the address
+    except (OSError, ValueError, HTTPException) as failure:
+        return str(getattr(failure, "reason", None) or getattr(failure, "strerror", None) or type(failure).__name__)
+    return ""
+
+
+def alive_findings(section: MessagesSection) -> Iterator[Finding]:
+    """Give each sign of life once; what came of it."""
+    for key, signal in AliveSignal(section).signals().items():
+        why = _failure_of(signal)
+        if why:
+            remedy = "correct it, or look whether it can be reached from here"
+            yield Finding("messages", key, "fail", why, remedy, Act("edit-rig", f"messages.{key}"))
+        else:
+            yield Finding("messages", key, "ok", "a sign of life was given")
+
+
+# SetThreadExecutionState, Windows API: the state lasts until it is changed, and is the display's affair no further.
+_ES_CONTINUOUS = 0x80000000
+_ES_SYSTEM_REQUIRED = 0x00000001
+
+
+@contextmanager
+def kept_awake(reason: str) -> Iterator[bool]:
+    """Keep the system awake while the block runs; it may sleep again when this process is gone, however it ends.
+
+    Linux: ``systemd-inhibit``, which ``systemd-inhibit --list`` shows with the reason. macOS: ``caffeinate``, which
+    ``pmset -g assertions`` shows. Windows: SetThreadExecutionState, which ``powercfg /requests`` shows with the
+    program. The screen may go dark.
+
+    reason: What is going on, for people.
+
+    Yields whether the system has accepted it; no run is held up where it does not.
+    """
+    if sys.platform == "win32":
+        import ctypes
+
+        set_state = ctypes.windll.kernel32.SetThreadExecutionState
+        accepted = bool(set_state(_ES_CONTINUOUS | _ES_SYSTEM_REQUIRED))
+        try:
+            yield accepted
+        finally:
+            set_state(_ES_CONTINUOUS)
+        return
+    holder = next(filter(None, map(_started, inhibitors(sys.platform, reason))), None)
+    try:
+        yield holder is not None
+    finally:
+        if holder is not None:
+            _end(holder)
+
+
+def awake_finding() -> Finding:
+    """Whether this system can be kept awake."""
+    with kept_awake("wavefocus doctor") as accepted:
+        if accepted:
+            return Finding("computer", "sleep", "ok", "kept awake while a run is on")
+    what = "this system takes no request to stay awake"
+    return Finding("computer", "sleep", "skipped", what, "set its power settings to never sleep")
+
+
+def inhibitors(platform: str, reason: str) -> list[list[str]]:
+    """Commands that keep a platform (as `sys.platform`) awake, the first that it accepts being enough.
+
+    On Linux they end when their standard input is closed, on macOS when this process is gone.
+    """
+    if platform == "darwin":
+        return [["caffeinate", "-i", "-s", "-w", str(os.getpid())]]
+    if platform.startswith("linux"):
+        who = ["--who=wavefocus", f"--why={reason}", "--mode=block", "cat"]
+        # A user who is logged in over the network may only refuse idling (org.freedesktop.login1.policy).
+        return [["systemd-inhibit", f"--what={what}", *who] for what in ("sleep:idle:handle-lid-switch", "idle")]
+    return []
+
+
+def _started(command: list[str]) -> subprocess.Popen[bytes] | None:
+    """Start a command; None where it is not there, or ends at once, for the system refused it."""
+    if shutil.which(command[0]) is None:
+        return None
+    null = subprocess.DEVNULL
+    try:
+        holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True)
+    except OSError:
+        return None
+    try:
+        # A system without a session manager refuses within milliseconds.
+        holder.wait(0.2)
+    except subprocess.TimeoutExpired:
+        return holder
+    _end(holder)
+    return None
+
+
+def _end(holder: subprocess.Popen[bytes]) -> None:
+    with suppress(OSError):
+        if holder.stdin is not None:
+            holder.stdin.close()
+    if sys.platform == "darwin":
+        holder.terminate()
+    try:
+        holder.wait(5.0)
+    except subprocess.TimeoutExpired:
+        holder.kill()
+        holder.wait()

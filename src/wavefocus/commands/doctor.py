@@ -17,20 +17,17 @@ from wavefocus.config.messages import to_line
 from wavefocus.config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
-from wavefocus.console import answer, print_line, say, spinner
+from wavefocus.console import Exit, answer, print_line, say, spinner
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, SHUTTERS, VIBROMETERS
+from wavefocus.drivers.timeouts import in_time
 from wavefocus.ending import ending_at_once
-from wavefocus.exits import Exit
 from wavefocus.options import DoctorOptions
-from wavefocus.rig.alive import alive_findings
-from wavefocus.rig.awake import awake_finding
 from wavefocus.rig.calibration_validity import calibration_warnings
-from wavefocus.rig.instruments import openers_of
-from wavefocus.rig.notifications import message_findings
-from wavefocus.rig.shutter_check import shutter_findings
+from wavefocus.rig.instruments import open_shutter, openers_of
+from wavefocus.rig.unattended import alive_findings, awake_finding, message_findings
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import InputError
 
@@ -250,3 +247,30 @@ def _check_calibration(rig: RigConfig, identities: Mapping[str, DeviceIdentity],
             )
             findings.add("calibration", "actuators", "warn", what, "see wavefocus calibrate --only actuators", act)
     findings.add("calibration", "file", "ok", f"{rig.calibration.file}, made {record.made:%Y-%m-%d}")
+
+
+CALL_S = 10.0
+
+
+def shutter_findings(rig: RigConfig) -> Iterator[Finding]:
+    """Close, open and close the shutter while the mirror is parked; nothing where the rig has none."""
+    section = rig.shutter
+    if section is None:
+        return
+    try:
+        shutter = in_time("shutter", "opening", lambda: open_shutter(section), CALL_S)
+        try:
+            for operation, act in (
+                ("closing", shutter.block_beam),
+                ("opening", shutter.open_beam),
+                ("closing", shutter.block_beam),
+            ):
+                in_time("shutter", operation, act, CALL_S)
+            name = shutter.identify()
+        finally:
+            in_time("shutter", "releasing", shutter.close, CALL_S)
+    except InstrumentError as failure:
+        what = f"{failure.operation}: {failure.cause}; nothing is measured without it"
+        yield Finding("shutter", "open and close", "fail", what, failure.remedy, Act("edit-rig", "shutter"))
+        return
+    yield Finding("shutter", "open and close", "ok", f"{name}; closed now")

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
-from wavefocus.console import say
+from wavefocus.console import Exit, say
 from wavefocus.ending import stop_on_signals
-from wavefocus.exits import Exit
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.rig.virtual_bench import virtual_settings
 from wavefocus.storage.errors import InputError

@@ -1,1 +1,0 @@
-"""Commands about a bank that is there: checked, estimated, exported, imported, published."""

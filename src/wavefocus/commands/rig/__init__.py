@@ -1,1 +1,0 @@
-"""Commands about instruments: examined, calibrated, operated by hand, emulated."""
