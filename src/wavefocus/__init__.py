@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.scene.signals import Noise as Noise
     from wavefocus.rendering.scene.signals import Sine as Sine
     from wavefocus.rendering.scene.signals import SoundFile as SoundFile
-    from wavefocus.rendering.scene.trajectory_path import TrajectoryPath as TrajectoryPath
+    from wavefocus.rendering.scene.trajectory import TrajectoryPath as TrajectoryPath
     from wavefocus.storage.bank.notes import add_note as add_note
     from wavefocus.storage.bank.reading import Bank as Bank
     from wavefocus.storage.bank.reading import open_bank as open_bank
@@ -69,7 +69,7 @@ _NAMES = {
     "rendering.scene.model": "QuietPlace Scene Source load_scene",
     "rendering.scene.paths": "Circle Line Point Polyline",
     "rendering.scene.signals": "Impulse Noise Sine SoundFile",
-    "rendering.scene.trajectory_path": "TrajectoryPath",
+    "rendering.scene.trajectory": "TrajectoryPath",
     "storage.bank.notes": "add_note",
     "storage.bank.reading": "Bank open_bank",
     "storage.drive_file": "Drive read_drive write_drive",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.drive.wav import Interface
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.field.quiet_levels import QuietLevel
-    from wavefocus.rendering.greens.interpolation.auto import Interpolated
+    from wavefocus.rendering.greens.interpolation.errors import Interpolated
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.report.render_report import RenderReport
     from wavefocus.rendering.scene.model import Scene
@@ -244,7 +244,7 @@ def interpolate(
     >>> found.green.shape, found.method
     ((1, 4, 1000), 'nearest')
     """
-    from wavefocus.rendering.greens.interpolation.auto import interpolated
+    from wavefocus.rendering.greens.interpolation.errors import interpolated
 
     with opened_bank(bank) as view:
         return interpolated(view, places_mm, method, frequency_hz)

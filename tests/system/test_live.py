@@ -17,7 +17,7 @@ from tests.lab_files import with_check_rows
 from tests.system.lines import Lines
 from wavefocus.__main__ import run
 from wavefocus.rendering.scene.model import load_scene
-from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.rendering.scene.trajectory import TrajectoryPath
 
 QUIET = {"amplitude": 1e-3}
 

@@ -13,9 +13,9 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import with_rig
 from wavefocus.drives import render
 from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.verify.extra_measurements import measure_sentinel
+from wavefocus.rendering.verify.results import sentence
 from wavefocus.rendering.verify.scan import ScanPlan, scan
-from wavefocus.rendering.verify.sentinel import measure_sentinel
-from wavefocus.rendering.verify.symptom_words import sentence
 from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank

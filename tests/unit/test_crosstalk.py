@@ -19,8 +19,8 @@ from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.estimation import estimate
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
-from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.results import Symptom
+from wavefocus.rendering.verify.symptoms import crosstalk_symptom, with_crosstalk
 from wavefocus.storage.bank.ledger import PointRecord, Status
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank

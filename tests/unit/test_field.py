@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.rendering.field.bank_spectra import BankSpectra
+from wavefocus.rendering.field.convolution import BankSpectra
 from wavefocus.rendering.field.prediction import Prediction, measured_positions, predict, share_above
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.storage.drive_file import Drive

@@ -7,8 +7,7 @@ from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
-from wavefocus.rendering.live.finer import finer_rows
-from wavefocus.rendering.live.independent import MAX_ENERGY, independent_filters
+from wavefocus.rendering.live.finer import MAX_ENERGY, finer_rows, independent_filters
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
 

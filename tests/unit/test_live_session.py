@@ -18,8 +18,7 @@ from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentErr
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.live_session.orders import MAX_WAITING, Inbox, UseSignal, order_of
-from wavefocus.live_session.pace import Pace
-from wavefocus.live_session.priority import raise_priority
+from wavefocus.live_session.pace import Pace, raise_priority
 from wavefocus.live_session.session import LiveSession
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.drive.rendering import render_with_report

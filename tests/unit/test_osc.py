@@ -12,8 +12,7 @@ from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 from pythonosc.udp_client import SimpleUDPClient
 
-from wavefocus.live_session.osc import OscInput, OscMessages, address_of
-from wavefocus.live_session.osc_packet import read, split
+from wavefocus.live_session.osc import OscInput, OscMessages, address_of, read_message, split_packet
 from wavefocus.storage.errors import InputError
 
 
@@ -39,11 +38,11 @@ def bundle(*messages: bytes) -> bytes:
 def test_given_what_other_programs_write_then_it_is_read_as_they_read_it():
     for values in ([], [1, 2.5], ["text"], [b"blob"], [True, False, None], [2**40], [[1, [2.0]], "x"]):
         datagram = osc("/a/b", *values)
-        assert read(datagram) == ("/a/b", OscMessage(datagram).params)
+        assert read_message(datagram) == ("/a/b", OscMessage(datagram).params)
     parts = [[b"/source/a/position", [1.0, 2.0]], [b"/source/b/position", [3, 4.0, 0.5]]]
-    ours = [read(one) for one in split(format_bundle(parts)[0])]
+    ours = [read_message(one) for one in split_packet(format_bundle(parts)[0])]
     assert ours == [(address.decode(), values) for address, values in parts]
-    assert [read(one) for one in split(bundle(osc("/a"), bundle(osc("/b"), osc("/c")), osc("/d")))] == [
+    assert [read_message(one) for one in split_packet(bundle(osc("/a"), bundle(osc("/b"), osc("/c")), osc("/d")))] == [
         ("/a", []), ("/b", []), ("/c", []), ("/d", [])
     ]  # fmt: skip
 

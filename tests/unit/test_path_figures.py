@@ -7,9 +7,8 @@ from scipy.special import j0
 from tests.unit.wave_travel import impulse_travel as travel_of_a_wave
 from wavefocus.config.scene import Regularisation
 from wavefocus.mocks.plates.soft import SOFT_PLATE, DampedWave
-from wavefocus.rendering.field.crosstalk import PathResponses
 from wavefocus.rendering.field.metrics import band_limited
-from wavefocus.rendering.field.wave_figures import correlation_over_distance, impulse_travel
+from wavefocus.rendering.field.wave_figures import PathResponses, correlation_over_distance, impulse_travel
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.storage.errors import InputError
 

@@ -17,9 +17,8 @@ from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.config.scene import Output
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.number_text import number
-from wavefocus.rendering.report.page import build_report
+from wavefocus.rendering.report.page import build_report, remarks
 from wavefocus.rendering.report.waves import wave_figures, waves_of, waves_picture
-from wavefocus.rendering.report.words import remarks
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Line, Point
 from wavefocus.rendering.scene.signals import Impulse

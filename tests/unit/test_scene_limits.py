@@ -15,8 +15,8 @@ from tests.unit.plate_banks import NOISE_MM, noise_bank
 from wavefocus.config.scene import SceneConfig
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.scene.model import build_scene, read_scene
+from wavefocus.rendering.scene.sampling import MAX_DRIVE_BYTES, check_scene_size, scene_size
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.size import MAX_DRIVE_BYTES, check_scene_size, scene_size
 from wavefocus.rendering.scene.svg import SvgPath, flatten
 from wavefocus.storage.errors import InputError
 

@@ -6,7 +6,7 @@ import pytest
 from tests.unit import analytic_plates as plates
 from tests.unit.analytic_plates import ACTUATORS, Case, Medium, driven, green, verified
 from tests.unit.line_verification import rendered, scan_of
-from wavefocus.rendering.verify.linearity import QUIETER_DB, linearity
+from wavefocus.rendering.verify.extra_measurements import QUIETER_DB, linearity
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.verdict import Verification
 

@@ -13,12 +13,10 @@ from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source, load_scene
 from wavefocus.rendering.scene.paths import Circle, Line, Point
-from wavefocus.rendering.scene.sampling import sample_scene
+from wavefocus.rendering.scene.sampling import sample_scene, scene_size
 from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
-from wavefocus.rendering.scene.size import scene_size
-from wavefocus.rendering.scene.trajectory import Trajectory
-from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.rendering.scene.trajectory import Trajectory, TrajectoryPath
 from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0

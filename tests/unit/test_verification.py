@@ -15,8 +15,8 @@ from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.verify.linearity import linearity as linearity_of
-from wavefocus.rendering.verify.linearity import linearity_rows, quieter
+from wavefocus.rendering.verify.extra_measurements import linearity as linearity_of
+from wavefocus.rendering.verify.extra_measurements import linearity_rows, quieter
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
 from wavefocus.storage.drive_file import Drive

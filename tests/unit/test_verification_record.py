@@ -15,7 +15,7 @@ from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.paths import Line
 from wavefocus.rendering.verify.field_pair import CancelledError, read_pair
 from wavefocus.rendering.verify.record import RECORD_NAME, RecordedSource, read_record, write_record
-from wavefocus.rendering.verify.symptom_words import remedy, sentence
+from wavefocus.rendering.verify.results import remedy, sentence
 from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, write_field

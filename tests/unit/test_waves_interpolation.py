@@ -14,8 +14,8 @@ from wavefocus.rendering.field.foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.interpolation import waves as waves_module
-from wavefocus.rendering.greens.interpolation.auto import choose_interpolation
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.interpolation.errors import choose_interpolation
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import finer_rows

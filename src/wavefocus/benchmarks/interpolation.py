@@ -19,9 +19,14 @@ from wavefocus.config.outline import Outline
 from wavefocus.config.scene import Output
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, interpolation_method
+from wavefocus.rendering.greens.interpolation.base import (
+    Bilinear,
+    Interpolation,
+    Nodes,
+    OffGridError,
+    interpolation_method,
+)
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-from wavefocus.rendering.greens.interpolation.on_grid import Bilinear
 from wavefocus.rendering.greens.source import GreenArray, GreenSource
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle

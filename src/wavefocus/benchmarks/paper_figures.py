@@ -20,10 +20,9 @@ from wavefocus.benchmarks.paper_measures import (
 from wavefocus.benchmarks.rig_bank import BAND_HZ, rig_setup
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.field import metrics
-from wavefocus.rendering.field.crosstalk import crosstalk_table
-from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
+from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM
 from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.field.wave_figures import correlation_over_distance
+from wavefocus.rendering.field.wave_figures import correlation_over_distance, crosstalk_table
 from wavefocus.rendering.greens.regularisation import focus_gain_map
 from wavefocus.rendering.report.canvas import FAINT, INK, MAP_GAP_PX, TITLE_PX, Canvas, Panel, Picture, draw_maps
 from wavefocus.rendering.report.figures import PREDICTION, SCAN

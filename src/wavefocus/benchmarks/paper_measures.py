@@ -10,7 +10,7 @@ from wavefocus.benchmarks.rig_bank import PaperBank
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field import metrics
-from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
+from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, median_or_none
 from wavefocus.rendering.field.prediction import Prediction, predict
 from wavefocus.rendering.field.wave_figures import PathSpectrum, path_spectrum
 from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure, relative_error
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.field.bank_spectra import BankSpectra
+from wavefocus.rendering.field.convolution import BankSpectra
 from wavefocus.rendering.field.prediction import Prediction
-from wavefocus.rendering.greens.interpolation.on_grid import Bilinear
+from wavefocus.rendering.greens.interpolation.base import Bilinear
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source

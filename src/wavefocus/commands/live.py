@@ -17,11 +17,11 @@ from wavefocus.config.messages.live import LiveEnded, LiveNotice, LiveReady
 from wavefocus.console import Exit, say
 from wavefocus.ending import ending_at_once
 from wavefocus.json_lines import LinesOut, input_objects
-from wavefocus.live_session.opening import open_session
 from wavefocus.live_session.orders import order_of
 from wavefocus.live_session.osc import OscInput, address_of
-from wavefocus.live_session.priority import raise_priority
+from wavefocus.live_session.pace import raise_priority
 from wavefocus.live_session.session import LiveSession
+from wavefocus.live_session.sources import open_session
 from wavefocus.options import LiveOptions
 from wavefocus.storage.errors import InputError
 

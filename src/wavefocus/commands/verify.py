@@ -34,7 +34,6 @@ from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
 from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
-from wavefocus.rendering.verify import symptom_words
 from wavefocus.rendering.verify.correction import (
     MIN_CONTROLS,
     control_rows,
@@ -42,7 +41,7 @@ from wavefocus.rendering.verify.correction import (
     correction_lines,
     require_correctable,
 )
-from wavefocus.rendering.verify.linearity import linearity_rows, quieter
+from wavefocus.rendering.verify.extra_measurements import drift_sentence, linearity_rows, measure_sentinel, quieter
 from wavefocus.rendering.verify.mirror_error import sentinel_shift_mm
 from wavefocus.rendering.verify.record import (
     CORRECTED_NAME,
@@ -59,10 +58,8 @@ from wavefocus.rendering.verify.record import (
     STOP_NAME,
     write_record,
 )
-from wavefocus.rendering.verify.results import Correction, Figure, Sentinel
-from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
-from wavefocus.rendering.verify.scan_signals import marker_v
-from wavefocus.rendering.verify.sentinel import drift_sentence, measure_sentinel
+from wavefocus.rendering.verify.results import Correction, Figure, Sentinel, remedy, sentence
+from wavefocus.rendering.verify.scan import Scan, ScanPlan, marker_v, scan
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
 from wavefocus.rig.limits import check_drive, stricter
 from wavefocus.rig.setup import open_setup
@@ -134,7 +131,7 @@ def verify(
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, verification.summary)
     for symptom in verification.symptoms:
-        say(f"{symptom_words.sentence(symptom)} {symptom_words.remedy(symptom)}")
+        say(f"{sentence(symptom)} {remedy(symptom)}")
     for check in verification.checks:
         say(_line(check))
     if (noise := verification.noise_error) is not None:

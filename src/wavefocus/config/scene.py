@@ -21,11 +21,11 @@ from wavefocus.config.fields import (
 )
 
 INTERPOLATIONS = {
-    "nearest": "wavefocus.rendering.greens.interpolation.on_grid:Nearest",
-    "bilinear": "wavefocus.rendering.greens.interpolation.on_grid:Bilinear",
+    "nearest": "wavefocus.rendering.greens.interpolation.base:Nearest",
+    "bilinear": "wavefocus.rendering.greens.interpolation.base:Bilinear",
     "kernel": "wavefocus.rendering.greens.interpolation.kernel:KernelInterpolation",
     "waves": "wavefocus.rendering.greens.interpolation.waves:WavesInterpolation",
-    "auto": "wavefocus.rendering.greens.interpolation.auto:scene_choice",
+    "auto": "wavefocus.rendering.greens.interpolation.errors:scene_choice",
 }
 """Methods of a bank between its positions, by the name that a scene file gives them.
 

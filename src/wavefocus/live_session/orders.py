@@ -15,8 +15,8 @@ from wavefocus.config.scene import SignalTable
 from wavefocus.console import one_line
 from wavefocus.json_lines import read_order
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.live.emitted import live_samples
 from wavefocus.rendering.live.engine import MAX_NAME
+from wavefocus.rendering.live.lives import live_samples
 from wavefocus.rendering.scene.model import build_signal
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.storage.errors import InputError
@@ -53,7 +53,7 @@ def order_of(content: Mapping[str, object], rate_hz: float, folder: Path) -> Ord
     if isinstance(order, MoveSource | EndSource | SetSignal):
         check_name(order.name)
     if isinstance(order, SetSignal):
-        return with_samples(order, rate_hz, folder)
+        return _with_samples(order, rate_hz, folder)
     assert isinstance(order, MoveSource | EndSource | EndLive)
     return order
 
@@ -64,7 +64,7 @@ def check_name(name: str) -> None:
         raise InputError(f"name is {one_line(repr(name), 80)}; allowed: 1 to {MAX_NAME} characters")
 
 
-def with_samples(order: SetSignal, rate_hz: float, folder: Path) -> UseSignal:
+def _with_samples(order: SetSignal, rate_hz: float, folder: Path) -> UseSignal:
     """Make the signal of an order. Raises InputError: it is wrong, or too long for a live source."""
     table = validated(_SignalOrder, {"signal": order.signal}, "order signal")
     signal = build_signal(table.signal, folder / "order signal", "signal")

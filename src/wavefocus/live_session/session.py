@@ -20,9 +20,8 @@ from wavefocus.config.messages.live import SoundingSource as Sounding
 from wavefocus.console import one_line
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.timeouts import BoundedPlayer
-from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import Inbox, Order, UseSignal
-from wavefocus.live_session.pace import Change, Pace
+from wavefocus.live_session.pace import Change, LatencyHistogram, Pace
 from wavefocus.rendering.live.engine import LiveEngine, SourceState
 from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording

@@ -20,7 +20,7 @@ from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, Sta
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.verify.scan_signals import marker_v
+from wavefocus.rendering.verify.scan import marker_v
 
 MAX_VOID = 3
 """Presentations of one trial that may fail passingly before the session ends."""

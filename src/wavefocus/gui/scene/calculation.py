@@ -29,7 +29,7 @@ from wavefocus.storage.errors import InputError, WavefocusError
 if TYPE_CHECKING:
     from wavefocus.config.scene import SceneConfig
     from wavefocus.rendering.arrays import Int64Array
-    from wavefocus.rendering.field.bank_spectra import BankSpectra
+    from wavefocus.rendering.field.convolution import BankSpectra
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.report.movie import Foci
     from wavefocus.storage.drive_file import Drive
@@ -218,7 +218,7 @@ def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) 
     from wavefocus.rendering.field.prediction import field_unit
     from wavefocus.rendering.field.quiet_levels import quiet_levels
     from wavefocus.rendering.report.movie import Foci
-    from wavefocus.rendering.scene.size import scene_size
+    from wavefocus.rendering.scene.sampling import scene_size
     from wavefocus.rig.limits import rig_of, within
     from wavefocus.storage.bank.reading import open_bank
 
@@ -269,7 +269,7 @@ def _measured(path: Path, _state: FileState) -> tuple[Int64Array, PlotSurface]:
 @lru_cache(1)
 def _spectra(path: Path, state: FileState, rate_hz: float) -> BankSpectra:
     """Spectra of a bank's measured positions, kept from edit to edit."""
-    from wavefocus.rendering.field.bank_spectra import BankSpectra
+    from wavefocus.rendering.field.convolution import BankSpectra
     from wavefocus.storage.bank.reading import open_bank
 
     with open_bank(path) as bank:

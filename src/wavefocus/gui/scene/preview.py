@@ -205,7 +205,7 @@ def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path, former: Sequ
 
 def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:
     from wavefocus.rendering.scene.sampling import point_count
-    from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+    from wavefocus.rendering.scene.trajectory import TrajectoryPath
 
     points = point_count(source, index)
     moves = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)

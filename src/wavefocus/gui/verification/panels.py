@@ -165,7 +165,7 @@ def _cells(figure: Figure) -> list[str]:
 def _findings(record: VerificationRecord) -> list[str]:
     """Figures beyond their limits, and symptoms with what to do."""
     from wavefocus.rendering.number_text import number
-    from wavefocus.rendering.verify.symptom_words import remedy, sentence
+    from wavefocus.rendering.verify.results import remedy, sentence
 
     beyond = [
         f"▲ {one.name}: {number(one.value, one.unit)}, {one.relation} {number(one.limit, one.unit)} is allowed"

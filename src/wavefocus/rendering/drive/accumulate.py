@@ -16,9 +16,8 @@ import numpy as np
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, threaded_map
-from wavefocus.rendering.drive.windows import RowSpectra, Windows
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.scene.emission import Emission
+from wavefocus.rendering.scene.emission import Emission, RowSpectra, Windows
 from wavefocus.rendering.scene.sampling import SampledScene
 
 WINDOWS_AT_ONCE = 32
@@ -52,7 +51,7 @@ class BlockAccumulator:
         reach = rows.taps + max(emission.event_samples for emission in self._emissions) - 1
         first = min(emission.first_sample for emission in self._emissions)
         stop = max(emission.stop_event for emission in self._emissions)
-        self.block_samples = choose_fft_samples(
+        self.block_samples = _choose_fft_samples(
             reach, stop - first, rows.bank.actuators,
             [(source.focus_position, source.nodes) for source in scene.sources],
         )  # fmt: skip
@@ -165,7 +164,7 @@ class BlockAccumulator:
         return samples, band.rounding_error(coherent, pairs), figures
 
 
-def choose_fft_samples(reach: int, span: int, actuators: int, paths: Sequence[tuple[Int64Array, int]]) -> int:
+def _choose_fft_samples(reach: int, span: int, actuators: int, paths: Sequence[tuple[Int64Array, int]]) -> int:
     """Choose the transform length by what transforms, products and overlap-add will cost.
 
     Long blocks waste less on their overlap, short ones less on rows that emit briefly.

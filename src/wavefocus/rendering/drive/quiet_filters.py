@@ -84,7 +84,7 @@ def least_energy(foci: Sequence[Focus], multiplier: Float64Array) -> list[Comple
     return [w[:, :, index] for index in range(len(foci))]
 
 
-def reversed_in_time(focus: Focus) -> Complex128Array:
+def _reversed_in_time(focus: Focus) -> Complex128Array:
     """Filters of plain time reversal, s h*, (bins, actuators)."""
     return np.asarray(np.conj(focus.row) * (1.0 if focus.sigma is None else focus.sigma))
 
@@ -131,8 +131,8 @@ class Multipliers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Energies:
-    """Energies over all moments: of the drives, of the response at each place and at the loudest focus."""
+class _Energies:
+    """_Energies over all moments: of the drives, of the response at each place and at the loudest focus."""
 
     drive: float
     place: Float64Array
@@ -164,8 +164,8 @@ def filters_of(moments: Sequence[Moment], multiplier: Float64Array) -> Filters:
     return [[found[id(focus)] for focus in moment.foci] for moment in moments]
 
 
-def energies_of(moments: Sequence[Moment], filters: Filters) -> Energies:
-    """Energies of what the sources emit, through their filters."""
+def energies_of(moments: Sequence[Moment], filters: Filters) -> _Energies:
+    """_Energies of what the sources emit, through their filters."""
     drive, places = 0.0, moments[0].applies.shape[1]
     place, at_focus = np.zeros(places), dict[int, float]()
     for moment, own in zip(moments, filters, strict=True):
@@ -176,7 +176,7 @@ def energies_of(moments: Sequence[Moment], filters: Filters) -> Energies:
         np.add.at(place, moment.place, _energy(emitted, there) / np.bincount(moment.place)[moment.place])
         for focus, energy in zip(moment.foci, _energy(emitted, rows @ driven).tolist(), strict=True):
             at_focus[focus.source] = at_focus.get(focus.source, 0.0) + energy
-    return Energies(drive, np.maximum(place, 0.0), max(at_focus.values()))
+    return _Energies(drive, np.maximum(place, 0.0), max(at_focus.values()))
 
 
 def _energy(emitted: Complex128Array, response: Complex128Array) -> Float64Array:
@@ -195,7 +195,7 @@ def find_multipliers(
     cut: By default filters are as long as they come out.
     """
     loud = _sounding(moments)
-    unit, plain = _units(loud), energies_of(loud, [[reversed_in_time(focus) for focus in m.foci] for m in loud])
+    unit, plain = _units(loud), energies_of(loud, [[_reversed_in_time(focus) for focus in m.foci] for m in loud])
     relative, wanted = np.where(plain.level > level, 10.0, MIN_MULTIPLIER), level
     # Times that levels are asked lower by what cutting the filters to their length costs.
     for _ in range(3):
@@ -256,7 +256,7 @@ def _units(moments: Sequence[Moment]) -> Float64Array:
 
 def _within(
     most: float, moments: Sequence[Moment], level: Float64Array, unit: Float64Array, start: Float64Array
-) -> tuple[Float64Array, Energies, bool]:
+) -> tuple[Float64Array, _Energies, bool]:
     """The multipliers that meet the levels within an energy, and whether it acts."""
     relative, found = _met(moments, level, unit, start, MAX_MULTIPLIER)
     if found.drive <= most:
@@ -276,7 +276,7 @@ def _within(
 
 def _met(
     moments: Sequence[Moment], level: Float64Array, unit: Float64Array, relative: Float64Array, ceiling: float
-) -> tuple[Float64Array, Energies]:
+) -> tuple[Float64Array, _Energies]:
     """Multipliers up to a ceiling that meet the levels, in their units."""
     for last in range(STEPS):
         found = energies_of(moments, filters_of(moments, relative * unit))

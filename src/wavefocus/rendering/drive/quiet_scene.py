@@ -28,11 +28,10 @@ from wavefocus.rendering.drive.quiet_filters import (
     find_multipliers,
     least_energy,
 )
-from wavefocus.rendering.drive.windows import Events
 from wavefocus.rendering.field.quiet_levels import QuietLevel, quiet_levels, rendered_levels
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader
-from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
+from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, Events, PointEmission
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.quiet_places import PlaceRows, PlannedPlace, QuietPlan, paths_of, place_at, plan_quiet
 from wavefocus.rendering.scene.sampling import SampledScene
@@ -85,13 +84,13 @@ def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple
         if rows.long_enough:
             break
     sources = [
-        replace(source, emission=QuietEmission(source.emission, plan, index, rows), nodes=2 * source.nodes)
+        replace(source, emission=_QuietEmission(source.emission, plan, index, rows), nodes=2 * source.nodes)
         for index, source in enumerate(sampled.sources)
     ]
     return replace(sampled, sources=sources, samples=sampled.samples + rows.tail), rows
 
 
-class QuietEmission:
+class _QuietEmission:
     """An emission whose rows are those of a `QuietRows`, fading from one knot of the plan to the next."""
 
     def __init__(self, emission: Emission, plan: QuietPlan, source: int, rows: QuietRows) -> None:

@@ -47,7 +47,7 @@ class Interface:
         """
         rate = InterfaceRate(sample_rate_hz, self.rate_hz)
         actuators, samples = drive_v.shape
-        return largest_of(rate.pieces(in_chunks([drive_v]), actuators, samples, CHUNK_SAMPLES), actuators)
+        return largest_of(rate.pieces(_in_chunks([drive_v]), actuators, samples, CHUNK_SAMPLES), actuators)
 
     def reached(self, largest_v: Float64Array) -> Reached:
         """Largest magnitudes at the interface's rate, (actuators,), and the outputs' full scale."""
@@ -147,7 +147,7 @@ def stream_wav(
         with soundfile.SoundFile(
             temporary, "w", samplerate=interface_rate_hz, channels=actuators, subtype="FLOAT", format="WAV"
         ) as file:
-            for played_v in rate.pieces(in_chunks(blocks), actuators, samples, chunk_samples):
+            for played_v in rate.pieces(_in_chunks(blocks), actuators, samples, chunk_samples):
                 peak_v = float(peaks(played_v).max())
                 if peak_v > full_scale_v:
                     raise InputError(
@@ -159,7 +159,7 @@ def stream_wav(
     return largest_v
 
 
-def in_chunks(blocks: Iterable[Float64Array]) -> Iterator[Float64Array]:
+def _in_chunks(blocks: Iterable[Float64Array]) -> Iterator[Float64Array]:
     """Drives (actuators, samples) in pieces that do not take much memory when they are converted."""
     for block in blocks:
         for begin in range(0, block.shape[1], CHUNK_SAMPLES):

@@ -8,8 +8,7 @@ from numpy.typing import DTypeLike
 from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.device import WORKERS, Device, host_device, threaded_map
-from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
-from wavefocus.rendering.field.convolution import Convolution
+from wavefocus.rendering.field.convolution import BankSpectra, Convolution, Decimation
 from wavefocus.rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
 from wavefocus.storage.argument_types import Positions, bank_rows, float_type
 from wavefocus.storage.drive_file import Drive

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.field.foci import windows_at_foci
-from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows
+from wavefocus.rendering.field.foci import FocusInstant, emission_windows, windows_at_foci
 from wavefocus.rendering.field.prediction import Prediction
 from wavefocus.rendering.greens.interpolation.base import OffGridError
 from wavefocus.rendering.greens.source import GreenSource
@@ -77,7 +76,7 @@ def rendered_levels(tracks: tuple[QuietTrack, ...]) -> tuple[QuietLevel, ...]:
     return tuple(QuietLevel(track, track.rendered_db) for track in tracks)
 
 
-def spread_mm(radius_mm: float) -> Float64Array:
+def _spread_mm(radius_mm: float) -> Float64Array:
     """Points that share a disc about (0, 0) evenly, on a spiral, float64 (n, 2); one for radius 0."""
     if radius_mm == 0:
         return np.zeros((1, 2))
@@ -105,7 +104,7 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
         if track.source >= 0:
             found += rendered_levels((track,))
             continue
-        place_rows, around_mm = methods[track.interpolation], spread_mm(track.radius_mm)
+        place_rows, around_mm = methods[track.interpolation], _spread_mm(track.radius_mm)
         try:
             rows = place_rows.at((track.at_mm[:, None] + around_mm).reshape(-1, 2))
         except OffGridError as off:
@@ -114,8 +113,8 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
         there = Prediction(drive, place_rows.rows, index, dtype=np.float64).field().field
         where = list(inverse.reshape(-1, len(around_mm)))
         energy = np.sum(_followed(drive, there, where, track.sample, track.at_mm, PLACE_REACH_MM), axis=0)
-        worst_db = level_db_of(energy.max(), reference) if track.radius_mm else None
-        found.append(QuietLevel(track, level_db_of(energy.mean(), reference), worst_db))
+        worst_db = _level_db_of(energy.max(), reference) if track.radius_mm else None
+        found.append(QuietLevel(track, _level_db_of(energy.mean(), reference), worst_db))
     return tuple(found)
 
 
@@ -144,7 +143,7 @@ def field_levels(
         level_db = None
         if (apart_mm <= spacing_mm).all() and reference > 0:
             energy = _followed(drive, field, where, track.sample, track.at_mm, PLACE_REACH_MM)
-            level_db = level_db_of(float(sum(values.mean() for values in energy)), reference)
+            level_db = _level_db_of(float(sum(values.mean() for values in energy)), reference)
         found.append((track, level_db, len(np.unique(np.concatenate(where)))))
     return found
 
@@ -208,6 +207,6 @@ def _followed(
     return energies
 
 
-def level_db_of(energy: float, reference: float) -> float:
+def _level_db_of(energy: float, reference: float) -> float:
     """A level in dB, at least `SILENT_DB`."""
     return float(10.0 * np.log10(max(energy / max(reference, 1e-300), 10.0 ** (SILENT_DB / 10))))

@@ -90,7 +90,7 @@ def row_weights(green: Float64Array, threshold: float, *, normalise: bool) -> Ro
     return sigma, 1.0 / total
 
 
-def focus_gains(bank: GreenSource, positions: Sequence[int], threshold: float) -> Float64Array:
+def _focus_gains(bank: GreenSource, positions: Sequence[int], threshold: float) -> Float64Array:
     """n(x) of eq. (15) at some positions.
 
     threshold: C of eq. (14) in the bank's unit, as `saturation_threshold` gives it.
@@ -116,7 +116,7 @@ def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float6
     n(x) does not fit into float64.
     """
     threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
-    gain = focus_gains(bank, range(bank.positions), threshold)
+    gain = _focus_gains(bank, range(bank.positions), threshold)
     wrong = np.flatnonzero((gain == 0) | np.isinf(gain))
     if len(wrong):
         raise InputError(

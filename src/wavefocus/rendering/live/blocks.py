@@ -12,7 +12,7 @@ the instants t of the interface's samples are one product with a fixed matrix:
 
     f_i(t) = 2 / K sum_k Re F_i[k] exp(2 pi i k t / K)      (half of it for k = 0 and k = K / 2)
 
-Independent sources (`wavefocus.rendering.live.independent`) have filters of their own in place of conj(G). They last
+Independent sources (`wavefocus.rendering.live.finer`) have filters of their own in place of conj(G). They last
 longer: `EXTENSION_S` of source samples more are taken at either end. A filter is made for the places of all sources at
 one instant, and serves samples around it, weighted by a hat: every `HAT_S`; where places are predicted, the first one
 serves all samples after it.
@@ -37,8 +37,7 @@ from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import usable
-from wavefocus.rendering.live.finer import FinerRows
-from wavefocus.rendering.live.independent import Complex64Array, independent_filters
+from wavefocus.rendering.live.finer import Complex64Array, FinerRows, independent_filters
 from wavefocus.rendering.live.lives import Life, runs_of
 from wavefocus.storage.errors import InputError
 

@@ -14,9 +14,18 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.blocks import CrossfadedBlocks
-from wavefocus.rendering.live.emitted import Emitted, default_signal, live_samples
 from wavefocus.rendering.live.finer import finer_rows
-from wavefocus.rendering.live.lives import JUMP_MM_S, LOOK_S, VELOCITY_S, Life, Timing, trajectory
+from wavefocus.rendering.live.lives import (
+    JUMP_MM_S,
+    LOOK_S,
+    VELOCITY_S,
+    Emitted,
+    Life,
+    Timing,
+    default_signal,
+    live_samples,
+    trajectory,
+)
 from wavefocus.rendering.live.surface import PlayableSurface
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.trajectory import Trajectory
@@ -80,7 +89,7 @@ class LiveEngine:
     block_samples: Drive samples of a block, at the bank's rate, B.
     look_ahead_samples: By how much sources lag their positions, >= 0.
     regularisation, interpolation: As of a scene; sources that are independent are as
-        `wavefocus.rendering.live.independent` has them. Of "kernel", "waves" and "auto" the rows between positions are
+        `wavefocus.rendering.live.finer` has them. Of "kernel", "waves" and "auto" the rows between positions are
         made before the first block.
     hold_s: For how long a source goes on at its last velocity without a position.
     fade_s: Duration of each fade.

@@ -1,4 +1,4 @@
-"""The course of a source that is ordered while it sounds: knots that are final, and a tail that is predicted.
+"""A source that is ordered while it sounds: its signal, and its course of final knots and a tail that is predicted.
 
 A source goes straight from one ordered position to the next. Beyond the last one it goes on at the velocity of the last
 `VELOCITY_S`, for at most the time of holding; where the measured surface ends, it stays at the last place on it. Then
@@ -16,9 +16,53 @@ import numpy as np
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import Nodes, OffGridError
-from wavefocus.rendering.live.emitted import Emitted
+from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.surface import PlayableSurface
+from wavefocus.rendering.scene.signals import Noise, Signal, signal_size
 from wavefocus.rendering.scene.trajectory import Trajectory
+from wavefocus.storage.errors import InputError
+
+MAX_SIGNAL_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Emitted:
+    """A signal that a source emits from its first sample on, at the bank's rate."""
+
+    signal: Signal
+    values: Float64Array
+    repeat: bool
+
+    def at(self, since: int, samples: int) -> Float64Array:
+        """Values from so many samples after the first on, float64 (samples,)."""
+        size = len(self.values)
+        if self.repeat:
+            since %= size
+            if since + samples > size:
+                return np.take(self.values, np.arange(since, since + samples), mode="wrap")
+        values = self.values[since : since + samples]
+        return values if len(values) == samples else np.pad(values, (0, samples - len(values)))
+
+
+def live_samples(signal: Signal, rate_hz: float) -> Float64Array:
+    """Samples of a signal for a live source.
+
+    Raises InputError: the signal cannot be made at this rate, or is too long.
+    """
+    samples, _ = signal_size(signal, rate_hz)
+    if not samples <= MAX_SIGNAL_S * rate_hz:
+        raise InputError(
+            f"a signal of {samples / rate_hz:.4g} s is too long; live sources take up to {MAX_SIGNAL_S:g} s"
+        )
+    return signal.samples(rate_hz)
+
+
+def default_signal(bank: GreenSource) -> Signal:
+    """Noise of the bank's band, 1 s; of 50 to 450 Hz, as far as the rate allows, where the band is not stated."""
+    half_hz = float(bank.sample_rate_hz) / 2.0
+    low_hz, high_hz = bank.band_hz or (min(50.0, half_hz / 4.0), min(450.0, half_hz))
+    return Noise((low_hz, min(high_hz, half_hz)), 1.0)
+
 
 VELOCITY_S = 0.03
 """Time over which the velocity is taken: two positions of a 60 Hz screen, for the jitter of one."""
@@ -28,7 +72,7 @@ LOOK_S = 0.0025
 """A course is looked at so often; closer where the rows change."""
 
 
-class Knot(NamedTuple):
+class _Knot(NamedTuple):
     """A point of a trajectory."""
 
     sample: int
@@ -37,7 +81,7 @@ class Knot(NamedTuple):
     amplitude: float
 
 
-def trajectory(knots: list[Knot]) -> Trajectory:
+def trajectory(knots: list[_Knot]) -> Trajectory:
     """The trajectory through knots."""
     table = np.array([knot[1:] for knot in knots])
     return Trajectory(np.array([knot.sample for knot in knots], dtype=np.int64), table[:, :2], table[:, 2])
@@ -83,7 +127,7 @@ class Life:
     ended: bool = False
     rests: bool = False
     """The last position changed nothing but how long the source goes on."""
-    _tail: list[Knot]
+    _tail: list[_Knot]
     _velocity: tuple[float, float] = (0.0, 0.0)
     _course: Trajectory | None = None
 
@@ -101,10 +145,10 @@ class Life:
     ) -> None:
         self.name, self.emitted, self.begin, self.look = name, emitted, begin, timing.look
         self._surface, self._timing = surface, timing
-        self._positions: list[Knot] = [] if before is None else before._positions
-        self._knots: list[Knot] = []
+        self._positions: list[_Knot] = [] if before is None else before._positions
+        self._knots: list[_Knot] = []
         self._taken = 0
-        self._accept([], [Knot(begin, *at_mm, amplitude)])
+        self._accept([], [_Knot(begin, *at_mm, amplitude)])
 
     @property
     def course(self) -> Trajectory:
@@ -125,7 +169,7 @@ class Life:
         nothing is changed.
         """
         last, knots = self._positions[-1], self._knots
-        position = Knot(sample, *at_mm, amplitude)
+        position = _Knot(sample, *at_mm, amplitude)
         points = [last, position]
         if sample <= last.sample:
             # Of several positions within one block the last one counts.
@@ -151,7 +195,7 @@ class Life:
         last = self._knots[-1]
         times = [knot.sample for knot in self._tail if knot.sample < sample] + [sample] * (sample > last.sample)
         places_mm, amplitudes = self.course.at(np.array(times, dtype=np.int64))
-        knots = [last, *map(Knot, times, *places_mm.T.tolist(), amplitudes.tolist())]
+        knots = [last, *map(_Knot, times, *places_mm.T.tolist(), amplitudes.tolist())]
         if self._reaches(knots, 1) < knots[-1].sample:  # by rounding, along an edge
             knots = [last]
         self._end(self._faded(self._knots[:-1] + knots))
@@ -164,7 +208,7 @@ class Life:
         loud = around[0] if (around == around[0]).all() else np.interp(np.arange(first, stop), knots, amplitude)
         return self.emitted.at(first - self.begin, stop - first) * loud
 
-    def take(self, sample: int) -> list[Knot]:
+    def take(self, sample: int) -> list[_Knot]:
         """Final knots that were not taken yet; those before `sample` are final."""
         final = len(self._knots) if self.ended else sum(knot.sample < sample for knot in self._knots)
         taken = self._knots[self._taken : final]
@@ -186,7 +230,7 @@ class Life:
         """Whether it has ended and all of its knots were taken."""
         return self.ended and self._taken == len(self._knots)
 
-    def _accept(self, before: list[Knot], points: list[Knot]) -> bool:
+    def _accept(self, before: list[_Knot], points: list[_Knot]) -> bool:
         """Go on from the knots before to the last of some points and on from there, staying on the surface.
 
         Returns False, and changes nothing, where the way to the point leaves the surface.
@@ -213,15 +257,15 @@ class Life:
         self._course = None
         return True
 
-    def _ahead(self, stop: int) -> list[Knot]:
+    def _ahead(self, stop: int) -> list[_Knot]:
         """The tail: on at the velocity until a sample, then at rest."""
         position, (right, up) = self._positions[-1], self._velocity
         ahead = stop - position.sample
-        rest = Knot(stop, position.x_mm + right * ahead, position.y_mm + up * ahead, position.amplitude)
+        rest = _Knot(stop, position.x_mm + right * ahead, position.y_mm + up * ahead, position.amplitude)
         held = rest._replace(sample=position.sample + self._timing.hold)
         return self._faded(self._appearing([position, *sorted({rest, held} - {position})]))[1:]
 
-    def _reaches(self, knots: list[Knot], step: int) -> int:
+    def _reaches(self, knots: list[_Knot], step: int) -> int:
         """The last of the knots' samples, or that of the last look, so many samples apart, before the surface ends."""
         first, last = knots[0].sample, knots[-1].sample
         if self._surface.holds(*[knot[1:3] for knot in knots]):
@@ -234,10 +278,10 @@ class Life:
             return int(sample[off.point - 1]) if off.point else first if len(knots) > 1 else first - 1
         return last
 
-    def _end(self, knots: list[Knot]) -> None:
+    def _end(self, knots: list[_Knot]) -> None:
         self._knots, self._tail, self._course, self.ended = knots, [], None, True
 
-    def _appearing(self, points: list[Knot]) -> list[Knot]:
+    def _appearing(self, points: list[_Knot]) -> list[_Knot]:
         """Knots of a way through some points that rise with the source's appearance."""
         risen = self.begin + self._timing.fade
         if points[0].sample >= risen:
@@ -247,13 +291,13 @@ class Life:
             times = sorted({*times, risen})
         places_mm, amplitudes = course.at(np.array(times))
         share = np.minimum((np.array(times) - self.begin) / self._timing.fade, 1.0)
-        return list(map(Knot, times, *places_mm.T.tolist(), (amplitudes * share).tolist()))
+        return list(map(_Knot, times, *places_mm.T.tolist(), (amplitudes * share).tolist()))
 
-    def _faded(self, knots: list[Knot]) -> list[Knot]:
+    def _faded(self, knots: list[_Knot]) -> list[_Knot]:
         last = knots[-1]
         return [*knots, last._replace(sample=last.sample + self._timing.fade, amplitude=0.0)]
 
-    def _recent(self, position: Knot) -> list[Knot]:
+    def _recent(self, position: _Knot) -> list[_Knot]:
         """Positions by which the velocity is taken, the given one the last: those of `VELOCITY_S`, at least two."""
         earlier = [
             knot for knot in self._positions if position.sample - self._timing.hold <= knot.sample < position.sample
@@ -323,7 +367,7 @@ def runs_of(lives: Sequence[Life], nodes_at: Callable[[Float64Array], Nodes], fi
     return runs
 
 
-def _velocity(positions: list[Knot]) -> tuple[float, float]:
+def _velocity(positions: list[_Knot]) -> tuple[float, float]:
     """Millimetres per sample along x and y, by least squares; 0 of one position."""
     last, mean = positions[-1], sum(knot.sample for knot in positions) / len(positions)
     offsets = [knot.sample - mean for knot in positions]

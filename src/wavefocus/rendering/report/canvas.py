@@ -1,7 +1,8 @@
-"""Canvas and surface of pictures: PNG at twice the density at which it is shown."""
+"""What reports are made of: canvas and surface of pictures (PNG at twice the density shown), pages of HTML."""
 
 from __future__ import annotations
 
+import base64
 import functools
 import io
 import warnings
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.number_text import number, precise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -246,8 +248,8 @@ def draw_maps(
     left_px, top_px, width_px = place_px
     height_px = surface.height_px(width_px)
     shown = np.arange(len(surface.position_mm)) if rows is None else rows
-    for number, panel in enumerate(panels):
-        line, column = divmod(number, columns)
+    for place, panel in enumerate(panels):
+        line, column = divmod(place, columns)
         axes = canvas.axes(
             left_px + column * (width_px + MAP_GAP_PX), top_px + line * (height_px + TITLE_PX), width_px, height_px
         )
@@ -255,7 +257,21 @@ def draw_maps(
         cells = draw_cells(axes, surface, shown, panel.values, colours=colours, limits=limits)
         if panel.rings_mm is not None:
             axes.plot(*panel.rings_mm.T, "o", ms=12, mfc="none", mec=ring_colour, mew=1.1, zorder=6)
-        left, bottom = column == 0, number + columns >= len(panels)
+        left, bottom = column == 0, place + columns >= len(panels)
         axes.tick_params(labelleft=left, labelbottom=bottom)
         axes.set(title=panel.title, xlabel="x (mm)" if bottom else "", ylabel="y (mm)" if left else "")
     return cells
+
+
+def html_page(template: str, package: str = "wavefocus.rendering", /, **content: Any) -> str:
+    """Fill a template from a package's folder ``templates``; it may extend those of ``rendering``."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    loader = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, "wavefocus.rendering"))])
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters |= {
+        "number": number,
+        "precise": precise,
+        "base64": lambda png: base64.b64encode(png).decode("ascii"),
+    }
+    return environment.get_template(template).render(**content)

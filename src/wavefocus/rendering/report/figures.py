@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
+from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM
 from wavefocus.rendering.field.metrics import normalised_error
 from wavefocus.rendering.report.canvas import (
     FAINT,
@@ -94,7 +94,7 @@ def value_map(
 @drawn_in_style
 def path_map(surface: ReportSurface, fields: FieldComparison) -> Picture:
     """Largest magnitude over the focus instants, predicted and scanned, as the paper's figure 4A2."""
-    top = focus_level(surface, fields)
+    top = _focus_level(surface, fields)
     factor, unit = scaled_unit(top, fields.response_unit)
     height = surface.height_px(470)
     canvas = Canvas("path", 1120, height + 74)
@@ -112,7 +112,7 @@ def path_map(surface: ReportSurface, fields: FieldComparison) -> Picture:
 @drawn_in_style
 def snapshots(surface: ReportSurface, fields: FieldComparison, chosen: Int64Array) -> Picture:
     """Prediction, scan and their difference at focus instants, all on one colour scale."""
-    top = focus_level(surface, fields)
+    top = _focus_level(surface, fields)
     factor, unit = scaled_unit(top, fields.response_unit)
     panels = []
     for index in chosen:
@@ -191,7 +191,7 @@ def drive_levels(drive_v: Float64Array) -> Picture:
     return canvas.picture()
 
 
-def focus_level(surface: ReportSurface, fields: FieldComparison) -> float:
+def _focus_level(surface: ReportSurface, fields: FieldComparison) -> float:
     """Largest predicted magnitude within 15 mm of a focus at its instant: the top of the colour scales.
 
     Next to an actuator the surface may move far more; a scale for that would hide the focus.

@@ -57,7 +57,7 @@ class ResponseTail:
         )
 
 
-def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None:
+def _response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None:
     """Look at the ends of at most six of the rows, evenly chosen.
 
     A long response has a loud end with and without a low-pass at the upper end of the bank's band; noise beyond the
@@ -167,7 +167,7 @@ def report_render(
     peak = float(norms.max())
     outside = tuple(1.0 - within / energy if energy > 0 else None for _, within, energy in statistics.tolist())
     bank_rows = [row for row in rows.used if row < measured.positions]
-    tail = response_tail(measured, bank_rows)
+    tail = _response_tail(measured, bank_rows)
     warnings = [
         *_silent(rows),
         *_doubtful(rows),

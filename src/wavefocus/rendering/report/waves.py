@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.field.crosstalk import CrosstalkTable, crosstalk_table
 from wavefocus.rendering.field.wave_figures import (
     IMPULSE_BAND_HZ,
     SPAN_MM,
+    CrosstalkTable,
     DistanceCorrelation,
     ImpulseTravel,
     PathSpectrum,
     correlation_over_distance,
+    crosstalk_table,
     impulse_travel,
     path_spectrum,
 )
@@ -25,7 +26,6 @@ from wavefocus.rendering.greens.source import usable
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.canvas import COLOURS, FAINT, Canvas, Picture, drawn_in_style
 from wavefocus.rendering.report.figures import PREDICTION, SCAN
-from wavefocus.rendering.report.words import FigureLine
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from wavefocus.rendering.verify.comparison import FieldComparison
 
 
+FigureLine = tuple[str, str, str]
+"""A line of the report's table of figures: name, value and definition."""
 LINE_POINTS = 24
 BEFORE_S, AFTER_S = 0.02, 0.1
 """About each focus instant, the window whose spectrum is formed."""

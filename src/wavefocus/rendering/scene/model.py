@@ -22,7 +22,7 @@ from wavefocus.config.scene import (
 from wavefocus.rendering.scene import paths, signals
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.svg import SvgPath
-from wavefocus.rendering.scene.trajectory_path import TrajectoryPath, read_trajectory
+from wavefocus.rendering.scene.trajectory import TrajectoryPath, read_trajectory
 from wavefocus.storage.argument_types import check_fields, checked
 from wavefocus.storage.errors import InputError
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from wavefocus.config.scene import INDEPENDENT_LEVEL_DB
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
-from wavefocus.rendering.greens.interpolation.auto import ON_POSITION, choose_interpolation
 from wavefocus.rendering.greens.interpolation.base import (
     GridInterpolation,
     Interpolation,
@@ -16,13 +15,13 @@ from wavefocus.rendering.greens.interpolation.base import (
     near,
     show_mm,
 )
-from wavefocus.rendering.greens.interpolation.errors import errors_at
+from wavefocus.rendering.greens.interpolation.errors import ON_POSITION, choose_interpolation, errors_at
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, refusal, usable
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
 from wavefocus.rendering.scene.sampling import SampledScene
-from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.rendering.scene.trajectory import TrajectoryPath
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.reader import DamagedError
 
@@ -88,7 +87,7 @@ def paths_of(scene: Scene, places: tuple[PlannedPlace, ...]) -> list[Path]:
     return [*(place.path for place in places), *(source.path for source in scene.sources)]
 
 
-def disc_mm(radius_mm: float) -> Float64Array:
+def _disc_mm(radius_mm: float) -> Float64Array:
     """Points about (0, 0) at which a disc is kept quiet, float64 (n, 2): its centre and a ring; one for radius 0."""
     if radius_mm == 0:
         return np.zeros((1, 2))
@@ -223,7 +222,7 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
 def _rows(place: PlannedPlace, knots: Int64Array, rate_hz: float, place_rows: PlaceRows) -> Int64Array:
     """Rows of a place at all knots, (knots, rows); a point that moves has those of the knots beside, too."""
     at_mm = place.at(knots, rate_hz)
-    around_mm = disc_mm(place.radius_mm)
+    around_mm = _disc_mm(place.radius_mm)
     points_mm = (at_mm[:, None] + around_mm).reshape(-1, 2)
     try:
         rows = place_rows.at(points_mm).reshape(len(knots), len(around_mm))

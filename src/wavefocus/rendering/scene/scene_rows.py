@@ -7,15 +7,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
-from wavefocus.rendering.greens.interpolation.auto import ON_POSITION
-from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, OffGridError
-from wavefocus.rendering.greens.interpolation.on_grid import Bilinear, Nearest
+from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM
+from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, Bilinear, Nearest, OffGridError
+from wavefocus.rendering.greens.interpolation.errors import ON_POSITION
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
 from wavefocus.rendering.scene.quiet_places import places_of
-from wavefocus.rendering.scene.size import MAX_PATH_POINTS
+from wavefocus.rendering.scene.sampling import MAX_PATH_POINTS
 from wavefocus.storage.errors import InputError
 
 POINTS_AT_ONCE = 4096

@@ -1,10 +1,16 @@
-"""A source's course in time: places and amplitudes at samples, linear between them."""
+"""A source's course in time, linear between knots: at samples, and as a path from a CSV file or from arrays."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from wavefocus.acquisition.grid import read_rows
 from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.scene.paths import DrawnPath
+from wavefocus.storage.argument_types import check_fields, real_array
 from wavefocus.storage.errors import InputError
 
 FURTHEST_MM = 1e100
@@ -50,3 +56,97 @@ class Trajectory:
         # A source that rests does not move by rounding: the slope is 0.
         x_mm, y_mm = (np.interp(sample, self.sample, along) for along in self.at_mm.T)
         return np.stack([x_mm, y_mm]).T, np.interp(sample, self.sample, self.amplitude)
+
+
+HEADERS = (["time_s", "x_mm", "y_mm"], ["time_s", "x_mm", "y_mm", "amplitude"])
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryPath(DrawnPath):
+    """Places at instants, linear between them; a source sounds from the first to the last.
+
+    Its foci are the rows of an amplitude other than 0, the last row excepted, at least 10 ms apart. Where two
+    neighbouring rows both have amplitude 0, the source jumps.
+
+    time_s: Seconds from the start of the source, 0 or more, rising; at least two.
+    points_mm: Place (x, y) in millimetres at each.
+    amplitude: Factor on the signal at each; by default 1. Arrays become tuples.
+
+    Raises InputError: there are fewer than two rows, different numbers of values, or a value is out of range.
+    """
+
+    time_s: Sequence[float] | Float64Array
+    points_mm: Sequence[Sequence[float]] | Float64Array
+    amplitude: Sequence[float] | Float64Array | None = None
+    focus_rows: Int64Array = field(init=False, repr=False, compare=False)
+    _arc_mm: Float64Array = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        time_s, rows = real_array("time_s", self.time_s), len(self.time_s)
+        points_mm, amplitude = real_array("points_mm", self.points_mm), self._amplitudes()
+        if rows < 2 or points_mm.shape != (rows, 2) or amplitude.shape != (rows,):
+            raise InputError(
+                f"a trajectory has {rows} instants, places of shape {points_mm.shape} and {amplitude.size} amplitudes;"
+                " the same number of each is needed, at least two"
+            )
+        wrong = ~(np.isfinite(time_s) & np.isfinite(amplitude) & (np.abs(points_mm) <= FURTHEST_MM).all(axis=1))
+        wrong |= np.diff(time_s, prepend=-np.inf) <= 0
+        wrong[0] |= time_s[0] < 0
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f"row {row} of a trajectory is {time_s[row]:.9g} s, ({points_mm[row, 0]:g}, {points_mm[row, 1]:g}) mm,"
+                f" amplitude {amplitude[row]:g}; finite numbers are needed, the time 0 or more and later than in the"
+                " row before"
+            )
+        silent = (amplitude[:-1] == 0) & (amplitude[1:] == 0)
+        self._draw(np.split(points_mm, np.flatnonzero(silent) + 1))
+        way_mm = np.where(silent, 0.0, np.hypot(*np.diff(points_mm, axis=0).T))
+        object.__setattr__(self, "_arc_mm", np.append(0.0, np.cumsum(way_mm)))
+        foci, earliest_s = [], -np.inf
+        for row in np.flatnonzero(amplitude[:-1]).tolist() or [0]:
+            if time_s[row] >= earliest_s:
+                foci.append(row)
+                # Rows closer in time than this to the focus before are no foci: a screen gives 60 positions a second.
+                earliest_s = time_s[row] + 0.01
+        object.__setattr__(self, "focus_rows", np.array(foci, dtype=np.int64))
+        object.__setattr__(self, "time_s", tuple(time_s.tolist()))
+        object.__setattr__(self, "points_mm", tuple(map(tuple, points_mm.tolist())))
+        object.__setattr__(self, "amplitude", None if self.amplitude is None else tuple(amplitude.tolist()))
+
+    def trajectory(self, start_s: float, sample_rate_hz: float) -> Trajectory:
+        """The course of a source that starts at `start_s`; of rows within one sample the last one counts."""
+        sample = np.rint((start_s + np.asarray(self.time_s)) * sample_rate_hz).astype(np.int64)
+        kept = np.append(np.diff(sample) > 0, True)
+        points_mm = np.asarray(self.points_mm, dtype=np.float64)
+        return Trajectory(sample[kept], points_mm[kept], self._amplitudes()[kept])
+
+    def arc_length_mm(self, time_s: ArrayLike) -> Float64Array:
+        """Arc lengths at instants."""
+        return np.interp(np.asarray(time_s, dtype=np.float64), np.asarray(self.time_s), self._arc_mm)
+
+    def foci(self, start_s: float) -> tuple[Float64Array, Float64Array]:
+        """Instants (foci,) in scene time and places (foci, 2) of the foci of a source that starts at `start_s`."""
+        rows = self.focus_rows
+        return start_s + np.asarray(self.time_s)[rows], np.asarray(self.points_mm, dtype=np.float64)[rows]
+
+    def _amplitudes(self) -> Float64Array:
+        return np.ones(len(self.time_s)) if self.amplitude is None else real_array("amplitude", self.amplitude)
+
+
+def read_trajectory(file: Path) -> TrajectoryPath:
+    """Read a CSV file with the header ``time_s,x_mm,y_mm`` or ``time_s,x_mm,y_mm,amplitude``.
+
+    Raises InputError: the file cannot be read, a line is wrong, or as `TrajectoryPath`; the message names the file.
+    """
+    names, rows = read_rows(file, *HEADERS)
+    values = [row for _, row in rows]
+    try:
+        return TrajectoryPath(
+            tuple(row[0] for row in values),
+            tuple((row[1], row[2]) for row in values),
+            tuple(row[3] for row in values) if len(names) == len(HEADERS[1]) else None,
+        )
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error

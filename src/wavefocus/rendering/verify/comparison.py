@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, focus_instants
+from wavefocus.rendering.field.foci import FocusInstant, emission_windows, focus_instants
 from wavefocus.rendering.field.metrics import RealArray, level_db
 from wavefocus.rendering.verify.field_pair import MAX_DELAY_S, BandLimit
 from wavefocus.rendering.verify.scan import Scan

@@ -31,14 +31,14 @@ STEP_MM = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MirrorError:
+class _MirrorError:
     """Each place x is shown as ``x + shift_mm + stretch x``; stretch is (2, 2), 0 of a sound mirror."""
 
     shift_mm: Float64Array
     stretch: Float64Array
 
     @classmethod
-    def of(cls, numbers: Float64Array) -> MirrorError:
+    def of(cls, numbers: Float64Array) -> _MirrorError:
         """From six numbers: the shift, and the stretch row by row."""
         return cls(numbers[:2], numbers[2:].reshape(2, 2))
 
@@ -109,7 +109,7 @@ class BankAsField:
         return 0.5 if slope < 0.75 else 1.0
 
 
-class DisplacedField:
+class _DisplacedField:
     """Fields at displaced places of some rows, by regression from the positions around each.
 
     used, int64 (used rows,): Rows of all patches, whose values are needed.
@@ -138,7 +138,7 @@ class DisplacedField:
 class _Part:
     """Predicted responses around a block's positions, at some of its frequencies."""
 
-    field: DisplacedField
+    field: _DisplacedField
     values: Complex128Array
     frequencies: Int64Array
 
@@ -159,17 +159,17 @@ class MirrorFit:
 
     def _part(self, frequencies: Int64Array, change: float) -> _Part:
         frequency_hz = self._block.frequency_hz[frequencies] / (1.0 + change)
-        field = DisplacedField(self._surface, self._rows, frequency_hz)
+        field = _DisplacedField(self._surface, self._rows, frequency_hz)
         green = self._surface.green(field.used, frequency_hz)
         values = np.einsum("kua,ak->ku", green, self._block.drive[0][:, frequencies])
         return _Part(field, values[..., None], frequencies)
 
-    def best(self) -> tuple[MirrorError, float]:
+    def best(self) -> tuple[_MirrorError, float]:
         """The error, and the share of the squares that it leaves where the field is known."""
         numbers = min(self._starts(), key=lambda start: self._left(start, self._parts[0]))
         for part in self._parts:
             numbers = self._refined(numbers, part)
-        return MirrorError.of(numbers), self._left(numbers, self._parts[1])
+        return _MirrorError.of(numbers), self._left(numbers, self._parts[1])
 
     def _starts(self) -> Iterator[Float64Array]:
         yield np.zeros(6)
@@ -181,7 +181,7 @@ class MirrorFit:
                 yield step * share * np.array([0, 0, *shape])
 
     def _left(self, numbers: Float64Array, part: _Part) -> float:
-        by_mm = MirrorError.of(numbers).displacement_mm(self._place_mm)
+        by_mm = _MirrorError.of(numbers).displacement_mm(self._place_mm)
         known = self._surface.is_known(self._place_mm + by_mm)
         if np.mean(known) < MOST:
             return np.inf
@@ -196,7 +196,7 @@ class MirrorFit:
         """Gauss-Newton steps, halved where they do not help."""
         left = self._left(numbers, part)
         for _ in range(8):
-            by_mm = MirrorError.of(numbers).displacement_mm(self._place_mm)
+            by_mm = _MirrorError.of(numbers).displacement_mm(self._place_mm)
             known = self._surface.is_known(self._place_mm + by_mm)
             at = self._difference(by_mm, part)
             shift = [(self._difference(by_mm + STEP_MM * axis, part) - at) / STEP_MM for axis in np.eye(2)]
@@ -219,10 +219,10 @@ class MirrorFit:
         return numbers
 
 
-def displaced(surface: BankAsField, error: MirrorError, block: Block, rows: Int64Array, change: float) -> Block:
+def displaced(surface: BankAsField, error: _MirrorError, block: Block, rows: Int64Array, change: float) -> Block:
     """A block with the Green's functions of displaced places, without the responses at which these are not known."""
     frequency_hz = block.frequency_hz / (1.0 + change)
-    field = DisplacedField(surface, rows, frequency_hz)
+    field = _DisplacedField(surface, rows, frequency_hz)
     by_mm = error.displacement_mm(surface.place_mm[rows])
     green = field.at(by_mm, surface.green(field.used, frequency_hz))
     known = surface.is_known(surface.place_mm[rows] + by_mm)[block.row_of]
@@ -241,7 +241,7 @@ def sentinel_shift_mm(sentinel: Sentinel, bank: GreenSource) -> Float64Array | N
     excess = energy(block.difference) - block.noise
     if not surface.usable or excess <= len(block.response):
         return None
-    field = DisplacedField(surface, np.array([sentinel.position]), block.frequency_hz)
+    field = _DisplacedField(surface, np.array([sentinel.position]), block.frequency_hz)
     values = surface.green(field.used, block.frequency_hz)
 
     def left(by_mm: Float64Array) -> float:

@@ -23,8 +23,8 @@ from wavefocus.rendering.verify.results import (
     SentinelDrift,
     SourceFigures,
     Symptom,
+    with_words,
 )
-from wavefocus.rendering.verify.symptom_words import with_words
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import write_whole
 from wavefocus.storage.text_file import read_regular

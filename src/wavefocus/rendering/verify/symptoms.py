@@ -17,20 +17,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.calibration.evidence import CERTAIN_SHARE, MOST, SILENT, TOLERANCE
 from wavefocus.calibration.numerics import evenly_spread
-from wavefocus.rendering.arrays import Int64Array
-from wavefocus.rendering.verify.actuator_errors import (
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.verify.mirror_error import MIN_SPACINGS, BankAsField, MirrorFit, displaced
+from wavefocus.rendering.verify.results import ActuatorFigures, Sentinel, Symptom, SymptomCode
+from wavefocus.rendering.verify.superposition import (
     MIN_DB,
     MIN_DELAY_S,
     TIE,
     ActuatorErrors,
+    Block,
+    Blocks,
+    block_of,
+    energy,
     fitted_errors,
     grouped_errors,
+    sentinel_block,
+    squares_left,
 )
-from wavefocus.rendering.verify.mirror_error import MIN_SPACINGS, BankAsField, MirrorFit, displaced
-from wavefocus.rendering.verify.results import ActuatorFigures, Sentinel, Symptom, SymptomCode
-from wavefocus.rendering.verify.superposition import Block, Blocks, block_of, energy, sentinel_block, squares_left
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
@@ -204,11 +210,11 @@ class _Search:
 
     def causes(self, state: _State) -> Iterator[_Cause]:
         """The best cause of each kind."""
-        yield actuator_cause(state)
+        yield _actuator_cause(state)
         if self._bank.actuators > 1:
             yield _exchange(state)
         if state.change == 0.0 and not state.displaced:
-            yield speed_cause(state, self._dispersion)
+            yield _speed_cause(state, self._dispersion)
         if not state.displaced and self._surface.usable:
             yield self._mirror(state)
 
@@ -238,7 +244,7 @@ class _Search:
         return _Cause((symptom,) if named else (), left * state.left if named else np.inf, apply)
 
 
-def actuator_cause(state: _State) -> _Cause:
+def _actuator_cause(state: _State) -> _Cause:
     """Levels, polarities and delays of actuators, as few different ones as explain the difference."""
     free = fitted_errors(state.blocks)
     errors = grouped_errors(state.blocks, free, float(state.responses))
@@ -298,7 +304,7 @@ def _exchange(state: _State) -> _Cause:
     )
 
 
-def speed_cause(state: _State, dispersion: Callable[[], float]) -> _Cause:
+def _speed_cause(state: _State, dispersion: Callable[[], float]) -> _Cause:
     """Waves that are faster or slower, with a factor on all responses.
 
     dispersion: Gives the exponent of the wave number over the frequency, by which a change of the waves' times is one
@@ -339,7 +345,7 @@ def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
         return None
     nothing = ActuatorErrors(np.ones(bank.actuators), np.zeros(bank.actuators))
     state = _State((sentinel_block(sentinel, bank),), nothing)
-    cause = _only([actuator_cause(state), speed_cause(state, lambda: 1.0)], state, MAX_CAUSES)
+    cause = _only([_actuator_cause(state), _speed_cause(state, lambda: 1.0)], state, MAX_CAUSES)
     if cause is None or cause.symptoms[0].code != "speed":
         return None
     explained = cause.left - state.noise <= (1.0 - CERTAIN_SHARE) * (state.left - state.noise)
@@ -362,3 +368,38 @@ def _actuator_figures(state: _State) -> tuple[ActuatorFigures, ...]:
         else ActuatorFigures(None, None)
         for index in range(len(errors.factor))
     )
+
+
+def crosstalk_symptom(found: Crosstalk, fields: FieldComparison, marker_v: Float64Array | None) -> Symptom:
+    """The symptom of a leak that was measured by itself, and the share of the excess that it explains.
+
+    The same at all positions, a scan has the leaking marker, and a prediction from a bank that was measured with the
+    leak has the sum of the drives.
+
+    found: Level and delay of the leak.
+    marker_v, float64 (samples,): What the loopback played in the scan; None for a leak that only the bank has.
+    """
+    spectra = fields.spectra
+    late = np.exp(-2j * np.pi * spectra.frequency_hz * found.delay_s)
+    pulses = [late * spectra.drive.sum(axis=0)]
+    if marker_v is not None:
+        turns = np.outer(spectra.frequency_hz, np.arange(marker_v.size) / fields.sample_rate_hz)
+        pulses.append(late * (np.exp(-2j * np.pi * turns) @ marker_v))
+    difference = (spectra.scanned - spectra.predicted).astype(np.complex128)
+    excess = float(np.sum(np.abs(difference) ** 2)) - float(np.nansum(spectra.noise))
+    # Real factors: a leak is a share. The mean over the positions is all that it can change.
+    mean = difference.mean(axis=0)
+    basis = np.stack([np.concatenate([pulse.real, pulse.imag]) for pulse in pulses], axis=1)
+    wanted = np.concatenate([mean.real, mean.imag])
+    fitted = basis @ np.linalg.lstsq(basis, wanted, rcond=None)[0]
+    gained = len(difference) * (float(wanted @ wanted) - float(np.sum((wanted - fitted) ** 2)))
+    explained = float(np.clip(gained / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
+    certain = explained >= CERTAIN_SHARE
+    return Symptom("crosstalk", (), found.level_db, explained, certain, delay_s=found.delay_s)
+
+
+def with_crosstalk(symptoms: tuple[Symptom, ...], leak: Symptom) -> tuple[Symptom, ...]:
+    """All symptoms: one that explains enough takes the place of guesses, else it stands behind the others."""
+    if leak.certain:
+        return (leak, *(symptom for symptom in symptoms if symptom.certain and symptom.code != "wrong_bank"))
+    return (*symptoms, leak)

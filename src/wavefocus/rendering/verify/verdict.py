@@ -12,19 +12,12 @@ from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field import metrics
-from wavefocus.rendering.field.focus_figures import (
-    FOCUS_RADIUS_MM,
-    FocusTable,
-    focus_table,
-    intended_mm,
-    median_or_none,
-)
+from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, FocusTable, focus_table, intended_mm, median_or_none
 from wavefocus.rendering.field.quiet_levels import field_levels
 from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
+from wavefocus.rendering.verify.extra_measurements import drift_figures, drift_of, linearity
 from wavefocus.rendering.verify.field_pair import BandLimit
-from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
-from wavefocus.rendering.verify.linearity import linearity
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
     Correction,
@@ -34,11 +27,10 @@ from wavefocus.rendering.verify.results import (
     SourceFigures,
     Symptom,
     judged,
+    sentence,
 )
 from wavefocus.rendering.verify.scan import Scan
-from wavefocus.rendering.verify.sentinel import drift_figures, drift_of
-from wavefocus.rendering.verify.symptom_words import sentence
-from wavefocus.rendering.verify.symptoms import diagnose
+from wavefocus.rendering.verify.symptoms import crosstalk_symptom, diagnose, with_crosstalk
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
@@ -161,7 +153,7 @@ def compare(
     where both have them, the scan has a sound record and the bank's row is valid. Both fields are limited to the bank's
     band, when it has one: outside it the Green's functions were not measured.
 
-    quiet: A scan of `wavefocus.rendering.verify.linearity.quieter`, at some of the positions, for the linearity.
+    quiet: A scan of `extra_measurements.quieter`, at some of the positions, for the linearity.
     sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
     leak: Crosstalk that was measured by itself; `marker_v` (samples,) is what the loopback played in the scan, None
         where only the bank has the leak.

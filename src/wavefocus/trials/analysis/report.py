@@ -11,8 +11,7 @@ import numpy as np
 
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.number_text import number
-from wavefocus.rendering.report.canvas import COLOURS, FAINT, INK, Canvas, Picture, drawn_in_style
-from wavefocus.rendering.report.html import html_page
+from wavefocus.rendering.report.canvas import COLOURS, FAINT, INK, Canvas, Picture, drawn_in_style, html_page
 from wavefocus.trials.analysis.psychometric_fit import MAX_LAPSES, Interval
 from wavefocus.trials.analysis.results import Analysis, Psychometric
 from wavefocus.trials.analysis.statistics import RIGHT, ReactionTime, Share

@@ -45,7 +45,7 @@ ROWS_AT_ONCE = 512
 
 
 @dataclass(frozen=True, slots=True)
-class BankWaves:
+class _BankWaves:
     """The model of one bank.
 
     model: Of the bank's rows.
@@ -58,10 +58,10 @@ class BankWaves:
     lowest_bin: int
 
 
-class WaveRows(AddedRows):
+class _WaveRows(AddedRows):
     """A bank and, behind its own positions, rows that the waves give at other points."""
 
-    def __init__(self, measured: GreenSource, waves: BankWaves) -> None:
+    def __init__(self, measured: GreenSource, waves: _BankWaves) -> None:
         super().__init__(measured, ROWS_AT_ONCE)
         self._waves = waves
 
@@ -88,15 +88,15 @@ class WavesInterpolation(PathInterpolation):
     """
 
     name = "waves"
-    rows: WaveRows
+    rows: _WaveRows
 
     def __init__(self, bank: GreenSource) -> None:
         allowed = well_measured(bank)
-        require_modelled(bank, allowed)
-        self.waves = bank_waves(bank)
+        _require_modelled(bank, allowed)
+        self.waves = _bank_waves(bank)
         self.grid = PositionGrid(np.asarray(bank.position_mm, dtype=np.float64)[allowed])
         self.grid_row = np.flatnonzero(allowed).astype(np.int64)
-        self.rows = WaveRows(bank, self.waves)
+        self.rows = _WaveRows(bank, self.waves)
         self.node_spacing_mm = node_spacing_mm(float(np.abs(self.waves.model.wavenumber).max()), PATH_ERROR)
 
     @classmethod
@@ -126,7 +126,7 @@ def _bound_words(model: RimWaves, index: list[int]) -> str:
     return f"{words}; limited by noise of the check positions, and too wide" if limited else words
 
 
-def require_modelled(bank: GreenSource, allowed: BoolArray) -> None:
+def _require_modelled(bank: GreenSource, allowed: BoolArray) -> None:
     """Raise InputError where the waves cannot be modelled."""
     unknown = ~np.isfinite(np.asarray(bank.actuator_mm)).all(axis=1)
     if unknown.any():
@@ -142,10 +142,10 @@ def require_modelled(bank: GreenSource, allowed: BoolArray) -> None:
         )
 
 
-_models: OrderedDict[str, BankWaves] = OrderedDict()
+_models: OrderedDict[str, _BankWaves] = OrderedDict()
 
 
-def bank_waves(bank: GreenSource) -> BankWaves:
+def _bank_waves(bank: GreenSource) -> _BankWaves:
     """The model of a bank: of this process, from the file next to the bank, or fitted and kept there.
 
     What is kept belongs to the bank's contents, by their hash; if they change, it is fitted anew.
@@ -183,7 +183,7 @@ def _contents_sha256(bank: GreenSource) -> str:
     return digest.hexdigest()
 
 
-def _fit(bank: GreenSource) -> BankWaves:
+def _fit(bank: GreenSource) -> _BankWaves:
     reader = RowReader(bank)
     allowed, checks = well_measured(bank), usable_checks(bank)
     position_mm = np.asarray(bank.position_mm, dtype=np.float64)
@@ -211,7 +211,7 @@ def _fit(bank: GreenSource) -> BankWaves:
         )  # fmt: skip
     except np.linalg.LinAlgError as error:
         raise InputError(f"interpolation is 'waves', but no waves fit the bank ({error}); use 'nearest'") from error
-    return BankWaves(model, samples, int(chosen[inside][0]))
+    return _BankWaves(model, samples, int(chosen[inside][0]))
 
 
 def _spectral_noise(bank: GreenSource, reader: RowReader, rows: Int64Array) -> Float64Array | None:
@@ -240,7 +240,7 @@ _FACTS = ("samples", "lowest_bin")
 _NAMES = (*_FACTS, *(field.name for field in fields(RimWaves)))
 
 
-def _arrays(waves: BankWaves) -> dict[str, NDArray[Any]]:
+def _arrays(waves: _BankWaves) -> dict[str, NDArray[Any]]:
     arrays = {name: np.asarray(getattr(waves, name)) for name in _FACTS}
     for name in _NAMES[len(_FACTS) :]:
         value = getattr(waves.model, name)
@@ -250,7 +250,7 @@ def _arrays(waves: BankWaves) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _of_arrays(arrays: dict[str, NDArray[Any]], bank: GreenSource) -> BankWaves | None:
+def _of_arrays(arrays: dict[str, NDArray[Any]], bank: GreenSource) -> _BankWaves | None:
     """The model that a file holds; None where its arrays do not fit each other or the bank."""
     try:
         kept: dict[str, Any] = {name: arrays[name] for name in _NAMES[len(_FACTS) :]}
@@ -264,4 +264,4 @@ def _of_arrays(arrays: dict[str, NDArray[Any]], bank: GreenSource) -> BankWaves 
     except (ValueError, TypeError, AttributeError):
         return None
     fits = facts[0] >= bank.taps and 0 <= facts[1] <= facts[0] // 2 + 1 - len(model.frequency_hz)
-    return BankWaves(model, *facts) if fits else None
+    return _BankWaves(model, *facts) if fits else None

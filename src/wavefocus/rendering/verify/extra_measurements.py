@@ -1,4 +1,4 @@
-"""Linearity: the scene played once more at a lower level, and its responses scaled up, against those of the scan."""
+"""What is measured beside the scan: the sentinel position for what has changed since, a quieter scan for linearity."""
 
 from __future__ import annotations
 
@@ -8,17 +8,93 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.acquisition.attempt import Attempt
+from wavefocus.acquisition.drift_watch import says_nothing
+from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.engine.station import Station
+from wavefocus.acquisition.limits import compare_sentinel
+from wavefocus.acquisition.plan import Plan, sentinel_of
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
+from wavefocus.config.messages.campaign import State, Subscriber
+from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import Int64Array
 from wavefocus.rendering.field.metrics import level_db
+from wavefocus.rendering.number_text import number
 from wavefocus.rendering.verify.field_pair import BandLimit
-from wavefocus.rendering.verify.results import Figure, judged
+from wavefocus.rendering.verify.results import Figure, Sentinel, SentinelDrift, judged
 from wavefocus.rendering.verify.scan import Scan
+from wavefocus.rendering.verify.symptoms import wave_speed
 from wavefocus.storage.bank.ledger import Status
 
 if TYPE_CHECKING:
+    from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
+
+
+def measure_sentinel(
+    plan: Plan, setup: Setup, bank: GreenSource, publish: Subscriber = lambda event: None
+) -> Sentinel | None:
+    """Measure the bank's sentinel position again, as a campaign does.
+
+    plan: What was played when the bank was measured.
+    publish: Receives the events of faults and of waiting for a lost instrument.
+
+    Returns None where the bank has no valid position, or where it gives no usable record any more.
+    Raises InstrumentError: an instrument failed for good.
+    """
+    position = sentinel_of(plan, np.asarray(bank.status))
+    if position is None:
+        return None
+    session = Session(setup.instruments.clock, publish, StopRequest())
+    session.enter(State.RUNNING, f"sentinel position {position} to measure")
+    with one_blas_thread():
+        result = Station(plan, setup, session).measure(Attempt(position, 1, 1), "sentinel", says_nothing)
+    if result.estimate is None:
+        return None
+    return Sentinel(position, result.estimate.green, result.estimate.snr_db)
+
+
+def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> SentinelDrift:
+    """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
+    then, rate_hz = np.asarray(bank.green(sentinel.position), np.float32), bank.sample_rate_hz
+    figures = compare_sentinel(then, sentinel.green, band_hz=bank.band_hz, sample_rate_hz=rate_hz)
+    return SentinelDrift(
+        sentinel.position,
+        float(figures.level_db),
+        1e6 * figures.delay_samples / rate_hz,
+        figures.correlation,
+        wave_speed(sentinel, bank),
+        figures.verdict(limits),
+    )
+
+
+def drift_figures(drift: SentinelDrift) -> tuple[Figure, ...]:
+    """Lines of the table of figures; none has a limit, for the run's own limits give the verdict."""
+    again = f"position {drift.position}, measured again before the scan, against its rows in the bank: "
+    speed = drift.speed_percent
+    return (
+        Figure("sentinel level", "dB", again + "energy over all actuators", difference=drift.level_db,
+               value=drift.level_db),
+        Figure("sentinel delay", "µs", again + "lag of the largest cross-correlation, above 0 where it is later",
+               difference=drift.delay_us, value=drift.delay_us),
+        Figure("sentinel wave speed", "%", again + "change of speed, where it explains most of the difference",
+               difference=speed, value=speed),
+        Figure("sentinel correlation", "", again + "the largest cross-correlation", value=drift.correlation),
+    )  # fmt: skip
+
+
+def drift_sentence(drift: SentinelDrift) -> str:
+    """The drift in words."""
+    speed = "" if drift.speed_percent is None else f", wave speed {number(drift.speed_percent, '%')}"
+    state = {"steady": "steady", "warn": "changed", "stop": "changed much"}[drift.verdict]
+    return (
+        f"Sentinel position {drift.position} since the bank was measured: {state}; level"
+        f" {number(drift.level_db, 'dB')}, delay {number(drift.delay_us, 'µs')}{speed}, correlation"
+        f" {drift.correlation:.4f}. The prediction is not corrected for it."
+    )
+
 
 QUIETER_DB = 12.0
 MAX_POSITIONS = 24
@@ -40,7 +116,7 @@ def linearity_rows(drive: Drive, rows: Int64Array) -> tuple[int, ...]:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Linearity:
+class _Linearity:
     """Difference of the responses at two levels, scaled to one level, at `positions`.
 
     beyond: Its norm over the scan's, the noise's part taken off.
@@ -69,7 +145,7 @@ class Linearity:
         )
 
 
-def linearity(prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[float, float] | None) -> Linearity | None:
+def linearity(prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[float, float] | None) -> _Linearity | None:
     """Compare a scan with one of the same scene 12 dB quieter, at some of its positions.
 
     prediction, loud: Prediction and scan; quiet: The scan of `quieter`.
@@ -94,7 +170,7 @@ def linearity(prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[float, 
         missed.append(float(np.sum(band.signals(spectrum - predicted).astype(np.float64) ** 2)) - noise[-1])
     energy, difference = float(np.sum(fields[0] ** 2)), float(np.sum((fields[0] - fields[1]) ** 2))
     gain = float(np.sum(fields[0] * fields[1])) / max(float(np.sum(fields[1] ** 2)) - noise[1], 1e-300)
-    return Linearity(
+    return _Linearity(
         len(rows),
         math.sqrt(max(difference - sum(noise), 0.0) / energy) if energy > 0.0 else math.inf,
         -level_db(max(gain, 0.0)) + 0.0,
