@@ -186,7 +186,7 @@ class VirtualBench:
         Raises InputError: there is no such position.
         """
         attempt = Attempt(bank_row(position, len(self.position_mm)), 1, 1)
-        return Recorded(attempt, self._station.take(attempt, "capture"), "")
+        return Recorded(attempt, self._station.take(attempt, "capture"))
 
     @checked
     def estimate(self, recorded: Recorded) -> AttemptResult:

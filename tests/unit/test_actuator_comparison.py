@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.calibration.comparison import compare_actuators
+from wavefocus.acquisition.calibrate_channels import compare_actuators
 
 RATE_HZ = 10_000.0
 

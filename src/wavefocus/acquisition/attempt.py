@@ -152,7 +152,7 @@ def require_same(raw: RawWriter, wanted: RawHeader) -> None:
             )
 
 
-def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recording], leak_db: float = math.nan) -> None:
+def _keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recording], leak_db: float = math.nan) -> None:
     """Commit all records of an attempt; of a check position those of the first time.
 
     Of an attempt that was taken in a wider range, what lies beyond the file's counts is cut to them: an estimate then
@@ -221,7 +221,7 @@ class Recorded:
 
     attempt: Attempt
     recordings: tuple[Recording, ...]
-    fault: str
+    fault: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,7 +308,7 @@ def commit_attempt(
     )
     green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
     if raw is not None and result.recordings:
-        keep_recordings(raw, position, result.recordings, leak_db)
+        _keep_recordings(raw, position, result.recordings, leak_db)
     bank.commit(position, green, record)
     return replace(result, committed=True, recordings=())
 
@@ -319,42 +319,31 @@ STEPS = ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 1), (1, 2), (2, 2))
 FUTILE_IN_A_ROW = 10
 
 
-def next_attempt(
-    attempt: Attempt,
-    judgement: Judgement,
-    earlier: Status,
-    setup: Setup,
-    limits: QualityLimits,
-    place_mm: Float64Array,
-    *,
-    joint: bool = False,
-) -> Attempt:
+def next_attempt(attempt: Attempt, judgement: Judgement, earlier: Status, setup: Setup, plan: Plan) -> Attempt:
     """The try after one that was not good enough.
 
     Over-range takes the next larger range. A signal that was lost in several records, or twice at one place, is
-    looked for a fraction of a millimetre aside, for speckle is that fine; all else is tried again in place.
+    looked for a fraction of a millimetre aside, towards the middle of the surface, for speckle is that fine; all else
+    is tried again in place. Where several actuators sound in a record, one loss shows in all of them.
 
     attempt: The try that was not good enough.
     judgement: Why.
     earlier: Bits of the tries at this position before it, in this session.
     setup: Has the recorder's ranges.
-    limits: How far a step aside is.
-    place_mm, float64 (2,): The position.
-    joint: Whether several actuators sound in a record: then one loss shows in all of them, and is tried again in place.
     """
     following = attempt.next()
     if any(defect.cure is Cure.RANGE for defect in judgement.defects):
         used_v = attempt.response_range_v or setup.range_v[1]
-        larger_v = min(
-            (range_v for range_v in setup.response_ranges_v if range_v > used_v * (1 + 1e-9)), default=used_v
-        )
-        following = replace(following, response_range_v=larger_v)
-    dark = not joint and any(defect.cure is Cure.MOVE for defect in judgement.defects)
+        larger_v = [range_v for range_v in setup.response_ranges_v if range_v > used_v * (1 + 1e-9)]
+        following = replace(following, response_range_v=min(larger_v, default=used_v))
+    dark = plan.staggered is None and any(defect.cure is Cure.MOVE for defect in judgement.defects)
     again = judgement.status & earlier & Status.POOR_SIGNAL and any(
         defect.cure in (Cure.MOVE, Cure.REPEAT) and not defect.over_range for defect in judgement.defects
     )
     if dark or again:
-        following = replace(following, moved_mm=_aside_mm(following.number, limits.speckle_step_mm, place_mm))
+        x_mm, y_mm = plan.position_mm[attempt.position]
+        x, y = (plan.quality.speckle_step_mm * steps for steps in STEPS[(following.number - 2) % len(STEPS)])
+        following = replace(following, moved_mm=(-math.copysign(x, x_mm), -math.copysign(y, y_mm)))
     return following
 
 
@@ -401,9 +390,3 @@ def is_futile(order: Int64Array, status: NDArray[np.uint8], attempts: Int64Array
     """
     latest = order[attempts[order] > before][-FUTILE_IN_A_ROW:]
     return latest.size == FUTILE_IN_A_ROW and not np.any(status[latest] & Status.VALID)
-
-
-def _aside_mm(number: int, step_mm: float, place_mm: Float64Array) -> tuple[float, float]:
-    """How far the mirror moves for this try, towards the middle of the surface."""
-    x, y = STEPS[(number - 2) % len(STEPS)]
-    return -math.copysign(x * step_mm, place_mm[0]), -math.copysign(y * step_mm, place_mm[1])

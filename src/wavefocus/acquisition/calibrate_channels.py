@@ -5,25 +5,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
 
 from wavefocus.acquisition.attempt import Play, channels_of, record_play
 from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
 from wavefocus.acquisition.leak import BAND_HZ, SWEEP_S
 from wavefocus.acquisition.setup import Setup, point_at
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.comparison import (
-    ActuatorComparison,
-    ChannelComparer,
-    Comparison,
-    ResponseMissingError,
-    Verdict,
-    compare_actuators,
-)
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.evidence import HEARD_DB, SOUND, TOLERANCE
+from wavefocus.calibration.evidence import HEARD_DB, MOST, ROW_CHANGE, SILENT, SOUND, TOLERANCE
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.timing import ClockFit, ClockFitter
 from wavefocus.drivers.protocols import Recording, RecordLabel
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.
@@ -51,8 +46,15 @@ class Figures:
     clock_ppm: float
 
 
+class ResponseMissingError(ReferenceMissingError):
+    """The response channel does not hold the known signal."""
+
+
 class Probe:
     """Plays a band-limited sweep and compares the two inputs.
+
+    Each channel is fitted by itself; they are compared at the signal's centre of energy, where a fit's offset and
+    ratio do not trade errors.
 
     amplitude_v: Peak of the sweep in volts, by the full scale that the rig believes in.
     """
@@ -64,7 +66,9 @@ class Probe:
         excitation = PlayedExcitation(sample_rate_hz, *band_hz, SWEEP_S, SILENCE_S, amplitude_v, averages=1)
         self.amplitude_v = amplitude_v
         self._signal_v: Float64Array = excitation.signal_v()
-        self._comparer = ChannelComparer(self._signal_v, sample_rate_hz)
+        self._fitter = ClockFitter(self._signal_v)
+        energy = self._signal_v**2
+        self._centre = float(np.arange(energy.size) @ energy / energy.sum())
 
     def compare(self, output: int | None) -> Figures:
         """Play the loopback, and one output with it, and compare the two inputs.
@@ -75,15 +79,16 @@ class Probe:
         signal at the response input. NotMeasuredError: the signal reaches the end of an input's range. InstrumentError:
         of the instrument that failed for good.
         """
-        found = [self._once(output, record) for record in range(RECORDS)]
-        late_s = [comparison.late_s for comparison in found]
-        return Figures(
-            late_s=float(np.median(late_s)),
-            spread_s=max(late_s) - min(late_s),
-            reference_gain=float(np.median([comparison.reference.gain for comparison in found])),
-            response_gain=float(np.median([comparison.response.gain for comparison in found])),
-            clock_ppm=float(np.median([comparison.reference.skew_ppm for comparison in found])),
-        )
+        found = [self._fits(self._in_range(output, record)) for record in range(RECORDS)]
+        late_s = [
+            sum(sign * (fit.offset_samples + fit.ratio * self._centre) for sign, fit in zip((-1, 1), fits, strict=True))
+            / self._rate_hz
+            for fits in found
+        ]
+        gains, ppm = [[fit.gain for fit in fits] for fits in found], [reference.skew_ppm for reference, _ in found]
+        reference_gain, response_gain = np.median(gains, axis=0).tolist()
+        spread_s = max(late_s) - min(late_s)
+        return Figures(float(np.median(late_s)), spread_s, reference_gain, response_gain, float(np.median(ppm)))
 
     def detects(self, output: int | None) -> bool:
         """Whether the response input has a cable to what plays: the loopback, and one output with it.
@@ -94,15 +99,24 @@ class Probe:
         failed for good.
         """
         try:
-            found = self._comparer.compare(*self._played(output, 0).volts, diagnose=False)
+            reference, response = self._fits(self._played(output, 0), diagnose=False)
         except ResponseMissingError:
             return False
         except ReferenceMissingError as missing:
-            raise check_loopback(missing) from None
+            raise _check_loopback(missing) from None
         # A cable brings more, through a summing box of 32 outputs, too.
-        return abs(found.response.gain) >= SOUND * abs(found.reference.gain)
+        return abs(response.gain) >= SOUND * abs(reference.gain)
 
-    def _once(self, output: int | None, record: int) -> Comparison:
+    def _fits(self, recording: Recording, *, diagnose: bool = True) -> tuple[ClockFit, ClockFit]:
+        """The signal on the reference and on the response channel of a record."""
+        reference = self._fitter.fit(recording.volts[0])
+        try:
+            return reference, self._fitter.fit(recording.volts[1], diagnose=diagnose, name="the response channel")
+        except ReferenceMissingError as missing:
+            words = str(missing).replace("reference input", "response input")
+            raise ResponseMissingError(words, advised=True) from None
+
+    def _in_range(self, output: int | None, record: int) -> Recording:
         recording = self._played(output, record)
         for name, reached, range_v in zip(
             ("reference", "response"), recording.over_range, self._setup.range_v, strict=True
@@ -112,7 +126,7 @@ class Probe:
                     f"the probe of {self.amplitude_v:g} V reaches the end of the {name} input's range of "
                     f"{range_v:g} V: lower --amplitude-v, or raise the range in the rig file"
                 )
-        return self._comparer.compare(*recording.volts)
+        return recording
 
     def _played(self, output: int | None, record: int) -> Recording:
         number = self._setup.loopback_channel if output is None else output
@@ -121,7 +135,7 @@ class Probe:
         return record_play(self._setup, Play(number, signals_v), self._rate_hz, label)
 
 
-def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
+def _check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
     """What to say when there is no signal from the loopback itself: nothing can be calibrated without it."""
     usable = "" if missing.cause == "silence" else "usable "
     return NotMeasuredError(f"no {usable}signal from the loopback at the reference input ({missing})")
@@ -149,7 +163,7 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
                 continue
             raise NotMeasuredError("the inter-channel delay needs the loopback on both inputs") from None
         except ReferenceMissingError as missing:
-            raise check_loopback(missing) from None
+            raise _check_loopback(missing) from None
         break
     apart = found.response_gain / found.reference_gain - 1
     if abs(apart) > TOLERANCE:
@@ -264,7 +278,7 @@ def _heard(task: OutputsTask, channel: int, probe: Probe, operator: Operator) ->
             if not operator.again(f"no signal from output {channel} at the response input ({missing})"):
                 return None
         except ReferenceMissingError as missing:
-            raise check_loopback(missing) from None
+            raise _check_loopback(missing) from None
 
 
 def _of_output(task: OutputsTask, channel: int, found: Figures) -> OutputFigures:
@@ -278,6 +292,77 @@ def _of_output(task: OutputsTask, channel: int, found: Figures) -> OutputFigures
         polarity=-1 if found.response_gain < 0 else 1,
         spread_s=found.spread_s,
     )
+
+
+Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
+
+# A magnet glued a few millimetres off is this much earlier or later, at some metres a second.
+MAX_LAG_S = 1e-3
+# Floor of a level, for a response of nothing at all.
+FLOOR_DB = -200.0
+
+
+@dataclass(frozen=True, slots=True)
+class _ActuatorComparison:
+    """Each actuator against the others.
+
+    level_db, float64 (actuators,): Energy of the response over the median's.
+    verdict: ``"good"``, ``"weak"``, ``"dead"``, ``"reversed"`` or ``"unlike"``, for each.
+    """
+
+    level_db: Float64Array
+    verdict: tuple[Verdict, ...]
+
+    @property
+    def polarity(self) -> tuple[Literal[1, -1], ...]:
+        """The sign of each, as far as it was measured: 1 for all that are not reversed."""
+        return tuple(-1 if word == "reversed" else 1 for word in self.verdict)
+
+
+def compare_actuators(
+    green: NDArray[np.floating], snr_db: NDArray[np.floating], sample_rate_hz: float
+) -> _ActuatorComparison:
+    """Compare the responses of all actuators, each measured at the same distance from its actuator.
+
+    The common response is the first singular vector of all that are not dead, each scaled to the same energy.
+    The sign that most actuators share counts as positive.
+
+    green, float (actuators, taps): Response per volt of drive.
+    snr_db, float (actuators,): Signal-to-noise ratio of each.
+    sample_rate_hz: Rate of the responses.
+    """
+    responses = np.asarray(green, dtype=np.float64)
+    energy = np.sum(responses**2, axis=1)
+    measurable = (np.asarray(snr_db) >= HEARD_DB) & (energy > 0)
+    usual = float(np.median(energy[measurable])) if measurable.any() else 1.0
+    level_db = 10 * np.log10(np.maximum(energy / usual, 10 ** (FLOOR_DB / 10)))
+    alive = measurable & (level_db >= 20 * np.log10(SILENT))
+    likeness = np.zeros(len(responses))
+    if alive.any():
+        shapes = responses[alive] / np.sqrt(energy[alive])[:, np.newaxis]
+        common = np.linalg.svd(shapes, full_matrices=False)[2][0]
+        found = _correlations(shapes, common, round(MAX_LAG_S * sample_rate_hz))
+        likeness[alive] = found if np.count_nonzero(found < 0) <= len(found) / 2 else -found
+    verdicts = tuple(_verdict(*figures) for figures in zip(alive, level_db, likeness, strict=True))
+    return _ActuatorComparison(level_db, verdicts)
+
+
+def _verdict(alive: np.bool_, level_db: float, likeness: float) -> Verdict:
+    if not alive:
+        return "dead"
+    if abs(likeness) < MOST:
+        return "unlike"
+    if likeness < 0:
+        return "reversed"
+    return "weak" if level_db < 20 * np.log10(ROW_CHANGE) else "good"
+
+
+def _correlations(shapes: Float64Array, common: Float64Array, most_lag: int) -> Float64Array:
+    """The largest correlation in magnitude of each shape with the common one, over small lags."""
+    length = scipy.fft.next_fast_len(shapes.shape[1] + most_lag, real=True)
+    spectra = scipy.fft.rfft(shapes, length, axis=1) * scipy.fft.rfft(common, length).conj()
+    lagged = np.roll(scipy.fft.irfft(spectra, length, axis=1), most_lag, axis=1)[:, : 2 * most_lag + 1]
+    return np.asarray(lagged[np.arange(len(lagged)), np.abs(lagged).argmax(axis=1)])
 
 
 REMEDIES: dict[Verdict, str] = {
@@ -311,7 +396,7 @@ def measure_actuators(
     sample_rate_hz: float,
     setup: Setup,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> ActuatorComparison:
+) -> _ActuatorComparison:
     """Listen to each actuator at the same distance and compare them.
 
     place_mm, float64 (actuators, 2): Where each is listened to.
@@ -348,7 +433,7 @@ def _best_of(setup: Setup, excitation: PlayedExcitation, estimator: SequentialEs
         try:
             found.append(estimator.estimate(recording.volts[:1], recording.volts[1:], range_v=setup.range_v))
         except ReferenceMissingError as missing:
-            raise check_loopback(missing) from None
+            raise _check_loopback(missing) from None
         if found[-1].residual_db[0] < POOR_RESIDUAL_DB and found[-1].snr_db[0] > HEARD_DB:
             break
     return min(found, key=lambda estimate: float(estimate.residual_db[0]))

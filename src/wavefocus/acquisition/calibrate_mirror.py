@@ -144,27 +144,25 @@ def measure_mirror(
     for mark, place_mm in enumerate(marks_mm):
         found.append(meet(mark, _approach(setup.mirror_map, marks_mm[:mark], found, place_mm)))
     while True:
-        figures: MirrorMapFit | None = None
-        refusal: InputError | NotMeasuredError | None = None
+        fitted: MirrorMapFit | InputError | NotMeasuredError
         try:
-            figures = fit_mirror_map(marks_mm, found)
+            fitted = fit_mirror_map(marks_mm, found)
         except InputError as wrong:
-            refusal = wrong
+            fitted = wrong
         if len(moved) < MIN_MARKS:  # the present map put the beam at the others, and would only be found again
-            figures = None
-            refusal = NotMeasuredError(
+            fitted = NotMeasuredError(
                 f"Move the beam onto at least {MIN_MARKS} marks. It was moved at {len(moved)} of {len(marks_mm)}; if "
                 "the spot was on every mark as it stood, the present map is right"
             )
-        match operator.judge(_view(marks_mm, figures, refusal, limit_mm)):
+        match operator.judge(_view(marks_mm, fitted, limit_mm)):
             case Redo(number) if 1 <= number <= len(found):
                 found[number - 1] = meet(number - 1, found[number - 1])
             case Drop():
                 raise NotMeasuredError("its map was looked at and left")
-            case Keep() if refusal is not None:
-                raise refusal
-            case Keep() if figures is not None:
-                return figures
+            case Keep():
+                if isinstance(fitted, Exception):
+                    raise fitted
+                return fitted
 
 
 def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> JogView:
@@ -189,14 +187,9 @@ def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> 
         _point(setup, wanted)
 
 
-def _view(
-    marks_mm: Sequence[Place],
-    figures: MirrorMapFit | None,
-    refusal: InputError | NotMeasuredError | None,
-    limit_mm: float,
-) -> MapView:
-    if figures is None:
-        return MapView(tuple(marks_mm), (), np.nan, np.nan, limit_mm, 0, str(refusal))
+def _view(marks_mm: Sequence[Place], figures: MirrorMapFit | Exception, limit_mm: float) -> MapView:
+    if isinstance(figures, Exception):
+        return MapView(tuple(marks_mm), (), np.nan, np.nan, limit_mm, 0, str(figures))
     suspect, problem = suspect_mark(figures) + 1, ""
     if figures.worst_mm > limit_mm:
         problem = (
@@ -215,12 +208,10 @@ def _approach(first_guess: MirrorMap, done_mm: Sequence[Place], done_mrad: Seque
         except InputError:  # marks on a line so far: the guess will do
             pass
     x_mrad, y_mrad = _angles(first_guess, place_mm)
-    off = [
-        (there[0] - guess[0], there[1] - guess[1])
-        for there, guess in zip(done_mrad, (_angles(first_guess, mark) for mark in done_mm), strict=True)
-    ]
-    x_off, y_off = np.mean(off, axis=0) if off else (0.0, 0.0)
-    return x_mrad + float(x_off), y_mrad + float(y_off)
+    if not done_mm:
+        return x_mrad, y_mrad
+    x_off, y_off = np.mean(np.array(done_mrad) - [_angles(first_guess, mark) for mark in done_mm], axis=0).tolist()
+    return x_mrad + x_off, y_mrad + y_off
 
 
 def _angles(mirror_map: MirrorMap, place_mm: Place) -> Place:

@@ -6,21 +6,19 @@ from functools import partial
 from typing import TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import CALIBRATION_SPARE
-from wavefocus.acquisition.leak import BAND_HZ, SWEEP_S, leak_of
+from wavefocus.acquisition.leak import BAND_HZ, SWEEP_S, check_pickup, crosstalk_finding, leak_of
 from wavefocus.acquisition.setup import (
     MAX_DELAY_DIFFERENCE_S,
     Openers,
     Setup,
-    naming_role,
     point_at,
     record_silence,
     take_record,
     wired,
 )
-from wavefocus.calibration.crosstalk import REMEDY, UNKNOWN_ROWS_SHARE, Crosstalk
+from wavefocus.calibration import Float64Array
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.timing import fit_clock
@@ -38,35 +36,25 @@ HUNG_REMEDY = "unplug it and plug it in again, or switch it off and on; then run
 
 
 class RigFindings:
-    """Collects findings; a check that raises becomes one.
+    """Collects findings; a question that raises becomes one.
 
     publish: Gets each finding as it is made.
     """
 
     def __init__(self, publish: Callable[[Finding], None]) -> None:
-        self.publish = publish
+        self._publish = publish
         self._hung: set[str] = set()
 
     def add(
         self, instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "", act: Act | None = None
     ) -> None:
         """Report a finding."""
-        self.publish(Finding(instrument, check, verdict, what, remedy, act))
-
-    def skip(self, instrument: str, check: str, why: str) -> None:
-        """Report that a check was not made."""
-        self.add(instrument, check, "skipped", why)
+        self._publish(Finding(instrument, check, verdict, what, remedy, act))
 
     def ask(self, instrument: str, check: str, question: Callable[[], Answer], deadline_s: float) -> Answer | None:
-        """Ask an instrument; once more after a passing fault; what fails for good is a finding.
-
-        instrument, check: Who is asked, and which check it is for.
-        deadline_s: Longest wait.
-
-        Returns the answer, or None where there is none: then a finding says why.
-        """
+        """Ask an instrument; once more after a passing fault; None where there is no answer: a finding says why."""
         if instrument in self._hung:
-            self.skip(instrument, check, "it did not come back from the check before")
+            self.add(instrument, check, "skipped", "it did not come back from the check before")
             return None
         thread = CallThread(f"doctor {instrument}")
         try:
@@ -81,7 +69,8 @@ class RigFindings:
             self.add(instrument, check, "fail", f"it did not come back within {deadline_s:g} s", HUNG_REMEDY)
         except InstrumentError as failure:
             # A check may need several instruments; the one that failed is the one to look at.
-            self.add(failure.role or instrument, check, "fail", f"{failure.operation}: {failure.cause}", failure.remedy)
+            where = failure.role or instrument
+            self.add(where, check, "fail", f"{failure.operation}: {failure.cause}", failure.remedy)
         except Exception as defect:  # a defect of a driver must not hide what the other instruments say
             words = f"{type(defect).__name__}: {defect}"
             self.add(instrument, check, "fail", words, "this is a defect of the program: please report it")
@@ -109,14 +98,19 @@ def examine(
 
     Returns the identities of the instruments that answered, by role.
     """
-    examination = _Examination(rig, openers, RigFindings(publish), play)
+    examination = _Examination(rig, openers, publish, play)
     examination.run()
     return examination.identities
 
 
-class _Examination:
-    def __init__(self, rig: RigConfig, openers: Openers, findings: RigFindings, play: bool) -> None:
-        self._rig, self._openers, self._findings, self._play = rig, openers, findings, play
+class _Examination(RigFindings):
+    """Publishes the findings about a rig's instruments, as far as these are there."""
+
+    def __init__(
+        self, rig: RigConfig, openers: Openers, publish: Callable[[Finding], None], allowed_to_play: bool
+    ) -> None:
+        super().__init__(publish)
+        self._rig, self._openers, self._may_play = rig, openers, allowed_to_play
         self._mirror: Mirror | None = None
         self._recorder: Recorder | None = None
         self._player: Player | None = None
@@ -137,19 +131,19 @@ class _Examination:
 
     def _open(self) -> VibrometerReading:
         """Open and identify; an instrument that fails is left out, and a vibrometer counts as one of 1 m/s per V."""
-        openers, findings = self._openers, self._findings
-        vibrometer = findings.ask("vibrometer", "opening", openers.vibrometer, OPEN_S)
+        openers = self._openers
+        vibrometer = self.ask("vibrometer", "opening", openers.vibrometer, OPEN_S)
         if vibrometer is not None:
             words = f"{vibrometer.identity}, {vibrometer.sensitivity_m_s_per_v:g} m/s per V"
-            findings.add("vibrometer", "identity", "ok", words)
+            self.add("vibrometer", "identity", "ok", words)
             self._check_light(vibrometer.signal_level)
-        self._mirror = findings.ask("mirror", "opening", openers.mirror, OPEN_S)
-        self._recorder = findings.ask("recorder", "opening", openers.recorder, OPEN_S)
-        self._player = findings.ask("player", "opening", openers.player, OPEN_S)
+        self._mirror = self.ask("mirror", "opening", openers.mirror, OPEN_S)
+        self._recorder = self.ask("recorder", "opening", openers.recorder, OPEN_S)
+        self._player = self.ask("player", "opening", openers.player, OPEN_S)
         for name, role in (("mirror", self._mirror), ("recorder", self._recorder), ("player", self._player)):
-            sentence = None if role is None else findings.ask(name, "identity", role.identify, ANSWER_S)
+            sentence = None if role is None else self.ask(name, "identity", role.identify, ANSWER_S)
             if role is not None and sentence is not None:
-                findings.add(name, "identity", "ok", sentence)
+                self.add(name, "identity", "ok", sentence)
                 self.identities[name] = role.identity
         return vibrometer or VibrometerReading(1.0, "", None, None, "")
 
@@ -158,13 +152,13 @@ class _Examination:
             return
         weak = level < WEAK_LIGHT
         remedy = "focus the laser, clean its window, put reflective film on the surface" if weak else ""
-        self._findings.add("vibrometer", "signal level", "warn" if weak else "ok", f"{level:.0%} of full", remedy)
+        self.add("vibrometer", "signal level", "warn" if weak else "ok", f"{level:.0%} of full", remedy)
 
     def _check_mirror(self, setup: Setup) -> bool:
         """Send the mirror to the corners of the surface and back to its middle; True where it went there."""
-        limit_mrad, findings, mirror = self._rig.mirror.limit_mrad, self._findings, self._mirror
+        limit_mrad, mirror = self._rig.mirror.limit_mrad, self._mirror
         if mirror is None:
-            findings.skip("mirror", "corners", "the mirror is not there")
+            self.add("mirror", "corners", "skipped", "the mirror is not there")
             return False
         x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.vstack([_corners_mm(self._rig), [0.0, 0.0]]).T)
         angles = [(float(x), float(y)) for x, y in zip(x_mrad, y_mrad, strict=True)]
@@ -172,11 +166,11 @@ class _Examination:
         if reach_mrad > limit_mrad:
             what = f"the surface needs {reach_mrad:.0f} mrad, mirror.limit_mrad is {limit_mrad:g}"
             remedy = "raise the limit if the mirror allows it, or move the mirror back"
-            findings.add("mirror", "corners", "fail", what, remedy, Act("edit-rig", "mirror.limit_mrad"))
+            self.add("mirror", "corners", "fail", what, remedy, Act("edit-rig", "mirror.limit_mrad"))
             return False
         astray: list[float] = []
         for at_mrad in angles:
-            found = findings.ask("mirror", "corners", partial(_astray_mrad, mirror, at_mrad), OPEN_S)
+            found = self.ask("mirror", "corners", partial(_astray_mrad, mirror, at_mrad), OPEN_S)
             if found is None:
                 return False
             astray += found
@@ -184,9 +178,9 @@ class _Examination:
         what += f"read back within {max(astray):.3f} mrad" if astray else "not read back: this mirror cannot say"
         if astray and max(astray) > MAX_ASTRAY_MRAD:
             remedy = "see that nothing holds the mirror, and that its units are those of the rig file"
-            findings.add("mirror", "corners", "fail", what, remedy)
+            self.add("mirror", "corners", "fail", what, remedy)
             return False
-        findings.add("mirror", "corners", "ok", what)
+        self.add("mirror", "corners", "ok", what)
         return True
 
     def _check_delay(self, setup: Setup) -> None:
@@ -194,62 +188,59 @@ class _Examination:
         recorder, rate_hz, stated_s = self._recorder, SAMPLE_RATE_HZ, setup.inter_channel_delay_s
         if recorder is None:
             return
-        device_s = self._findings.ask("recorder", "input delay", partial(recorder.sampling_delay_s, rate_hz), ANSWER_S)
+        device_s = self.ask("recorder", "input delay", partial(recorder.sampling_delay_s, rate_hz), ANSWER_S)
         if device_s is None:
             return
         what = f"the response is sampled {1e6 * device_s:.2f} us after the reference at {rate_hz:g} Hz"
         if abs(device_s - stated_s) <= MAX_DELAY_DIFFERENCE_S:
-            self._findings.add("recorder", "input delay", "ok", what)
+            self.add("recorder", "input delay", "ok", what)
             return
         what += f"; stated are {1e6 * stated_s:.2f} us"
         remedy = f"write {device_s:.4g} into recorder.inter_channel_delay_s, or run wavefocus calibrate --only inputs"
-        self._findings.add(
-            "recorder", "input delay", "warn", what, remedy, Act("edit-rig", "recorder.inter_channel_delay_s")
-        )
+        act = Act("edit-rig", "recorder.inter_channel_delay_s")
+        self.add("recorder", "input delay", "warn", what, remedy, act)
 
     def _check_outputs(self, setup: Setup) -> None:
         if self._player is None:
-            self._findings.skip("player", "outputs", "the player is not there")
+            self.add("player", "outputs", "skipped", "the player is not there")
             return
         there, needed = self._player.channels, 1 + max((*setup.actuator_channels, setup.loopback_channel))
         if there >= needed:
-            self._findings.add("player", "outputs", "ok", f"{there}, {needed} needed")
+            self.add("player", "outputs", "ok", f"{there}, {needed} needed")
             return
         remedy = "choose the interface with enough outputs, or correct player.channels"
         act = Act("edit-rig", "player.channels")
-        self._findings.add("player", "outputs", "fail", f"it has {there}, {needed} are wired", remedy, act)
+        self.add("player", "outputs", "fail", f"it has {there}, {needed} are wired", remedy, act)
 
     def _check_sound(self, setup: Setup, *, points: bool) -> None:
         """Records of silence, of the loopback and of actuators, as far as the instruments for them are there."""
-        level, skip = (self._rig.safe_amplitude_v, SAMPLE_RATE_HZ), self._findings.skip
-        why = ""
+        amplitude_v, why = self._rig.safe_amplitude_v, ""
         if self._recorder is None:
-            skip("recorder", "record", "the recorder is not there")
-            why = "the recorder gave no record"
-        elif not self._tell(
-            "recorder", "record", partial(check_silence, self._recorder, SAMPLE_RATE_HZ, setup.range_v)
+            self.add("recorder", "record", "skipped", "the recorder is not there")
+        if self._recorder is None or not self._tell(
+            "recorder", "record", partial(_check_silence, self._recorder, setup.range_v)
         ):
             why = "the recorder gave no record"
         if self._player is None:
             why = "the player is not there"
-        elif not self._play:
+        elif not self._may_play:
             why = "nothing was to be played"
         if why:
-            skip("player", "loopback", why)
-        elif not self._tell("player", "loopback", partial(check_loopback, setup, *level)):
+            self.add("player", "loopback", "skipped", why)
+        elif not self._tell("player", "loopback", partial(_check_loopback, setup, amplitude_v)):
             why = "without a loopback the response cannot be measured"
         elif not points:
             why = "the mirror does not point, so the beam may be anywhere"
         if why:
-            skip("vibrometer", "response", why)
-            skip("recorder", "pickup", f"not measured: {why}")
+            self.add("vibrometer", "response", "skipped", why)
+            self.add("recorder", "pickup", "skipped", f"not measured: {why}")
             return
-        self._tell("vibrometer", "response", partial(check_response, setup, *level))
+        self._tell("vibrometer", "response", partial(_check_response, setup, amplitude_v))
         if self._rig.shutter is not None or not self._parks_on_surface(setup):
-            self._tell("recorder", "pickup", partial(check_pickup, setup, *level))
+            self._tell("recorder", "pickup", partial(check_pickup, setup, amplitude_v, SAMPLE_RATE_HZ))
         else:
             what = "not measured: the mirror has no shutter, and the beam parked at mirror.park_mrad is on the surface"
-            skip("recorder", "pickup", what)
+            self.add("recorder", "pickup", "skipped", what)
 
     def _parks_on_surface(self, setup: Setup) -> bool:
         tangents = [*np.tan(np.array(self._rig.mirror.park_mrad) / 1000), 1.0]
@@ -258,12 +249,10 @@ class _Examination:
 
     def _tell(self, instrument: str, check: str, listen: Callable[[], list[Finding]]) -> bool:
         """Publish the findings of a record; True where nothing of that instrument failed."""
-        found = self._findings.ask(instrument, check, listen, OPEN_S)
+        found = self.ask(instrument, check, listen, OPEN_S)
         for finding in found or ():
-            self._findings.publish(finding)
-        return found is not None and all(
-            finding.verdict != "fail" for finding in found if finding.instrument == instrument
-        )
+            self._publish(finding)
+        return found is not None and not any(one.verdict == "fail" for one in found if one.instrument == instrument)
 
     def _put_to_rest(self) -> None:
         """Mute, park and release whatever is open; only failures are reported."""
@@ -275,7 +264,7 @@ class _Examination:
         if self._mirror is not None:
             steps += [("mirror", self._mirror.park), ("mirror", self._mirror.close)]
         for name, step in steps:
-            self._findings.ask(name, "putting it to rest", step, ANSWER_S)
+            self.ask(name, "putting it to rest", step, ANSWER_S)
 
 
 # Corners that the mirror is tried at: of the largest rectangle on the surface, a little within.
@@ -283,14 +272,13 @@ CORNER_SHARE = 0.95
 SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
-def _corners_mm(rig: RigConfig) -> NDArray[np.float64]:
+def _corners_mm(rig: RigConfig) -> Float64Array:
     """Corners of the largest rectangle of the surface's proportions within it, (4, 2)."""
     surface = rig.surface
     corner_mm = np.array([surface.length_mm, surface.width_mm]) / 2
     shares = np.linspace(0, 1, 101)
     inside = surface.outline.contains(shares[:, None, None] * SIGNS * corner_mm).all(axis=1)
-    corners_mm: NDArray[np.float64] = CORNER_SHARE * shares[inside].max() * SIGNS * corner_mm
-    return corners_mm
+    return np.asarray(CORNER_SHARE * shares[inside].max() * SIGNS * corner_mm)
 
 
 def _astray_mrad(mirror: Mirror, at_mrad: tuple[float, float]) -> list[float]:
@@ -301,7 +289,6 @@ def _astray_mrad(mirror: Mirror, at_mrad: tuple[float, float]) -> list[float]:
     return [] if there is None else [max(abs(a - b) for a, b in zip(there, at_mrad, strict=True))]
 
 
-PARKED_S = 0.1  # longest time that a mirror of any driver takes to its parking direction
 DECAY_S = 0.2
 # Quiet enough: a campaign's records want 40 dB and more between signal and silence.
 GOOD_SNR_DB, MIN_SNR_DB = 40.0, 20.0
@@ -315,9 +302,9 @@ LATENCY_SHARE = 0.7
 ACTUATORS_HEARD = 3
 
 
-def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[float, float]) -> list[Finding]:
+def _check_silence(recorder: Recorder, range_v: tuple[float, float]) -> list[Finding]:
     """Record while nothing plays: whether a record comes, and what it holds; raises InstrumentError of the recorder."""
-    recording = record_silence(recorder, SWEEP_S, sample_rate_hz, range_v, RecordLabel(0, 1, 0, "doctor"))
+    recording = record_silence(recorder, SWEEP_S, SAMPLE_RATE_HZ, range_v, RecordLabel(0, 1, 0, "doctor"))
     count = f"{recording.volts.shape[1]} samples of 2 channels"
     findings: list[Finding] = [Finding("recorder", "record", "ok", count)]
     for channel, name in enumerate(("reference", "response")):
@@ -327,26 +314,22 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
         verdict: Verdict = "ok"
         remedy, act = "", None
         if recording.over_range[channel]:
-            verdict, remedy = "fail", "check what is plugged in there"
-            what += f"; it reaches {range_v[channel]:g} V"
+            verdict, what = "fail", f"{what}; it reaches {range_v[channel]:g} V"
+            remedy = "check what is plugged in there"
         elif noise_v == 0.0:
-            verdict, remedy, act = (
-                "warn",
-                "check cable and terminal configuration",
-                Act("edit-rig", "recorder.terminal"),
-            )
-            what += ": not even noise"
+            verdict, what = "warn", f"{what}: not even noise"
+            remedy, act = "check cable and terminal configuration", Act("edit-rig", "recorder.terminal")
         findings.append(Finding("recorder", f"{name} noise", verdict, what, remedy, act))
     return findings
 
 
-def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
+def _check_loopback(setup: Setup, amplitude_v: float) -> list[Finding]:
     """Play only on the loopback: level, latency, clock ratio and what else is on the line.
 
     Raises InstrumentError: of the player or the recorder.
     """
-    signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
-    recording = take_record(setup, setup.signals_v(signal_v), sample_rate_hz, RecordLabel(0, 1, 1, "doctor"))
+    signal_v = _sweep_v(amplitude_v)
+    recording = take_record(setup, setup.signals_v(signal_v), SAMPLE_RATE_HZ, RecordLabel(0, 1, 1, "doctor"))
     channel = setup.loopback_channel
     if recording.over_range[0]:
         what = f"{amplitude_v:g} V reaches the end of the reference input"
@@ -361,7 +344,7 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
             remedy = f"check the cable from output {channel} of the player to the recorder's reference input"
         check = "clock ratio" if missing.cause == "rate" else "loopback level"
         return [Finding("player", check, "fail", str(missing), remedy)]
-    latency_s = found.offset_samples / sample_rate_hz - setup.pre_roll_s
+    latency_s = found.offset_samples / SAMPLE_RATE_HZ - setup.pre_roll_s
     return [
         _level(found.gain / setup.reference_gain, amplitude_v, channel),
         _figure(
@@ -384,83 +367,44 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
             found.residual_db <= GOOD_RESIDUAL_DB,
             "look for hum, a loose cable or a range much too wide",
         ),
-        crosstalk_finding(leak_of(setup, recording, sample_rate_hz, BAND_HZ)),
+        crosstalk_finding(leak_of(setup, recording, SAMPLE_RATE_HZ, BAND_HZ)),
     ]
 
 
-def crosstalk_finding(found: Crosstalk) -> Finding:
-    """What of the loopback leaks into the response input, and what to do about it."""
-    if found.reaches(UNKNOWN_ROWS_SHARE):
-        return Finding("recorder", "crosstalk", "fail", f"the loopback leaks into the response input: {found}", REMEDY)
-    if not found.resolves(UNKNOWN_ROWS_SHARE):
-        what = f"the response input is too loud to see a leak of the loopback below {found.visible_db:.0f} dB"
-        return Finding("recorder", "crosstalk", "warn", what, "point the beam where light comes back, or play louder")
-    return Finding("recorder", "crosstalk", "ok", str(found))
-
-
-def check_pickup(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
-    """Play each output while no light comes back, shutter closed or beam parked: what of its voltage is picked up.
-
-    Raises InstrumentError: of any instrument.
-    """
-    mirror = setup.instruments.mirror
-    with naming_role("mirror"):
-        mirror.park()
-        mirror.block()
-    setup.instruments.clock.sleep(PARKED_S)
-    signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
-    found: list[Crosstalk] = []
-    for number, actuators in enumerate([(), *((actuator,) for actuator in range(len(setup.actuator_channels)))]):
-        label = RecordLabel(0, 1, number, "pickup")
-        recording = take_record(setup, setup.signals_v(signal_v, *actuators), sample_rate_hz, label)
-        found.append(leak_of(setup, recording, sample_rate_hz, BAND_HZ))
-    alone, *single = found
-    # Each record has the loopback's leak too: what exceeds it is the output's own.
-    own = [Crosstalk(one.share - alone.is_seen * alone.share, one.delay_s, one.error) for one in single]
-    worst = max(range(len(own)), key=lambda actuator: abs(own[actuator].share))
-    if own[worst].reaches(UNKNOWN_ROWS_SHARE):
-        what = f"the response input picks up output {setup.actuator_channels[worst]}: "
-        what += f"{own[worst].level_db:.1f} dB re its voltage"
-        return [Finding("recorder", "pickup", "fail", what, REMEDY)]
-    visible_db = max(one.visible_db for one in own)
-    return [Finding("recorder", "pickup", "ok", f"none of {len(own)} outputs is picked up above {visible_db:.0f} dB")]
-
-
-def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
+def _check_response(setup: Setup, amplitude_v: float) -> list[Finding]:
     """Listen to silence and to a few actuators at the middle of the surface: whether the vibrometer detects them.
 
     Raises InstrumentError: of any instrument.
     """
-    signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
+    signal_v = _sweep_v(amplitude_v)
     point_at(setup, 0.0, 0.0)
     silence_v = setup.signals_v(np.zeros_like(signal_v))
-    quiet = take_record(setup, silence_v, sample_rate_hz, RecordLabel(0, 1, 1, "doctor"))
-    noise_v = _in_band_v(quiet, sample_rate_hz)
+    noise_v = _in_band_v(take_record(setup, silence_v, SAMPLE_RATE_HZ, RecordLabel(0, 1, 1, "doctor")))
     count = len(setup.actuator_channels)
     chosen = sorted({round(index * count / ACTUATORS_HEARD) % count for index in range(ACTUATORS_HEARD)})
     snr_db: dict[int, float] = {}
     for actuator in chosen:
         signals_v = {setup.actuator_channels[actuator]: signal_v}
-        recording = take_record(setup, signals_v, sample_rate_hz, RecordLabel(0, 1, 2 + actuator, "doctor"))
+        recording = take_record(setup, signals_v, SAMPLE_RATE_HZ, RecordLabel(0, 1, 2 + actuator, "doctor"))
         if recording.over_range[1]:
             what = f"actuator {actuator} reaches the end of the response input"
             remedy = "raise recorder.response_range_v, choose a wider range at the vibrometer, or lower what is played"
             act = Act("edit-rig", "recorder.response_range_v")
             return [Finding("vibrometer", "response", "fail", what, remedy, act)]
-        snr_db[actuator] = 20 * math.log10(_in_band_v(recording, sample_rate_hz) / noise_v)
+        snr_db[actuator] = 20 * math.log10(_in_band_v(recording) / noise_v)
     return _heard(snr_db, amplitude_v)
 
 
-def _in_band_v(recording: Recording, sample_rate_hz: float) -> float:
+def _in_band_v(recording: Recording) -> float:
     """Rms of the response in the band of the sweep; never quite 0."""
     volts = recording.volts[1].astype(np.float64)
-    frequency_hz = np.fft.rfftfreq(volts.size, 1 / sample_rate_hz)
+    frequency_hz = np.fft.rfftfreq(volts.size, 1 / SAMPLE_RATE_HZ)
     band = (frequency_hz >= BAND_HZ[0]) & (frequency_hz <= BAND_HZ[1])
     return math.sqrt(2 * float(np.sum(np.abs(np.fft.rfft(volts)[band]) ** 2))) / len(volts) + 1e-9
 
 
-def _sweep(amplitude_v: float, sample_rate_hz: float) -> PlayedExcitation:
-    return PlayedExcitation(sample_rate_hz, *BAND_HZ, SWEEP_S, DECAY_S, amplitude_v, averages=1)
+def _sweep_v(amplitude_v: float) -> Float64Array:
+    return PlayedExcitation(SAMPLE_RATE_HZ, *BAND_HZ, SWEEP_S, DECAY_S, amplitude_v, averages=1).signal_v()
 
 
 def _figure(check: str, what: str, good: bool, remedy: str, act: Act | None = None) -> Finding:

@@ -49,148 +49,112 @@ class RecordDefect:
     over_range: bool = False
 
 
-def dead_records(estimate: Estimate) -> BoolArray:
-    """Records whose response channel is constant."""
-    return np.asarray(estimate.defects["dead"] == 1)
-
-
-def named_defects(
-    estimate: Estimate, limits: QualityLimits, distance_mm: Float64Array | None
-) -> tuple[RecordDefect, ...]:
-    """Name what the figures of an attempt's records show.
-
-    Of one record only the defect that explains the others is named: what hums also differs from sweep to sweep.
-
-    estimate: Figures of all records of the attempt.
-    limits: From where on they count.
-    distance_mm, float64 (actuators,): From the actuators to the position; NaN where unknown.
-
-    Returns defects, the surest first; none for a clean attempt.
-    """
-    figures = estimate.defects
-    dead = dead_records(estimate)
-    unnamed = ~dead
-    found = [_DEAD.of(estimate, np.flatnonzero(dead))] if np.any(dead) else []
-    for figure, kind in _KINDS.items():
-        limit_db = {"harmonic_db": limits.poor_harmonic_db, "slip_db": SLIP_DB}.get(figure, limits.poor_residual_db)
-        beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db))
-        if beyond.size:
-            worst = beyond[np.argsort(-figures[figure][beyond])]
-            if figure == "line_db":
-                found.append(_line(estimate, worst))
-            else:
-                found.append(kind.of(estimate, worst))
-            unnamed[beyond] = False
-    silent = np.flatnonzero(unnamed & _silent(estimate, distance_mm))
-    if silent.size:
-        found.append(_SILENT.of(estimate, silent))
-    return tuple(found)
-
-
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """A defect and its remedy; `sentence` has the worst record's figures in braces, and `{records}`."""
-
-    name: str
-    sentence: str
-    cure: Cure
-    over_range: bool = False
-
-    def of(self, estimate: Estimate, worst: NDArray[np.intp], **more: object) -> RecordDefect:
-        """The defect of some records, the worst first."""
-        record = estimate.defects[worst[0]]
-        figures = {name: record[name].item() for name in estimate.defects.dtype.names or ()}
-        sentence = self.sentence.format(records=listed(worst), **{**figures, **more})
-        cure = Cure.MOVE if self.name == "dropout" and worst.size > 1 else self.cure
-        return RecordDefect(self.name, tuple(worst.tolist()), sentence, cure, self.over_range)
-
-
-_DEAD = _Kind(
-    "dead channel",
-    "the response channel is constant in {records}: check the cable from the vibrometer to the response input, "
-    "and that it is on",
-    Cure.REPEAT,
+_DEAD = (
+    "the response channel is constant in {records}: check the cable from the vibrometer to the response input, and "
+    "that it is on"
 )
-_SILENT = _Kind(
-    "silent",
-    "{records} is only noise though actuators farther away have a signal: check that output's cable, "
-    "amplifier channel and actuator",
-    Cure.NOTHING,
+_SILENT = (
+    "{records} is only noise though actuators farther away have a signal: check that output's cable, amplifier channel "
+    "and actuator"
 )
-_TONE = _Kind(
-    "tone",
-    "a tone at {line_hz:.1f} Hz, {line_db:.1f} dB of the response in {records}: find the fan, motor or supply "
-    "that hums",
-    Cure.NOTHING,
-)
-_HUM = _Kind(
-    "hum",
+_HUM = (
     "hum at {hum_hz:g} Hz{harmonic}, {line_db:.1f} dB of the response in {records}: check the ground loop of the "
-    "vibrometer's output cable",
-    Cure.NOTHING,
+    "vibrometer's output cable"
 )
 _KINDS = {
-    "slip_db": _Kind(
+    "slip_db": (
         "dropout",
         "the reference of {records} differs from what was played by {slip_db:.0f} dB: samples were lost in both "
         "channels, or the player slipped; if it stays, use another USB port, without a hub, or a lower rate",
         Cure.REPEAT,
     ),
-    "tail_db": _Kind(
+    "tail_db": (
         "tail",
         "the response is longer than its taps: {tail_db:.0f} dB come after the last one in {records}: raise "
         "capture.taps and decay_s in a new bank",
         Cure.NOTHING,
     ),
-    "burst_db": _Kind(
+    "burst_db": (
         "dropout",
         "a burst of {burst_db:.0f} dB at {burst_s:.3f} s in {records}: the laser lost the surface, the rig was "
         "knocked, or a channel lost samples; if it stays, focus the laser or treat the surface",
         Cure.REPEAT,
     ),
-    "line_db": _TONE,
-    "harmonic_db": _Kind(
+    "line_db": (
+        "tone",
+        "a tone at {line_hz:.1f} Hz, {line_db:.1f} dB of the response in {records}: find the fan, motor or supply "
+        "that hums",
+        Cure.NOTHING,
+    ),
+    "harmonic_db": (
         "clipping",
         "clipped or distorted: third harmonic at {harmonic_db:.0f} dB at the loudest moment of {records}: lower "
         "sweep.amplitude_v or choose a wider range at the vibrometer",
         Cure.RANGE,
-        over_range=True,
     ),
-    "unsteady_db": _Kind(
+    "unsteady_db": (
         "unsteady",
         "the sweeps of {records} differ by {unsteady_db:.0f} dB of the response, more than noise explains: gain, "
         "temperature or a contact changed meanwhile, or a channel lost samples; where it is so in every record, lower "
         "sweep.amplitude_v (coils heat) or let the rig warm up",
         Cure.REPEAT,
     ),
-    "misfit_db": _Kind(
+    "misfit_db": (
         "unexplained",
         "all sweeps of {records} leave the same {misfit_db:.0f} dB that no linear response explains: lower "
         "sweep.amplitude_v; where that changes nothing, look at offset and range of amplifier, coil and vibrometer",
         Cure.NOTHING,
     ),
 }
-"""Defects by the figure that shows them; of one record the first is named."""
+"""Name, sentence and cure of defects by the figure that shows them; of one record the first is named. Sentences have
+the worst record's figures in braces."""
 
 
-def _line(estimate: Estimate, worst: NDArray[np.intp]) -> RecordDefect:
-    """Hum, where the line is a multiple of the mains; else a tone."""
-    line_hz = float(estimate.defects["line_hz"][worst[0]])
-    mains = next((base for base in MAINS_HZ if _is_multiple(line_hz, base)), None)
-    if mains is None:
-        return _TONE.of(estimate, worst)
-    multiple = round(line_hz / mains)
-    harmonic = f" ({multiple} times {mains:g} Hz)" if multiple > 1 else ""
-    return _HUM.of(estimate, worst, hum_hz=multiple * mains, harmonic=harmonic)
+def _named(
+    estimate: Estimate, limits: QualityLimits, distance_mm: Float64Array | None, dead: BoolArray
+) -> list[RecordDefect]:
+    """Name what the figures of an attempt's records show, the surest first; none for a clean attempt.
+
+    Of one record only the defect that explains the others is named: what hums also differs from sweep to sweep.
+    """
+    figures, unnamed, found = estimate.defects, ~dead, list[RecordDefect]()
+
+    def name(worst: NDArray[np.intp], title: str, sentence: str, cure: Cure, **more: object) -> None:
+        record = {figure: figures[figure][worst[0]].item() for figure in figures.dtype.names or ()}
+        words = sentence.format(records=_listed(worst), **record, **more)
+        found.append(RecordDefect(title, tuple(worst.tolist()), words, cure, over_range=title == "clipping"))
+        unnamed[worst] = False
+
+    if np.any(dead):
+        name(np.flatnonzero(dead), "dead channel", _DEAD, Cure.REPEAT)
+    for figure, (title, sentence, cure) in _KINDS.items():
+        limit_db = {"harmonic_db": limits.poor_harmonic_db, "slip_db": SLIP_DB}.get(figure, limits.poor_residual_db)
+        beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db))
+        if not beyond.size:
+            continue
+        worst = beyond[np.argsort(-figures[figure][beyond])]
+        line_hz = float(figures["line_hz"][worst[0]])
+        mains = next((base for base in MAINS_HZ if _is_multiple(line_hz, base)), None) if title == "tone" else None
+        if mains is not None:
+            multiple = round(line_hz / mains)
+            harmonic = f" ({multiple} times {mains:g} Hz)" if multiple > 1 else ""
+            name(worst, "hum", _HUM, cure, hum_hz=multiple * mains, harmonic=harmonic)
+        else:
+            name(worst, title, sentence, Cure.MOVE if title == "dropout" and worst.size > 1 else cure)
+    silent = np.flatnonzero(unnamed & _silent(estimate, distance_mm))
+    if silent.size:
+        name(silent, "silent", _SILENT, Cure.NOTHING)
+    return found
 
 
 def _silent(estimate: Estimate, distance_mm: Float64Array | None) -> BoolArray:
     """Records without a response where several farther actuators have a clear one, and noise as the others have it."""
+    none = np.zeros(estimate.snr_db.size, dtype=bool)
     if distance_mm is None:
-        return np.zeros(estimate.snr_db.size, dtype=bool)
+        return none
     strong = np.sort(distance_mm[(estimate.snr_db > CLEAR_DB) & np.isfinite(distance_mm)])
     if strong.size < MAJORITY:
-        return np.zeros(estimate.snr_db.size, dtype=bool)
+        return none
     # Without light the vibrometer is louder.
     with_light = estimate.noise_v < 10 ** (HEARD_DB / 20) * np.median(estimate.noise_v)
     return np.asarray((estimate.snr_db < HEARD_DB) & (distance_mm < strong[-MAJORITY]) & with_light)
@@ -201,7 +165,7 @@ def _is_multiple(line_hz: float, base_hz: float) -> bool:
     return multiple >= 1 and abs(line_hz - multiple * base_hz) < MAINS_TOLERANCE_HZ
 
 
-def listed(which: NDArray[np.intp]) -> str:
+def _listed(which: NDArray[np.intp]) -> str:
     """The records for a sentence, the first of them by name."""
     others = which.size - 1
     first = f"actuator {int(which[0])}'s record"
@@ -326,25 +290,33 @@ def judge(
 
     Returns ``Status.VALID``, or the bits of all that is wrong.
     """
-    dead = dead_records(estimate)
+    dead = np.asarray(estimate.defects["dead"] == 1)
     finite = np.isfinite(estimate.snr_db) & np.isfinite(estimate.residual_db) & np.isfinite(estimate.noise_v)
-    excess_db = _excess_db(estimate, finite & ~dead)
+    # Residual of each record in volts above that of the quietest usable one.
+    noise_v = np.maximum(estimate.noise_v.astype(np.float64), np.finfo(np.float32).tiny)
+    usable = finite & ~dead
+    excess_db = 20.0 * np.log10(noise_v / (np.min(noise_v[usable]) if np.any(usable) else 1.0))
     score = float(np.max(np.where(finite, excess_db, np.inf)))
-    defects = list(_over_range(estimate, over_range))
-    defects += named_defects(estimate, limits, distance_mm)
+    defects = [*_over_range(estimate, over_range), *_named(estimate, limits, distance_mm, dead)]
     named = np.isin(np.arange(dead.size), [actuator for defect in defects for actuator in defect.actuators])
-    defects += _unknown(~finite)
-    defects += _unexplained(estimate, excess_db, finite & ~dead & ~named, limits)
-    defects += _low_signal(estimate, finite & ~dead, limits)
+    if not finite.all():
+        which = tuple(np.flatnonzero(~finite).tolist())
+        sentence = f"the figures of actuator {which[0]}'s record are not numbers"
+        defects.append(RecordDefect("no figures", which, sentence, Cure.REPEAT))
+    defects += _unexplained(estimate, excess_db, usable & ~named, limits)
+    defects += _low_signal(estimate, usable, limits)
     defects += _reference_level(estimate, before_db, limits, calibrated=calibrated)
-    if not defects:
-        return Judgement(Status.VALID, "", score)
-    status = Status.NOT_MEASURED
+    status = Status.NOT_MEASURED if defects else Status.VALID
     for defect in defects:
         status |= Status.OVER_RANGE if defect.over_range else Status.POOR_SIGNAL
     if np.all(dead):
         status = Status.FAILED
     return Judgement(status, "; ".join(defect.sentence for defect in defects), score, tuple(defects))
+
+
+def poor(name: str, sentence: str, cure: Cure, actuators: tuple[int, ...] = (), score: float = 0.0) -> Judgement:
+    """Poor, because of one defect."""
+    return Judgement(Status.POOR_SIGNAL, sentence, score, (RecordDefect(name, actuators, sentence, cure),))
 
 
 def differing(actuators: tuple[int, ...], apart: str, score: float) -> Judgement:
@@ -353,16 +325,7 @@ def differing(actuators: tuple[int, ...], apart: str, score: float) -> Judgement
         f"it is not what the bank holds: {apart}; to have such a row replaced, where two attempts agree, name the "
         "position to wavefocus remeasure with --replace"
     )
-    return Judgement(
-        Status.POOR_SIGNAL, sentence, score, (RecordDefect("neighbours", actuators, sentence, Cure.AGAIN),)
-    )
-
-
-def _excess_db(estimate: Estimate, usable: BoolArray) -> Float64Array:
-    """Residual of each record in volts above that of the quietest usable one."""
-    noise_v = np.maximum(estimate.noise_v.astype(np.float64), np.finfo(np.float32).tiny)
-    quietest = np.min(noise_v[usable]) if np.any(usable) else 1.0
-    return np.asarray(20.0 * np.log10(noise_v / quietest))
+    return poor("neighbours", sentence, Cure.AGAIN, actuators, score)
 
 
 def _over_range(estimate: Estimate, over_range: bool) -> list[RecordDefect]:
@@ -376,14 +339,6 @@ def _over_range(estimate: Estimate, over_range: bool) -> list[RecordDefect]:
         "sweep.amplitude_v or choose a wider range at the vibrometer"
     )
     return [RecordDefect("over-range", worst, sentence, Cure.RANGE, over_range=True)]
-
-
-def _unknown(unknown: BoolArray) -> list[RecordDefect]:
-    if not np.any(unknown):
-        return []
-    which = tuple(np.flatnonzero(unknown).tolist())
-    sentence = f"the figures of actuator {which[0]}'s record are not numbers"
-    return [RecordDefect("no figures", which, sentence, Cure.REPEAT)]
 
 
 def _unexplained(
@@ -431,7 +386,7 @@ def _reference_level(
     steady = "; if it is so in every record, wavefocus calibrate, or correct recorder.reference_gain"
     sentence = (
         f"the reference is {abs(off_db):.2f} dB {'below' if off_db < 0 else 'above'} {than} in "
-        f"{listed(which)}: check the loopback cable, the output's level and the input range"
+        f"{_listed(which)}: check the loopback cable, the output's level and the input range"
         f"{steady if beyond else ''}"
     )
     return [RecordDefect(REFERENCE_LEVEL, tuple(which.tolist()), sentence, Cure.AGAIN)]

@@ -9,9 +9,10 @@ import numpy as np
 from wavefocus.acquisition.attempt import AttemptResult, Play, record_play
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session
-from wavefocus.acquisition.judgement import Cure, Judgement, RecordDefect
+from wavefocus.acquisition.judgement import Cure, Judgement, poor
 from wavefocus.acquisition.plan import Plan
-from wavefocus.acquisition.setup import Setup, point_at
+from wavefocus.acquisition.setup import Setup, naming_role, point_at, take_record
+from wavefocus.calibration import Float64Array
 from wavefocus.calibration.crosstalk import (
     MAX_DELAY_S,
     REMEDY,
@@ -24,6 +25,7 @@ from wavefocus.calibration.crosstalk import (
 from wavefocus.calibration.evidence import SOUND
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.messages.campaign import CrosstalkMeasured
+from wavefocus.config.messages.rig_checks import Finding
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.bank.ledger import Status, usable
@@ -35,6 +37,8 @@ SWEEP_S, BAND_HZ = 0.5, (40.0, 400.0)
 DEFECT = "crosstalk"
 TRIES = 3
 """Records in which the vibrometer loses the surface for a moment are taken again so often in all."""
+PARKED_S = 0.1
+"""Longest time that a mirror of any driver takes to its parking direction."""
 ROWS = 100
 """So many positions, spread over all valid ones, give the median row."""
 
@@ -51,8 +55,7 @@ def measure_leak(
     Raises InstrumentError: of the instrument that failed; a passing fault only when repeated records did not cure it.
     """
     point_at(setup, float(place_mm[0]), float(place_mm[1]))
-    sweep = PlayedExcitation(sample_rate_hz, *band_hz, SWEEP_S, MAX_DELAY_S, amplitude_v, averages=1)
-    play = Play(0, setup.signals_v(sweep.signal_v()))
+    play = Play(0, setup.signals_v(_sweep_v(amplitude_v, sample_rate_hz, band_hz)))
     for number in range(1, TRIES + 1):
         label = RecordLabel(0, number, 0, DEFECT)
         found = leak_of(setup, record_play(setup, play, sample_rate_hz, label), sample_rate_hz, band_hz)
@@ -61,16 +64,51 @@ def measure_leak(
     return found
 
 
+def _sweep_v(amplitude_v: float, sample_rate_hz: float, band_hz: tuple[float, float]) -> Float64Array:
+    return PlayedExcitation(sample_rate_hz, *band_hz, SWEEP_S, MAX_DELAY_S, amplitude_v, averages=1).signal_v()
+
+
 def leak_of(setup: Setup, recording: Recording, sample_rate_hz: float, band_hz: tuple[float, float]) -> Crosstalk:
     """The leak in a record that no actuator answers."""
-    return crosstalk_of_record(
-        recording.volts[0],
-        recording.volts[1],
-        sample_rate_hz,
-        band_hz,
-        reference_gain=setup.reference_gain,
-        inter_channel_delay_s=setup.inter_channel_delay_s,
-    )
+    channels = {"reference_gain": setup.reference_gain, "inter_channel_delay_s": setup.inter_channel_delay_s}
+    return crosstalk_of_record(recording.volts[0], recording.volts[1], sample_rate_hz, band_hz, **channels)
+
+
+def crosstalk_finding(found: Crosstalk) -> Finding:
+    """What of the loopback leaks into the response input, and what to do about it."""
+    if found.reaches(UNKNOWN_ROWS_SHARE):
+        return Finding("recorder", "crosstalk", "fail", f"the loopback leaks into the response input: {found}", REMEDY)
+    if not found.resolves(UNKNOWN_ROWS_SHARE):
+        what = f"the response input is too loud to see a leak of the loopback below {found.visible_db:.0f} dB"
+        return Finding("recorder", "crosstalk", "warn", what, "point the beam where light comes back, or play louder")
+    return Finding("recorder", "crosstalk", "ok", str(found))
+
+
+def check_pickup(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
+    """Play each output while no light comes back, shutter closed or beam parked: what of its voltage is picked up.
+
+    Raises InstrumentError: of any instrument.
+    """
+    mirror = setup.instruments.mirror
+    with naming_role("mirror"):
+        mirror.park()
+        mirror.block()
+    setup.instruments.clock.sleep(PARKED_S)
+    signal_v, found = _sweep_v(amplitude_v, sample_rate_hz, BAND_HZ), list[Crosstalk]()
+    for number, actuators in enumerate([(), *((actuator,) for actuator in range(len(setup.actuator_channels)))]):
+        label = RecordLabel(0, 1, number, "pickup")
+        recording = take_record(setup, setup.signals_v(signal_v, *actuators), sample_rate_hz, label)
+        found.append(leak_of(setup, recording, sample_rate_hz, BAND_HZ))
+    alone, *single = found
+    # Each record has the loopback's leak too: what exceeds it is the output's own.
+    own = [Crosstalk(one.share - alone.is_seen * alone.share, one.delay_s, one.error) for one in single]
+    worst = max(range(len(own)), key=lambda actuator: abs(own[actuator].share))
+    if own[worst].reaches(UNKNOWN_ROWS_SHARE):
+        what = f"the response input picks up output {setup.actuator_channels[worst]}: "
+        what += f"{own[worst].level_db:.1f} dB re its voltage"
+        return [Finding("recorder", "pickup", "fail", what, REMEDY)]
+    visible_db = max(one.visible_db for one in own)
+    return [Finding("recorder", "pickup", "ok", f"none of {len(own)} outputs is picked up above {visible_db:.0f} dB")]
 
 
 class LeakWatch:
@@ -145,7 +183,7 @@ class LeakWatch:
         Returns the share of the loopback that counts, and the positions that were marked.
         """
         self._latest = leak
-        limit = limit_of(self._bank, self._setup.response_per_volt)
+        limit = _limit_of(self._bank, self._setup.response_per_volt)
         if limit is None:
             self._unjudged.append(leak)
             return None, ()
@@ -172,7 +210,7 @@ class LeakWatch:
         return marked
 
 
-def limit_of(bank: BankWriter, response_per_volt: float) -> float | None:
+def _limit_of(bank: BankWriter, response_per_volt: float) -> float | None:
     """Share of the loopback that makes 1 % of the median row of a bank; None while it has no rows."""
     rows = np.flatnonzero(usable(bank.status))
     rows = rows[:: max(1, len(rows) // ROWS)]
@@ -186,7 +224,7 @@ def limit_of(bank: BankWriter, response_per_volt: float) -> float | None:
 
 def mark_leaks(bank: BankWriter, response_per_volt: float) -> list[str]:
     """Mark as poor what was measured with a leak of 1 % of the median row, by ``/quality/leak_db``; sentences."""
-    limit = limit_of(bank, response_per_volt)
+    limit = _limit_of(bank, response_per_volt)
     if limit is None:
         return []
     sentences = []
@@ -194,10 +232,8 @@ def mark_leaks(bank: BankWriter, response_per_volt: float) -> list[str]:
         share = 10 ** (bank.record(position).leak_db / 20)
         if share >= SPARE * limit:
             bank.amend(position, status=int(Status.POOR_SIGNAL))
-            part = 100 * SOUND * share / limit
-            sentences.append(
-                f"position {position}: crosstalk: the leak of the loopback is {part:.2g} % of the median row"
-            )
+            part = f"{100 * SOUND * share / limit:.2g} % of the median row"
+            sentences.append(f"position {position}: crosstalk: the leak of the loopback is {part}")
     return sentences
 
 
@@ -210,4 +246,4 @@ def sentence(found: Crosstalk, limit: float | None) -> str:
 def judgement_of(found: Crosstalk | None, score: float = 0.0) -> Judgement:
     """Poor, because of a leak; None stands for one that is over."""
     words = sentence(found, None) if found else "crosstalk: the loopback leaked into the response input"
-    return Judgement(Status.POOR_SIGNAL, words, score, (RecordDefect(DEFECT, (), words, Cure.NOTHING),))
+    return poor(DEFECT, words, Cure.NOTHING, score=score)

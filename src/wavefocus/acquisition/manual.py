@@ -56,9 +56,9 @@ class ManualMeasurements:
     def level(self) -> InputLevels:
         """Levels now."""
         self._number += 1
-        if self._sound is None:
-            return _levels(self._silence(LISTENS_S), self._setup.range_v)
-        return _levels(self._record(*self._sound, "listening"), self._setup.range_v)
+        sound = self._sound
+        recording = self._silence(LISTENS_S) if sound is None else self._record(*sound, "listening")
+        return _levels(recording, self._setup.range_v)
 
     def sweep(self, order: TakeSweep) -> SweepTaken:
         """Record silence for as long as a sweep lasts, then the sweep.
@@ -126,17 +126,12 @@ class ManualMeasurements:
 
 
 def _levels(recording: Recording, range_v: tuple[float, float]) -> InputLevels:
-    reference, response = (
-        ChannelLevel(
-            rms_v=float(volts.std(dtype=np.float64)),
-            peak_v=float(np.abs(volts).max(initial=0.0)),
-            offset_v=float(volts.mean(dtype=np.float64)),
-            range_v=end_v,
-            over_range=bool(reached),
-        )
-        for volts, end_v, reached in zip(recording.volts, range_v, recording.over_range, strict=True)
-    )
-    return InputLevels(reference, response)
+    def level(channel: int) -> ChannelLevel:
+        volts = recording.volts[channel].astype(np.float64)
+        figures = float(volts.std()), float(np.abs(volts).max(initial=0.0)), float(volts.mean())
+        return ChannelLevel(*figures, range_v[channel], bool(recording.over_range[channel]))
+
+    return InputLevels(level(0), level(1))
 
 
 def _rounded(values: NDArray[np.floating], digits: int) -> tuple[float, ...]:

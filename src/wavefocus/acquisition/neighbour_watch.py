@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.acquisition.attempt import MEASURED, AttemptResult
-from wavefocus.acquisition.judgement import Cure, Judgement, PositionRow, RecordDefect, difference, differing, in_band
+from wavefocus.acquisition.judgement import (
+    Cure,
+    Judgement,
+    PositionRow,
+    RecordDefect,
+    difference,
+    differing,
+    in_band,
+    poor,
+)
 from wavefocus.acquisition.plan import Plan
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
@@ -28,7 +37,7 @@ NEIGHBOURHOOD = 250
 
 
 _SENTENCE = "the other positions cannot judge it: a second measurement must agree with it"
-UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (RecordDefect("neighbours", (), _SENTENCE, Cure.AGAIN),))
+UNCONFIRMED = poor("neighbours", _SENTENCE, Cure.AGAIN)
 
 
 class NeighbourWatch:
@@ -79,12 +88,8 @@ class NeighbourWatch:
             if judgement is None and self._plan.quality.confirms and position not in judged:
                 judgement = UNCONFIRMED
             if judgement is not None:
-                self._bank.amend(
-                    position,
-                    status=int(judgement.status),
-                    neighbour_round=len(covered),
-                    unjudgeable=judgement is UNCONFIRMED,
-                )
+                alone, status_now = judgement is UNCONFIRMED, int(judgement.status)
+                self._bank.amend(position, status=status_now, neighbour_round=len(covered), unjudgeable=alone)
                 yield position, judgement
         # Sessions for some scenes only leave no note: the rest of the campaign is judged with theirs.
         if len(covered) == self._plan.positions and not self.is_done(covered):
@@ -103,8 +108,7 @@ class NeighbourWatch:
         repeat: Whether the position is measured after all others, even where the bank holds nothing of it.
         replaceable: Whether a valid row may be replaced by another one.
         """
-        position, judgement = result.attempt.position, result.judgement
-        row = self._row_of(result)
+        position, judgement, row = result.attempt.position, result.judgement, self._row_of(result)
         if row is None or result.estimate is None or not judgement.good:
             return result
         status = Status(int(self._bank.status[position]))
@@ -196,10 +200,8 @@ class NeighbourWatch:
         return found, frozenset(rows[judged].tolist())
 
     def _spectra(self, rows: Int64Array, instead: dict[int, Float32Array]) -> RowsAtFrequencies:
-        header = self._bank.header
-        spectra = RowsAtFrequencies(
-            len(rows), self._plan.actuators, self._plan.taps, header.sample_rate_hz, header.band_hz
-        )
+        plan, header = self._plan, self._bank.header
+        spectra = RowsAtFrequencies(len(rows), plan.actuators, plan.taps, header.sample_rate_hz, header.band_hz)
         for number, row in enumerate(rows.tolist()):
             spectra.set(number, instead[row] if row in instead else self._bank.green(row))
         return spectra
@@ -224,7 +226,7 @@ def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> It
 
     Yields each position as it is marked; those that are not valid stay as they are.
     """
-    judgement = Judgement(Status.POOR_SIGNAL, reason, 0.0, (RecordDefect("suspect", (), reason, Cure.NOTHING),))
+    judgement = poor("suspect", reason, Cure.NOTHING)
     for position in positions:
         if bank.status[position] == Status.VALID:
             bank.amend(position, status=int(judgement.status), suspect=True, unjudgeable=False)

@@ -73,7 +73,7 @@ class Plan:
         left: Int64Array = self.order[status[self.order] == 0]
         return left
 
-    def record_s(self, margins: RecordMargins) -> float:
+    def _record_s(self, margins: RecordMargins) -> float:
         """Seconds that one record takes."""
         rate = self.excitation.sample_rate_hz
         if self.staggered is None:
@@ -82,7 +82,7 @@ class Plan:
 
     def position_s(self, margins: RecordMargins) -> float:
         """Seconds that one position takes: its records and the overhead around them."""
-        return self.records * self.record_s(margins) + POSITION_OVERHEAD_S
+        return self.records * self._record_s(margins) + POSITION_OVERHEAD_S
 
     def campaign_s(self, rows: Int64Array, margins: RecordMargins) -> float:
         """Seconds that some positions take; sentinel, second looks and looks at the leak included."""

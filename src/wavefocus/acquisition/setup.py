@@ -161,9 +161,8 @@ class Setup:
 
     def signals_v(self, signal_v: Float64Array, *actuators: int) -> dict[int, Float64Array]:
         """One signal for the loopback and some actuators, by player channel."""
-        return dict.fromkeys(
-            (self.loopback_channel, *(self.actuator_channels[actuator] for actuator in actuators)), signal_v
-        )
+        channels = [self.actuator_channels[actuator] for actuator in actuators]
+        return dict.fromkeys((self.loopback_channel, *channels), signal_v)
 
     def close(self) -> None:
         """Mute the player, park the mirror and release every instrument, whatever fails on the way.
@@ -242,15 +241,16 @@ def names_of(instruments: Instruments) -> tuple[str, str, str]:
     Raises InstrumentLostError: one does not say; not even passingly may that fail in an instrument that was just
     opened. InstrumentError: it says that it is another.
     """
-    try:
-        with naming_role("mirror"):
-            mirror = instruments.mirror.identify()
-        with naming_role("recorder"):
-            recorder = instruments.recorder.identify()
-        with naming_role("player"):
-            return mirror, recorder, instruments.player.identify()
-    except TransientInstrumentError as failure:
-        raise to_lost_error(failure, failure.cause) from failure
+
+    def name(role: Role, identify: Callable[[], str]) -> str:
+        try:
+            with naming_role(role):
+                return identify()
+        except TransientInstrumentError as failure:
+            raise to_lost_error(failure, failure.cause) from failure
+
+    mirror, recorder, player = instruments.mirror, instruments.recorder, instruments.player
+    return name("mirror", mirror.identify), name("recorder", recorder.identify), name("player", player.identify)
 
 
 def silence(instruments: Instruments) -> list[InstrumentError]:
@@ -258,13 +258,10 @@ def silence(instruments: Instruments) -> list[InstrumentError]:
 
     Returns what failed, with its role; empty when all is silent.
     """
+    player, recorder, mirror = instruments.player.mute, instruments.recorder.abort, instruments.mirror.block
+    steps: dict[Role, Callable[[], None]] = {"player": player, "recorder": recorder, "mirror": mirror}
     failures: list[InstrumentError] = []
-    steps: list[tuple[Role, Callable[[], None]]] = [
-        ("player", instruments.player.mute),
-        ("recorder", instruments.recorder.abort),
-        ("mirror", instruments.mirror.block),
-    ]
-    for role, quieten in steps:
+    for role, quieten in steps.items():
         try:
             with naming_role(role):
                 quieten()
@@ -312,15 +309,9 @@ def take_record(
     Raises InstrumentError: of the instrument that failed, with its role; the player is muted and the recorder stopped.
     An instrument that cannot even be silenced after a passing failure counts as lost.
     """
-    signal_samples = len(next(iter(signals_v.values())))
-    request = RecordRequest(
-        samples=record_samples(setup, signal_samples, sample_rate_hz) if samples is None else samples,
-        sample_rate_hz=sample_rate_hz,
-        range_v=setup.range_v,
-        label=label,
-    )
-    timeout_s = max(request.duration_s, record_samples(setup, signal_samples, sample_rate_hz) / sample_rate_hz)
-    timeout_s += ANSWER_MARGIN_S
+    whole = record_samples(setup, len(next(iter(signals_v.values()))), sample_rate_hz)
+    request = RecordRequest(whole if samples is None else samples, sample_rate_hz, setup.range_v, label)
+    timeout_s = max(request.duration_s, whole / sample_rate_hz) + ANSWER_MARGIN_S
     player, recorder = setup.instruments.player, setup.instruments.recorder
     try:
         reached("starting")
@@ -378,8 +369,4 @@ def point_at(setup: Setup, x_mm: float, y_mm: float) -> None:
 
 def identities_of(instruments: Instruments) -> dict[str, DeviceIdentity]:
     """Who mirror, recorder and player are, by role."""
-    return {
-        "mirror": instruments.mirror.identity,
-        "recorder": instruments.recorder.identity,
-        "player": instruments.player.identity,
-    }
+    return {role: getattr(instruments, role).identity for role in ("mirror", "recorder", "player")}

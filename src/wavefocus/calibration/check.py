@@ -65,19 +65,14 @@ def check_bank(path: str | Path) -> list[BankProblem]:
     """
     path = Path(path)
     with open_bank(path, contents=True) as bank, one_blas_thread():
-        findings = list(check_ledger(bank.rows, path)) if isinstance(bank.rows, VerifiedRows) else []
-        findings += _check_file(bank)
-        findings += _check_positions(bank)
-        findings += _check_moved(bank)
-        findings += _check_suspects(bank)
-        findings += _check_rows(bank)
-        findings += _check_leak(bank)
-        findings += _note_noise(bank)
-        findings += _check_averages(bank)
-    return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
+        found = list(_check_ledger(bank.rows, path)) if isinstance(bank.rows, VerifiedRows) else []
+        checks = (_check_file, _check_positions, _check_moved, _check_suspects, _check_rows, _check_leak, _note_noise)
+        for check in (*checks, _check_averages):
+            found += check(bank)
+    return sorted(found, key=lambda one: -1 if one.position is None else one.position)
 
 
-def check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
+def _check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
     """Check that what follows from the ledger of a bank or raw file agrees with it, and that no crash waits for repair.
 
     Nothing is found while a process writes the file.
@@ -165,7 +160,7 @@ def _check_moved(bank: Bank) -> Iterator[BankProblem]:
         yield BankProblem(farthest, None, message, "warning")
 
 
-def suspect_positions(rows: VerifiedRows) -> list[int]:
+def _suspect_positions(rows: VerifiedRows) -> list[int]:
     """Positions that were measured when the sentinel position had changed, and not again since."""
     marked = rows.figures.suspect & (rows.figures.status & Status.VALID == 0)
     return [int(position) for position in np.flatnonzero(marked)]
@@ -173,7 +168,7 @@ def suspect_positions(rows: VerifiedRows) -> list[int]:
 
 def _check_suspects(bank: Bank) -> Iterator[BankProblem]:
     """One finding for all rows whose scale may be another one than the sentinel's."""
-    suspects = suspect_positions(bank.rows) if isinstance(bank.rows, VerifiedRows) else []
+    suspects = _suspect_positions(bank.rows) if isinstance(bank.rows, VerifiedRows) else []
     if suspects:
         message = (
             f"positions {row_ranges(suspects)} are suspect: the sentinel position had changed when it was measured"
@@ -218,8 +213,8 @@ def _check_leak(bank: Bank) -> Iterator[BankProblem]:
     if len(rows):
         message = (
             f"crosstalk: the leak of the loopback was up to {100 * part[rows].max():.2g} % of the median row when "
+            f"positions {row_ranges(rows.tolist())} were measured: {REMEDY}"
         )
-        message += f"positions {row_ranges(rows.tolist())} were measured: {REMEDY}"
         yield BankProblem(int(rows[0]), None, message)
 
 
@@ -328,7 +323,7 @@ def _check_raw(path: Path, *, sealed: bool) -> Iterator[BankProblem]:
         if isinstance(raw.rows, RawRows):
             if not sealed:
                 yield _unverified("what it says about itself is unverified")
-            yield from check_ledger(raw.rows, path)
+            yield from _check_ledger(raw.rows, path)
         else:
             yield _unverified("its recordings are unverified")
         for position in range(raw.header.positions):

@@ -17,13 +17,13 @@ ROUNDS = 60
 """More hardly lower the peak: it is 1.7 to 2.0 times the rms by then, and 4 with random phases."""
 
 
-def linear(time_s: Float64Array, band_hz: tuple[float, float], duration_s: float) -> Float64Array:
+def _linear(time_s: Float64Array, band_hz: tuple[float, float], duration_s: float) -> Float64Array:
     """A linear sweep: its energy is even over the band, and each moment has one frequency."""
     slope = (band_hz[1] - band_hz[0]) / (2 * duration_s)
     return np.asarray(np.sin(2 * np.pi * (band_hz[0] + slope * time_s) * time_s))
 
 
-def multisine(time_s: Float64Array, band_hz: tuple[float, float], duration_s: float) -> Float64Array:
+def _multisine(time_s: Float64Array, band_hz: tuple[float, float], duration_s: float) -> Float64Array:
     """All frequencies of the band throughout, so that a disturbance costs each of them a little.
 
     Its phases are random, the same in every run, and then turned until the peak is about twice the rms, by clipping in
@@ -44,7 +44,7 @@ def multisine(time_s: Float64Array, band_hz: tuple[float, float], duration_s: fl
     return np.asarray(signal)
 
 
-WAVEFORMS = {"linear": linear, "multisine": multisine}
+WAVEFORMS = {"linear": _linear, "multisine": _multisine}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,30 +77,18 @@ class PlayedExcitation:
     waveform: str = "linear"
 
     def __post_init__(self) -> None:
+        low, high, half_rate = self.start_hz, self.stop_hz, self.sample_rate_hz / 2
         for name in ("sample_rate_hz", "start_hz", "stop_hz", "duration_s", "amplitude_v"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"sweep {name} is {value:g}; allowed is a finite number above 0")
-        if not (math.isfinite(self.decay_s) and self.decay_s >= 0):
-            raise InputError(f"sweep decay_s is {self.decay_s:g}; allowed is 0 or more")
-        if self.start_hz >= self.stop_hz:
-            raise InputError(f"sweep start_hz is {self.start_hz:g}; allowed is less than stop_hz, {self.stop_hz:g}")
-        if self.stop_hz >= self.sample_rate_hz / 2:
-            raise InputError(
-                f"sweep stop_hz is {self.stop_hz:g}; allowed is less than half the sample rate, "
-                f"{self.sample_rate_hz / 2:g}"
-            )
+            _require(0 < getattr(self, name) < math.inf, self, name, "a finite number above 0")
+        _require(0 <= self.decay_s < math.inf, self, "decay_s", "0 or more")
+        _require(low < high, self, "start_hz", f"less than stop_hz, {high:g}")
+        _require(high < half_rate, self, "stop_hz", f"less than half the sample rate, {half_rate:g}")
         if isinstance(self.averages, bool) or int(self.averages) != self.averages or self.averages < 1:
             raise InputError(f"capture averages is {self.averages!r}; allowed is a whole number of 1 or more")
-        if not 0 <= self.fade_s <= self.duration_s / 2:
-            raise InputError(
-                f"sweep fade_s is {self.fade_s:g}; allowed is 0 to half of duration_s, {self.duration_s / 2:g}"
-            )
-        if (self.stop_hz - self.start_hz) * self.duration_s < 4:
-            raise InputError(
-                f"sweep duration_s is {self.duration_s:g}; allowed is at least "
-                f"{4 / (self.stop_hz - self.start_hz):g} for a band of {self.stop_hz - self.start_hz:g} Hz"
-            )
+        longest_s = self.duration_s / 2
+        _require(0 <= self.fade_s <= longest_s, self, "fade_s", f"0 to half of duration_s, {longest_s:g}")
+        least = f"at least {4 / (high - low):g} for a band of {high - low:g} Hz"
+        _require((high - low) * self.duration_s >= 4, self, "duration_s", least)
         if self.waveform not in WAVEFORMS:
             raise InputError(f"sweep waveform is {self.waveform!r}; allowed is one of {', '.join(WAVEFORMS)}")
 
@@ -144,6 +132,11 @@ class PlayedExcitation:
     def signal_v(self) -> Float64Array:
         """The whole record's drive in volts, shape (averages * period_samples,)."""
         return np.tile(self.base_v(), self.averages)
+
+
+def _require(fine: bool, sweep: PlayedExcitation, name: str, allowed: str) -> None:
+    if not fine:
+        raise InputError(f"sweep {name} is {getattr(sweep, name):g}; allowed is {allowed}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +203,7 @@ class StaggeredSignal:
             raise InputError(f"capture periods is {self.periods}; allowed is 1 or more")
         if not 1 <= self.taps <= self.stagger_samples:
             raise InputError(f"taps is {self.taps}; allowed is 1 to a stagger, {self.stagger_samples} samples")
-        self.period_sweep()
+        self._period_sweep()
 
     @property
     def slots(self) -> int:
@@ -227,14 +220,14 @@ class StaggeredSignal:
         """Samples of a record that count: its periods, and a little more whatever the clocks do."""
         return self.periods * self.period_samples + math.ceil(MARGIN_SHARE * self.periods * self.period_samples)
 
-    def period_sweep(self) -> PlayedExcitation:
+    def _period_sweep(self) -> PlayedExcitation:
         """One sweep as long as the period, without silence."""
         duration_s = self.period_samples / self.sweep.sample_rate_hz
         return replace(self.sweep, duration_s=duration_s, decay_s=0.0, averages=1)
 
     def base_v(self) -> Float64Array:
         """One period of the base signal in volts, shape (period_samples,)."""
-        return self.period_sweep().base_v()
+        return self._period_sweep().base_v()
 
     def schedule(self) -> Schedule:
         """What plays when in the records of a position."""
@@ -248,11 +241,9 @@ class StaggeredSignal:
         Returns list of (float64 array, dict from actuator to float64 array), each of shape (lead + used,): the base
         signal for the loopback, and each actuator's signal, in volts.
         """
-        base = self.base_v()
-        schedule = self.schedule()
-        length = lead_samples + self.used_samples
+        base, length = self.base_v(), lead_samples + self.used_samples
         slots_v = [np.resize(np.roll(base, slot * self.stagger_samples), length) for slot in range(self.slots)]
         return [
             (slots_v[0], {int(actuator): slots_v[slot] for slot, actuator in enumerate(row) if actuator != EMPTY})
-            for row in schedule.actuator
+            for row in self.schedule().actuator
         ]

@@ -39,38 +39,16 @@ def filled_bins(
     return slice(int(filled[0]), int(filled[-1]) + 1), median_power
 
 
-def require_found(
-    explained: float, ratio: float, reference_v: Float32Array, base_v: Float64Array, name: str, max_ppm: float
-) -> None:
-    """Refuse a fit that leaves too much unexplained, or whose clocks differ by more than `max_ppm`.
-
-    explained: Share of the reference's energy in band that the known signal explains.
-    ratio: DAQ rate over playback rate.
-    reference_v, base_v: The recording (samples,) and the known signal (period,) in volts, for the cause.
-    name: Name of the recording for the message.
-
-    Raises ReferenceMissingError: with the cause.
-    """
-    if not explained > 1 - REFERENCE_LIMIT:
-        found = f"explained {100 * explained:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
-    elif abs(ratio - 1) > 1.01e-6 * max_ppm:
-        found = f"clock skew {1e6 * (ratio - 1):.0f} ppm, allowed {max_ppm:g} ppm"
-    else:
-        return
-    raise missing_reference(reference_v, base_v, name, found, max_ppm)
-
-
 Cause = Literal["rate", "silence", "noise", "other", "cut"]
 
-# Rates that audio interfaces are set to, in Hz.
+# Rates that audio interfaces are set to, in Hz, and the ratios of two of them that are tried.
 RATES_HZ = (8000, 11025, 16000, 22050, 32000, 44100, 48000, 88200, 96000, 176400, 192000)
+SLOWEST, FASTEST = 0.48, 2.1
 # A rate is named where the measured one is this near to it.
 SAME_RATE = 5e-4
-# Ratios looked at, and the most of them; a longer signal is cut until its width allows for it.
-SLOWEST, FASTEST, MAX_RATIOS = 0.48, 2.1, 3000
-MAX_SAMPLES = 20_000_000
-# In units of the ratio that turns the ends of the signal's band against each other.
-RATIO_STEP = 0.4
+# In units of the ratio that turns the ends of the signal's band against each other. Of a longer signal a part is looked
+# for, which resolves this ratio.
+RATIO_STEP, FINEST_STEP = 0.4, 1.5e-3
 # The signal is there when it explains this much of the energy where it lies.
 CARRIED = 0.3
 # Less than this of the signal's rms is silence with its noise, for a loopback with a gain near 1: -46 dB.
@@ -113,7 +91,7 @@ def missing_reference(
     reference = reference_v.astype(np.float64) - float(np.mean(reference_v, dtype=np.float64))
     rms_v = float(np.sqrt(np.mean(np.square(reference))))
     expected_v = float(np.sqrt(np.sum(np.square(known_v)) / max(reference.size, known_v.size)))
-    ratio, share, sure_to = playing_ratio(reference, known_v) if rms_v > 0 else (1.0, 0.0, 1.0)
+    ratio, share, sure_to = _playing_ratio(reference, known_v) if rms_v > 0 else (1.0, 0.0, 1.0)
     off_ppm = 1e6 * (ratio - 1)
     if share > CARRIED and abs(off_ppm) > max(max_ppm, 1e6 * sure_to):
         rates = f"{_rates(1 / ratio)} (clock skew {off_ppm:.0f} ppm, allowed {max_ppm:g} ppm)"
@@ -129,18 +107,16 @@ def missing_reference(
 def _rates(factor: float) -> str:
     """In words: what plays is so many times as fast as it should be."""
     pairs = [(is_hz, asked_hz) for is_hz in RATES_HZ for asked_hz in RATES_HZ if is_hz != asked_hz]
-    is_hz, asked_hz = min(
-        sorted(pairs, key=lambda pair: (48000 not in pair, 44100 not in pair)),
-        key=lambda pair: abs(pair[0] / pair[1] / factor - 1),
-    )
+    usual_first = sorted(pairs, key=lambda pair: (48000 not in pair, 44100 not in pair))
+    is_hz, asked_hz = min(usual_first, key=lambda pair: abs(pair[0] / pair[1] / factor - 1))
     words = f"the player's clock runs {factor:.5f} times as fast as asked"
     if abs(is_hz / asked_hz / factor - 1) < SAME_RATE:
         words += f", as {is_hz} Hz where {asked_hz} Hz are asked for"
     return words
 
 
-def playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, float, float]:
-    """DAQ rate over playback rate at which a known signal is found best.
+def _playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, float, float]:
+    """DAQ rate over playback rate at which a known signal is found best: near the ratio of two usual rates.
 
     Returns ratio; share of the reference's energy that the signal explains, where it lies; how far the ratio may be
     off.
@@ -149,16 +125,12 @@ def playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, 
     below = np.cumsum(power) / power.sum()
     low, high = (int(np.searchsorted(below, edge)) for edge in (0.005, 0.995))
     # So many samples that twice the highest frequency is still there.
-    step = max(1, int(known.size / (2 * FASTEST * max(high, 1)) / 1.05))
-    reference, known = _decimated(reference, step), _decimated(known, step)
-    width = max(high - low, 1)
-    step_ratio, span = RATIO_STEP / width, np.log(FASTEST / SLOWEST)
-    most = min(MAX_RATIOS, max(MAX_SAMPLES // (reference.size + known.size), 50))
-    if span / step_ratio > most:
-        # A part of the signal resolves less.
-        part = max(int(known.size * most * step_ratio / span), 64)
-        first = min(max(int(np.argmax(np.abs(known))) - part // 2, 0), max(known.size - part, 0))
-        known, step_ratio = known[first : first + part], span / most
+    thinning = max(1, int(known.size / (2 * FASTEST * max(high, 1)) / 1.05))
+    reference, known = _decimated(reference, thinning), _decimated(known, thinning)
+    step = max(RATIO_STEP / max(high - low, 1), FINEST_STEP)
+    part = min(known.size, max(int(known.size * RATIO_STEP / (step * max(high - low, 1))), 64))
+    first = min(max(int(np.argmax(np.abs(known))) - part // 2, 0), known.size - part)
+    known = known[first : first + part]
     length = scipy.fft.next_fast_len(reference.size + int(known.size * FASTEST) + 8, real=True)
     spectrum = scipy.fft.rfft(reference, length)
     energy = np.concatenate([[0.0], np.cumsum(np.square(reference))])
@@ -174,12 +146,11 @@ def playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, 
         own = float(stretched @ stretched) * float(inside[1] - inside[0])
         return float(correlation[lag] ** 2) / own if own > 0 else 0.0
 
-    ratios = SLOWEST * np.exp(step_ratio * np.arange(int(span / step_ratio) + 1))
-    best = float(ratios[int(np.argmax([explained(float(ratio)) for ratio in ratios]))])
+    ratios = sorted({asked_hz / is_hz for is_hz in RATES_HZ for asked_hz in RATES_HZ})
+    best = max((ratio for ratio in ratios if SLOWEST <= ratio <= FASTEST), key=explained)
     for finer in (5, 25, 125):
-        near = best * (1 + step_ratio / finer * np.arange(-5, 6))
-        best = float(near[int(np.argmax([explained(float(ratio)) for ratio in near]))])
-    return best, explained(best), 0.1 * step_ratio
+        best = max((best * (1 + step / finer * np.arange(-5, 6))).tolist(), key=explained)
+    return best, explained(best), 0.1 * step
 
 
 def _decimated(signal: Float64Array, step: int) -> Float64Array:

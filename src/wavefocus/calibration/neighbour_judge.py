@@ -50,67 +50,53 @@ class RowsPredicted:
 
     spacing_mm: Median distance of neighbouring positions; 0 where there are fewer than two.
     patches: The positions that can be predicted at all.
+    neighbours: Of each of these, itself and the rows that it is predicted from.
     """
 
     def __init__(
         self, position_mm: Float64Array, values: Complex128Array, frequency_hz: Float64Array, usable: BoolArray
     ) -> None:
-        self.values = values
-        self.frequency_hz = frequency_hz
-        self._position_mm = position_mm
+        self._values = values
+        self._frequency_hz = frequency_hz
         self.patches, self.spacing_mm = _patches(position_mm, usable)
+        self.neighbours = {position: patch.rows for position, patch in self.patches.items()}
         if self.patches:
             self.fit(usable)
 
-    @property
-    def neighbours(self) -> dict[int, Int64Array]:
-        """Of each position that can be predicted, itself and the rows that it is predicted from."""
-        return {position: patch.rows for position, patch in self.patches.items()}
+    def errors_without(self, out: BoolArray) -> tuple[Complex128Array, Float64Array]:
+        """Error of every row, left out together with some positions, and its expected square for a field of strength 1.
 
-    def errors(self) -> tuple[Complex128Array, Float64Array]:
-        """Error of every row, left out, and the kernel's expectation of its square for a field of strength 1.
+        With T a position and those of its neighbours that are out, C the covariance and M = (C^-1)_TT^-1: the first
+        entry of M (C^-1 g)_T, and M's first.
 
-        Returns errors : complex128 (positions, actuators, frequencies): what the row has more than its prediction; NaN
-        where there is none; variance : float64 of that shape, the same for all actuators.
+        Returns errors, complex128 (positions, actuators, frequencies): what the row has more than its prediction; NaN
+        where there is none; variance, float64 of that shape, the same for all actuators.
         """
-        errors = np.full(self.values.shape, np.nan + 0j)
-        variance = np.full((len(self.values), len(self.frequency_hz)), np.nan)
+        errors, variance = np.full(self._values.shape, np.nan + 0j), np.full(self._values.shape, np.nan)
         by_shape: dict[bytes, list[int]] = {}
         for position, patch in self.patches.items():
             by_shape.setdefault(patch.key, []).append(position)
         with one_blas_thread():
             for positions in by_shape.values():
-                patch = self.patches[positions[0]]
-                weights = self._kernel(patch).left_out
+                kernel = self._kernel(self.patches[positions[0]])
                 rows = np.stack([self.patches[position].rows for position in positions])
-                missed = np.zeros((len(positions), *self.values.shape[1:]), dtype=np.complex128)
+                missed = np.zeros((len(positions), *self._values.shape[1:]), dtype=np.complex128)
                 for place in range(rows.shape[1]):
-                    missed += self.values[rows[:, place]] * weights[:, place]
-                errors[positions] = missed
-                variance[positions] = self._kernel(patch).left_out_variance
-        return errors, np.repeat(variance[:, None], self.values.shape[1], axis=1)
-
-    def errors_without(self, out: BoolArray) -> tuple[Complex128Array, Float64Array]:
-        """As `errors`, with all rows of some positions left out of all predictions as well.
-
-        With T a position and those of its neighbours, C the covariance and M = (C^-1)_TT^-1: the first entry of
-        M (C^-1 g)_T, and M's first.
-        """
-        errors, variance = self.errors()
+                    missed += self._values[rows[:, place]] * kernel.left_out[:, place]
+                errors[positions], variance[positions] = missed, kernel.left_out_variance
         for position, patch in self.patches.items():
             among = out[patch.rows]
             among[0] = True
             if among[1:].any():
-                left_out = np.flatnonzero(among)
-                inverse = self._kernel(patch).inverse
-                known = inverse[:, left_out] @ self.values[patch.rows].transpose(2, 0, 1)
+                left_out, inverse = np.flatnonzero(among), self._kernel(patch).inverse
+                known = inverse[:, left_out] @ self._values[patch.rows].transpose(2, 0, 1)
                 weights = np.linalg.inv(inverse[:, left_out[:, None], left_out])[:, :1]
                 errors[position], variance[position] = (weights @ known)[:, 0].T, weights[:, 0, 0].real
         return errors, variance
 
     def _kernel(self, patch: Patch) -> PatchKernel:
         if patch.key not in self._kernels:
-            self._kernels[patch.key] = PatchKernel(self.waves, patch.offset_mm)
+            self._kernels[patch.key] = PatchKernel(self._waves, patch.offset_mm)
         return self._kernels[patch.key]
 
     def fit(self, sound: BoolArray) -> None:
@@ -119,14 +105,14 @@ class RowsPredicted:
         patches = [patch for patch in self.patches.values() if patch.key in common]
         patches = [patch for patch in patches if sound[patch.rows].all()] or patches
         spread = evenly_spread(len(patches), FIT_PATCHES)
-        some = evenly_spread(len(self.frequency_hz), FIT_FREQUENCIES)
+        some = evenly_spread(len(self._frequency_hz), FIT_FREQUENCIES)
 
         def values(rows: Int64Array) -> Complex128Array:
-            return np.asarray(self.values[rows][..., some].transpose(2, 0, 1))
+            return np.asarray(self._values[rows][..., some].transpose(2, 0, 1))
 
         chosen = [patches[index] for index in spread]
         with one_blas_thread():
-            self.waves = fit_waves(chosen, self.frequency_hz[some], values, self.spacing_mm).at(self.frequency_hz)
+            self._waves = fit_waves(chosen, self._frequency_hz[some], values, self.spacing_mm).at(self._frequency_hz)
         self._kernels: dict[bytes, PatchKernel] = {}
 
 
@@ -277,11 +263,11 @@ class RowsAtFrequencies:
 
     def set(self, position: int, green: NDArray[np.floating]) -> None:
         """Take a position's rows, (actuators, taps)."""
-        peak = float(np.abs(green).max(initial=0.0))
-        if not 0 < peak < np.inf:
-            self.values[position] = 0.0
-            return
-        self.values[position] = transform_at((green / peak).astype(np.float32), self.frequency_hz, self._rate_hz) * peak
+        peak, hertz = float(np.abs(green).max(initial=0.0)), self.frequency_hz
+        there = 0 < peak < np.inf
+        self.values[position] = (
+            transform_at((green / peak).astype(np.float32), hertz, self._rate_hz) * peak if there else 0
+        )
 
 
 def judge_rows(
@@ -348,17 +334,14 @@ class _Judge:
         self._positions = np.array(sorted(rows.neighbours), dtype=np.int64)
         self._around = {row: near[1 : 1 + AROUND] for row, near in rows.neighbours.items()}
         self._out: BoolArray = np.zeros(len(values), dtype=bool)
-        source_mm = np.where(np.isfinite(actuator_mm), actuator_mm, self._loudest_mm(position_mm))
+        loudest = np.argsort(-np.square(np.abs(values)).sum(axis=2), axis=0)[:3]
+        source_mm = np.where(np.isfinite(actuator_mm), actuator_mm, np.median(position_mm[loudest], axis=0))
         spacings = NEAR_SPACINGS_OF_WAVES if self.by_waves else NEAR_SPACINGS
         apart_mm = np.hypot(*(position_mm[:, None] - source_mm).transpose(2, 0, 1))
         self._far: BoolArray = np.asarray(apart_mm > spacings * rows.spacing_mm)
         self.judged: BoolArray = np.zeros(values.shape[:2], dtype=bool)
         if self._positions.size:
             self._predict()
-
-    def _loudest_mm(self, position_mm: Float64Array) -> Float64Array:
-        power = np.square(np.abs(self._values)).sum(axis=2)
-        return np.asarray(np.median(position_mm[np.argsort(-power, axis=0)[:3]], axis=0))
 
     def _predict(self) -> None:
         """Errors without what is left out, over the prediction, and over the usual ones."""
@@ -408,9 +391,9 @@ class _Judge:
             unjudged = (self._far & ~self.judged).any(axis=1) & (self._scores(strict=False)[0] > 0)
             self._out &= unjudged | (self._scores(strict=True)[0] > 0)
             self._predict()
-        score, whole, rows = (
-            self._scores(strict=True) if self._out.any() else (np.zeros(len(self._out)), *2 * (self._out,))
-        )
+        if not self._out.any():
+            return NeighbourResult((), self.judged, self.by_waves)
+        score, whole, rows = self._scores(strict=True)
         wrong = np.flatnonzero(self._out & (score > 0)).tolist()
         found = [one for row in wrong for one in self._named(row, rows[row], whole=bool(whole[row]))]
         return NeighbourResult(tuple(found), self.judged, self.by_waves)

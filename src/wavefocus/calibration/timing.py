@@ -64,7 +64,7 @@ OVERSAMPLING = 1.5
 TRIAL_MARGIN_SAMPLES = 200
 
 
-class BlockSearch:
+class _BlockSearch:
     """Finds blocks of a known signal by cross-correlation and draws a line through where they lie.
 
     The envelopes of the blocks' correlations are added without phase, so that neither repeats in the signal
@@ -101,7 +101,7 @@ class BlockSearch:
             ]
             self._moves = (lags[0] - lags[1]) / (2 * trial)
 
-    def first_guess(self, recorded: NDArray[np.floating]) -> tuple[float, float]:
+    def _first_guess(self, recorded: NDArray[np.floating]) -> tuple[float, float]:
         """Offset and clock ratio, to about a sample over the record.
 
         recorded, float (samples,): The recording; the signal may lie anywhere in it, or stick out at either end.
@@ -117,34 +117,34 @@ class BlockSearch:
 
     def top(self, spectrum: NDArray[np.complexfloating], length: int) -> float:
         """Sample at which the whole signal correlates most with a ring of `length` samples of this spectrum."""
-        blocks = self._blocks(length)
-        envelope = np.abs(scipy.fft.ifft(spectrum[blocks.bins] * blocks.whole, blocks.lags))
-        return periodic_top(envelope) * length / blocks.lags
+        bins, lags, _, whole = self._blocks(length)
+        return periodic_top(np.abs(scipy.fft.ifft(spectrum[bins] * whole, lags))) * length / lags
 
     def _lags(self, recorded: NDArray[np.floating]) -> Float64Array:
         """Sample at which the signal would begin, by each block."""
         length = scipy.fft.next_fast_len(recorded.size + self._known.size, real=True)
-        blocks = self._blocks(length)
-        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), length)[blocks.bins]
-        envelopes = np.abs(scipy.fft.ifft(spectrum * blocks.spectra, blocks.lags, axis=1))
-        step = length / blocks.lags
+        bins, lags, blocks, _ = self._blocks(length)
+        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), length)[bins]
+        envelopes = np.abs(scipy.fft.ifft(spectrum * blocks, lags, axis=1))
+        step = length / lags
         top = int(np.argmax(envelopes.sum(axis=0)))
         # A sweep stretched moves its blocks by twice the stretch.
         reach = math.ceil((2e-6 * self._max_ppm * self._known.size + 8) / step)
-        near = (top + np.arange(-reach - 1, reach + 2)) % blocks.lags
+        near = (top + np.arange(-reach - 1, reach + 2)) % lags
         close = envelopes[:, near].astype(np.float64)
         found = 1 + np.argmax(close[:, 1:-1], axis=1)
         late = found - reach - 1 + parabola_vertex(*(close[np.arange(len(close)), found + side] for side in (-1, 0, 1)))
         return np.asarray(step * (top + late) - (length if step * top >= recorded.size else 0))
 
-    def _transformed(self, length: int) -> _Blocks:
+    def _transformed(self, length: int) -> tuple[slice, int, Complex64Array, Complex64Array]:
+        """The band of a transform, lags of the way back, conjugate spectra of blocks and of all together there."""
         bins = slice(max(int(self._band[0] * length), 1), math.ceil(self._band[1] * length))
         alone = np.zeros((len(self._spans), length))
         for row, (low, high) in zip(alone, self._spans, strict=True):
             row[low:high] = self._known[low:high]
         spectra = scipy.fft.rfft(alone)[:, bins].conj().astype(np.complex64)
         lags = scipy.fft.next_fast_len(math.ceil(OVERSAMPLING * spectra.shape[1]))
-        return _Blocks(bins, lags, spectra, spectra.sum(axis=0))
+        return bins, lags, spectra, spectra.sum(axis=0)
 
 
 def _squared_width(block: Float64Array) -> float:
@@ -155,20 +155,10 @@ def _squared_width(block: Float64Array) -> float:
     return float(np.average(np.square(bins - mean), weights=power)) + 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class _Blocks:
-    """Conjugate spectra of blocks and of all together, in the band of a transform; lags of the way back."""
-
-    bins: slice
-    lags: int
-    spectra: Complex64Array
-    whole: Complex64Array
-
-
 class ClockFitter:
     """Finds offset, clock ratio and gain of one known signal in recordings of the reference channel.
 
-    Blocks of the known signal are first found by cross-correlation (`BlockSearch`); then its wave is fitted to the
+    Blocks of the known signal are first found by cross-correlation (`_BlockSearch`); then its wave is fitted to the
     recording by Gauss-Newton (`NearClock`), as a period with silence around it. Safe to share between threads; a
     result depends on its recording alone.
 
@@ -203,7 +193,7 @@ class ClockFitter:
         self._clock = KnownSignalClock(spectrum[:bins], period, max_ppm, below_share=BAND_SHARE)
         self._step = decimation_step(self._clock.highest)
         self._length = self._step * scipy.fft.next_fast_len(-(-room // self._step), real=True)
-        self.search = BlockSearch(known, (first / period, bins / period), max_ppm)
+        self.search = _BlockSearch(known, (first / period, bins / period), max_ppm)
 
     def fit(
         self,
@@ -224,14 +214,17 @@ class ClockFitter:
         absent, too noisy, or not entirely inside the recording.
         """
         recorded = self._checked(np.asarray(recorded_v), name)
-        offset, ratio = self.search.first_guess(recorded) if near is None else near
+        offset, ratio = self.search._first_guess(recorded) if near is None else near
         found = self._refined(*self._cut(recorded, offset), offset, self._near(ratio))[0]
         if not self._is_found(found):
             words = f"unexplained {found.residual_db:.1f} dB, allowed {10 * np.log10(REFERENCE_LIMIT):g} dB"
             if not diagnose:
                 raise ReferenceMissingError(f"{name} does not carry what was played ({words})")
             raise missing_reference(recorded, self._known, name, words, self._max_ppm)
-        check_inside(found.offset_samples, found.ratio, self._known.size, recorded.size, name)
+        if not self._is_inside(found, recorded.size):
+            first, last = found.offset_samples, found.offset_samples + (self._known.size - 1) * found.ratio
+            words = f"holds only a part of the signal, which spans samples {first:.1f} to {last:.1f} of {recorded.size}"
+            raise ReferenceMissingError(f"{name} {words}", "cut")
         return found
 
     def fit_all(self, recorded_v: NDArray[np.floating], names: Sequence[str]) -> list[ClockFit]:
@@ -251,11 +244,7 @@ class ClockFitter:
             spectrum, first, place = self._place(self._checked(recorded, name), known.offset_samples)
             found, clock = self._refined(spectrum, first, place + bias, clock)
             near = self._is_found(found) and found.residual_db <= known.residual_db + 3.0
-            inside = (
-                found.offset_samples >= -0.5
-                and found.offset_samples + (self._known.size - 1) * found.ratio <= recorded.size - 0.5
-            )
-            fits.append(found if near and inside else self.fit(recorded, name=name))
+            fits.append(found if near and self._is_inside(found, recorded.size) else self.fit(recorded, name=name))
         return fits
 
     def _near(self, ratio: float) -> NearClock:
@@ -263,6 +252,10 @@ class ClockFitter:
 
     def _is_found(self, fit: ClockFit) -> bool:
         return fit.residual_db <= 10 * np.log10(REFERENCE_LIMIT) and abs(fit.ratio - 1) <= 1.01e-6 * self._max_ppm
+
+    def _is_inside(self, fit: ClockFit, recorded: int) -> bool:
+        last = fit.offset_samples + (self._known.size - 1) * fit.ratio
+        return fit.offset_samples >= -0.5 and last <= recorded - 0.5
 
     def _refined(
         self, spectrum: Complex64Array, first: int, offset: float, clock: NearClock
@@ -353,20 +346,3 @@ def to_playback_clock(
         recorded = recorded.astype(np.float64, copy=False)
     found = resampled(recorded.reshape(-1, recorded.shape[-1]), start, fit.ratio, samples)
     return found.reshape(*recorded.shape[:-1], samples)
-
-
-def check_inside(offset: float, ratio: float, known: int, recorded: int, what: str) -> None:
-    """Refuse a fit whose signal reaches beyond the ends of the record.
-
-    offset, ratio: Where the known signal lies, as in `ClockFit`.
-    known, recorded: Samples of the known signal and of the recording.
-    what: Name of the recording for the message.
-
-    Raises ReferenceMissingError: more than half a sample of the signal lies outside.
-    """
-    last = offset + (known - 1) * ratio
-    if offset < -0.5 or last > recorded - 0.5:
-        raise ReferenceMissingError(
-            f"{what} holds only a part of the signal, which spans samples {offset:.1f} to {last:.1f} of {recorded}",
-            "cut",
-        )

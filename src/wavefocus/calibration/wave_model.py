@@ -205,7 +205,7 @@ def fit_waves(patches: Sequence[Patch], frequency_hz: Float64Array, values: Valu
     fits = [_Fit(errors_of, [parts[number] for _, parts in shapes]) for number in chosen]
     free = np.array([fit.wavenumber(spacing_mm) for fit in fits])
     weight = np.array([fit.weight(k) for fit, k in zip(fits, free, strict=True)])
-    wavenumber, doubtful = joined_by_law(frequency_hz[chosen], free, weight)
+    wavenumber, doubtful = _joined_by_law(frequency_hz[chosen], free, weight)
     choices = [fit.chosen(k) for fit, k in zip(fits, wavenumber, strict=True)]
     for number in np.flatnonzero(doubtful).tolist():
         # What noise leaves looks like a full disk: the share is that of the nearest frequency that is known.
@@ -225,7 +225,7 @@ STEP = 1.03
 """Factor on the wave number by which the weight is found."""
 
 
-def joined_by_law(
+def _joined_by_law(
     frequency_hz: Float64Array, wavenumber: Complex128Array, weight: Float64Array
 ) -> tuple[Complex128Array, BoolArray]:
     """Wave numbers at all frequencies, those that the bank hardly knows from the others; and which these are.

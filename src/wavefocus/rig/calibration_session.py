@@ -34,8 +34,7 @@ from wavefocus.acquisition.calibrate_mirror import (
     read_fiducials,
     suspect_mark,
 )
-from wavefocus.acquisition.doctor import crosstalk_finding
-from wavefocus.acquisition.leak import measure_leak
+from wavefocus.acquisition.leak import crosstalk_finding, measure_leak
 from wavefocus.acquisition.setup import Setup, identities_of, names_of
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, fit_mirror_map
 from wavefocus.config.calibration import (

@@ -6,7 +6,7 @@ left. `_next_step` looks and changes nothing; a request of a person reaches it a
 """
 
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ from wavefocus.acquisition.engine.recovery import Conditions, Suspension
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from wavefocus.acquisition.engine.station import Station
-from wavefocus.acquisition.judgement import Cure
+from wavefocus.acquisition.judgement import Cure, Judgement
 from wavefocus.acquisition.leak import LeakWatch, judgement_of
 from wavefocus.acquisition.neighbour_watch import NeighbourWatch, mark_suspects
 from wavefocus.acquisition.plan import Plan
@@ -129,7 +129,7 @@ class Campaign:
         except KeyboardInterrupt:
             state, reason = State.STOPPED, "stopped by the user at once"
         except BaseException as failure:
-            self._report.end(State.FAILED, str(failure), failure_kind(failure))
+            self._report.end(State.FAILED, str(failure), _failure_kind(failure))
             raise
         return self._report.end(state, reason)
 
@@ -189,9 +189,8 @@ class Campaign:
         """
         if self._leak.found is not None or self._drift.is_off:
             return []
-        return attempts_again(
-            self._rows_of_session, self._bank.status, self._bank.attempts, self._setup, self._plan.quality
-        )
+        bank = self._bank
+        return attempts_again(self._rows_of_session, bank.status, bank.attempts, self._setup, self._plan.quality)
 
     def _measure(self) -> None:
         """Record an attempt while the one before is estimated, judged and committed."""
@@ -233,15 +232,14 @@ class Campaign:
     def _mark(self) -> None:
         """After the first round, what neighbours contradict or cannot judge is poor; no Ctrl-C lands in the worker."""
         self._neighbours_judged = True
-        for position, judgement in self._worker.submit(
-            lambda: list(self._neighbours.mark(self._rows_of_session))
-        ).result():
-            self._report.marked(position, judgement)
+        self._marked(lambda: self._neighbours.mark(self._rows_of_session))
 
     def _mark_suspects(self, positions: Sequence[int], reason: str) -> None:
         """Mark what was measured at another scale than the bank's; no Ctrl-C lands in the worker."""
-        marks = self._worker.submit(lambda: list(mark_suspects(self._bank, positions, reason))).result()
-        for position, judgement in marks:
+        self._marked(lambda: mark_suspects(self._bank, positions, reason))
+
+    def _marked(self, marks: Callable[[], Iterable[tuple[int, Judgement]]]) -> None:
+        for position, judgement in self._worker.submit(lambda: list(marks())).result():
             self._report.marked(position, judgement)
 
     def _begin_pass(self) -> None:
@@ -257,7 +255,7 @@ class Campaign:
     # -- recording ----------------------------------------------------------------------------
 
     def _record(self, attempt: Attempt) -> Recorded:
-        """Record all actuators at one position; a passing fault that no repeated record cures costs the attempt."""
+        """Record all actuators at one position; or none, and the passing fault that no repeated record cures."""
         x_mm, y_mm = self._plan.position_mm[attempt.position].tolist()
         self._recording = True
         self._session.publish(PositionStarted, attempt.position, attempt.number, x_mm, y_mm)
@@ -275,7 +273,7 @@ class Campaign:
             self._drift.recorded()
         if self._queue:
             self._station.set_out_for(self._queue[0])
-        return Recorded(attempt, recordings, "")
+        return Recorded(attempt, recordings)
 
     def _take(self, attempt: Attempt) -> tuple[Recording, ...]:
         def taken(record: int) -> None:
@@ -298,13 +296,9 @@ class Campaign:
         """
         attempt, limits = recorded.attempt, self._plan.quality
         position = attempt.position
-        earlier = self._best.pop(position, None)
-        result = self._neighbours.confirmed(
-            self._station.evaluate(recorded),
-            earlier,
-            repeat=self._neighbours_judged,
-            replaceable=position in self._replaceable,
-        )
+        earlier, replaceable = self._best.pop(position, None), position in self._replaceable
+        result = self._station.evaluate(recorded)
+        result = self._neighbours.confirmed(result, earlier, repeat=self._neighbours_judged, replaceable=replaceable)
         final = is_final(attempt, result.judgement, limits)
         if final:
             result = self._leak.judged(result)
@@ -314,15 +308,8 @@ class Campaign:
                 self._bank, best, attempt.number, self._raw, count_anyway=self._in_pass, leak_db=self._leak.level_db
             )
         self._best[position] = best
-        following = next_attempt(
-            attempt,
-            result.judgement,
-            Status.NOT_MEASURED if earlier is None else earlier.judgement.status,
-            self._setup,
-            limits,
-            self._plan.position_mm[position],
-            joint=self._plan.staggered is not None,
-        )
+        before = Status.NOT_MEASURED if earlier is None else earlier.judgement.status
+        following = next_attempt(attempt, result.judgement, before, self._setup, self._plan)
         return replace(result, following=following)
 
     def _collect(self) -> None:
@@ -375,15 +362,13 @@ class Campaign:
         if self._failed_in_a_row >= FAILED_IN_A_ROW:
             cause = f"{FAILED_IN_A_ROW} positions in a row gave no usable record ({result.judgement.reason})"
             fault = self._last_fault
-            raise InstrumentError(
-                fault.instrument if fault else "recorder",
-                fault.operation if fault else "recording the reference",
-                cause,
-                fault.remedy if fault else "put right what the reason names",
-            )
+            if fault is None:
+                where = "recorder", "recording the reference", cause, "put right what the reason names"
+                raise InstrumentError(*where)
+            raise InstrumentError(fault.instrument, fault.operation, cause, fault.remedy)
 
 
-def failure_kind(failure: BaseException) -> str:
+def _failure_kind(failure: BaseException) -> str:
     """The `failure` of a session that this exception ended."""
     match failure:
         case DriftError():

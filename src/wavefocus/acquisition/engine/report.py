@@ -60,19 +60,19 @@ class CampaignReport:
 
     def position_done(self, result: AttemptResult, left: int, *, recording: bool) -> None:
         """A position is done with for this session; `left` are not begun yet, and one may be recorded just now."""
-        attempt, reason, names = result.attempt, result.judgement.reason, result.defect_names
+        attempt = result.attempt
         if result.committed:
-            self._committed(attempt, result.judgement, result.figures, names)
+            self._committed(attempt, result.judgement, result.figures)
         else:
-            self._session.publish(PositionKept, attempt.position, attempt.number, reason, names)
+            reason = result.judgement.reason
+            self._session.publish(PositionKept, attempt.position, attempt.number, reason, result.defect_names)
         for pace in self._pace:
             pace.position_settled(attempt.of_session)
         self._progress(left, recording=recording)
 
     def marked(self, position: int, judgement: Judgement) -> None:
         """A position's row in the bank is poor now: its neighbours contradict it, or cannot judge it."""
-        names = tuple(defect.name for defect in judgement.defects)
-        self._committed(Attempt(position, 0, 0), judgement, (math.nan,) * 4, names)
+        self._committed(Attempt(position, 0, 0), judgement, (math.nan,) * 4)
 
     def end(self, state: State, reason: str, failure: str = "") -> SessionEnded:
         """The session is over."""
@@ -80,9 +80,8 @@ class CampaignReport:
         counts = status_counts(self._bank.status)
         return self._session.publish(SessionEnded, state, self._done(), self._plan.positions, counts, failure)
 
-    def _committed(
-        self, attempt: Attempt, judgement: Judgement, figures: tuple[float, float, float, float], names: tuple[str, ...]
-    ) -> None:
+    def _committed(self, attempt: Attempt, judgement: Judgement, figures: tuple[float, float, float, float]) -> None:
+        names = tuple(defect.name for defect in judgement.defects)
         counts = attempt.position, int(judgement.status), int(self._bank.attempts[attempt.position])
         tried = attempt.response_range_v, attempt.moved_mm
         self._session.publish(PositionCommitted, *counts, *figures, judgement.reason, names, *tried)

@@ -111,15 +111,19 @@ class Station:
     def evaluate(self, recorded: Recorded) -> AttemptResult:
         """Estimate the Green's functions of an attempt and judge them.
 
-        An attempt without recordings, or whose reference cannot be found, is judged ``Status.FAILED``: nothing of it
-        can be used.
+        An attempt without recordings because of a fault, or whose reference cannot be found, is judged
+        ``Status.FAILED``: nothing of it can be used.
         """
         attempt, recordings = recorded.attempt, recorded.recordings
         if not recordings:
             return AttemptResult(attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
-        looks = [recordings[low : low + self.plan.records] for low in range(0, len(recordings), self.plan.records)]
+        reference_v, response_v = (np.stack([one.volts[channel] for one in recordings]) for channel in (0, 1))
+        count, range_v = self.plan.records, self._range_v(attempt)
+        looks = [slice(low, low + count) for low in range(0, len(recordings), count)]
         try:
-            estimate = mean_estimate([self._estimated(look, attempt) for look in looks])
+            estimate = mean_estimate(
+                [self._estimator.estimate(reference_v[one], response_v[one], range_v=range_v) for one in looks]
+            )
         except ReferenceMissingError as missing:
             judgement = Judgement(Status.FAILED, str(missing), np.inf)
             return AttemptResult(attempt, None, judgement, recordings=recordings)
@@ -128,10 +132,6 @@ class Station:
         before_db = self._reference_before_db(attempt.position)
         judgement = judge(estimate, over_range, self.plan.quality, distance_mm, before_db)
         return AttemptResult(attempt, estimate, judgement, recordings=recordings)
-
-    def _estimated(self, recordings: tuple[Recording, ...], attempt: Attempt) -> Estimate:
-        reference_v, response_v = (np.stack([one.volts[channel] for one in recordings]) for channel in (0, 1))
-        return self._estimator.estimate(reference_v, response_v, range_v=self._range_v(attempt))
 
     def measure(self, attempt: Attempt, purpose: str, is_useless: Callable[[AttemptResult], bool]) -> AttemptResult:
         """Measure a position, again after passing faults and useless results, until its tries are used up.
@@ -148,13 +148,13 @@ class Station:
                     raise
                 self.recovery.renew_if_repeated(fault)
             else:
-                result = self.evaluate(Recorded(attempt, recordings, ""))
+                result = self.evaluate(Recorded(attempt, recordings))
                 if last or not is_useless(result):
                     return result
             attempt = attempt.next()
 
 
-def check_position(plan: Plan) -> int:
+def _check_position(plan: Plan) -> int:
     """The position nearest to the middle of the grid."""
     middle = (plan.position_mm.min(axis=0) + plan.position_mm.max(axis=0)) / 2
     return int(np.argmin(np.hypot(*(plan.position_mm - middle).T)))
@@ -171,7 +171,7 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
     Raises InputError: sequential sweeps show responses longer than the taps, or no attempt has a usable reference.
     InstrumentError: an instrument failed for good.
     """
-    clock, position, sweep = setup.instruments.clock, check_position(plan), plan.excitation
+    clock, position, sweep = setup.instruments.clock, _check_position(plan), plan.excitation
     began_s, session = clock.now_s(), Session(clock, publish, StopRequest())
     plans = plan, replace(plan, staggered=None)
     asked, plain = (

@@ -1,7 +1,7 @@
 """Errors and bounds of a model between positions, by positions that it was not fitted to."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,27 +16,13 @@ JUDGED = 64
 """Frequencies at which errors are judged; they may come and go within 25 Hz."""
 
 
-class Model(Protocol):
-    """What a model between positions gives at points and frequencies."""
-
-    @property
-    def frequency_hz(self) -> Float64Array:
-        """Its frequencies in Hz."""
-
-    def values(self, points_mm: Float64Array, index: Sequence[int] | None = None) -> Complex128Array:
-        """Transfer functions, (frequencies, points, actuators)."""
-
-    def deviations(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
-        """Their standard deviations, (frequencies, points, actuators)."""
-
-
 def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
     """Indices of the frequencies at which errors are judged."""
     return [int(index) for index in evenly_spread(len(frequency_hz), JUDGED)]
 
 
 def judged(
-    model: Model,
+    model: Any,
     check_mm: Float64Array,
     check_transfer: Complex128Array,
     noise: Float64Array,
@@ -56,6 +42,7 @@ def judged(
 
     Pooled over places and actuators alike: R. Dunn, L. Wasserman, A. Ramdas, arXiv 1809.07441.
 
+    model: `RimWaves`, or what has its `frequency_hz`, `values` and `deviations`.
     noise, float64 (check positions, actuators).
     """
     stated = 0.95 if len(check_mm) >= SURE_CHECKS else 0.9

@@ -108,24 +108,17 @@ def waves_of_rows(
     frequency_hz: Float64Array,
     usable: BoolArray,
 ) -> WavesFound | None:
-    """Find wave numbers and shares from rows; None where these are too few, or nothing fits. See `RowsByWaves`."""
-    if not can_be_modelled(position_mm, actuator_mm, usable):
+    """Find wave numbers and shares from rows, see `RowsByWaves`.
+
+    None where these are few or very many, or on a line, actuators' places are unknown, or nothing fits.
+    """
+    places_mm = position_mm[usable]
+    too_few = len(places_mm) < MIN_POSITIONS or len(places_mm) * len(actuator_mm) > MAX_ROWS
+    if too_few or not (np.isfinite(actuator_mm).all() and np.isfinite(places_mm).all()) or on_a_line(places_mm):
         return None
     # SciPy's optimisation and interpolation are slow to load: only for who judges a coarse grid.
     from wavefocus.calibration.coarse_grid.rim_waves import judging_waves
 
     with one_blas_thread(), suppress(np.linalg.LinAlgError):
-        return judging_waves(frequency_hz, position_mm[usable], actuator_mm, values[usable].transpose(2, 0, 1))
+        return judging_waves(frequency_hz, places_mm, actuator_mm, values[usable].transpose(2, 0, 1))
     return None
-
-
-def can_be_modelled(position_mm: Float64Array, actuator_mm: Float64Array, usable: BoolArray) -> bool:
-    """Whether waves can predict the rows of a bank: actuators' places are there, and positions not few or on a line."""
-    places_mm = position_mm[usable]
-    return bool(
-        len(places_mm) >= MIN_POSITIONS
-        and len(places_mm) * len(actuator_mm) <= MAX_ROWS
-        and np.isfinite(actuator_mm).all()
-        and np.isfinite(places_mm).all()
-        and not on_a_line(places_mm)
-    )

@@ -60,7 +60,7 @@ ELASTIC_GAIN = 0.5
 MIN_POSITIONS = 12
 
 
-class Effort(NamedTuple):
+class _Effort(NamedTuple):
     """What the hyperparameters are found from: knots, positions, actuators; evaluations of the evidence at each."""
 
     knots: int
@@ -69,8 +69,8 @@ class Effort(NamedTuple):
     evaluations: int
 
 
-INTERPOLATING = Effort(8, 240, 4, 60)
-JUDGING = Effort(5, 120, 2, 25)
+INTERPOLATING = _Effort(8, 240, 4, 60)
+JUDGING = _Effort(5, 120, 2, 25)
 """A twentieth of the time; rows that are left out are predicted with errors of 1 to 4 %, enough to tell wrong ones."""
 
 
@@ -260,7 +260,7 @@ class _Fit:
         transfer: Complex128Array,
         band_hz: tuple[float, float] | None,
         workers: int | None,
-        effort: Effort = INTERPOLATING,
+        effort: _Effort = INTERPOLATING,
     ) -> None:
         self._effort = effort
         low_hz, high_hz = band_hz or (0.0, np.inf)
@@ -310,11 +310,8 @@ class _Fit:
 
     def _knots(self) -> list[int]:
         """Indices of the frequencies at which the hyperparameters are found, dense where waves are long."""
-        power = (
-            np.where(self._measured, self._power.mean(axis=1), 0.0)
-            if self._measured.any()
-            else self._power.mean(axis=1)
-        )
+        power = self._power.mean(axis=1)
+        power = np.where(self._measured, power, 0.0) if self._measured.any() else power
         loud = np.flatnonzero(power > FAINT_POWER * power.max())
         low_hz, high_hz = self._frequency_hz[loud[0]], self._frequency_hz[loud[-1]]
         wanted_hz = np.linspace(np.sqrt(low_hz), np.sqrt(high_hz), self._effort.knots) ** 2
@@ -324,14 +321,8 @@ class _Fit:
     def _law(self, knots: list[int]) -> Dispersion:
         """The waves of the actuators alone: scalar, or a solid's where the evidence at the middle knot is for them."""
         some, every = self._some[: self._effort.positions // 2], self._every
-        seen = self._transfer[knots][:, some][:, :, every]
-        measured = (
-            self._frequency_hz[knots],
-            self._position_mm[some],
-            self._actuator_mm[every],
-            seen,
-            self._spacing_mm,
-        )
+        seen, places = self._transfer[knots][:, some][:, :, every], (self._position_mm[some], self._actuator_mm[every])
+        measured = self._frequency_hz[knots], *places, seen, self._spacing_mm
         scalar = dispersion_of_own_waves(*measured)
         if scalar[2] < EXPLAINED:
             return scalar[0]

@@ -36,9 +36,9 @@ def distances_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Arr
     return np.asarray(np.maximum(np.hypot(gap_mm[..., 0], gap_mm[..., 1]), MIN_DISTANCE_MM))
 
 
-def outgoing(wavenumber: complex, distance_mm: Float64Array, order: int = 0) -> Complex128Array:
-    """H(2)(k r) at many distances, see `outgoing_each`."""
-    return np.asarray(outgoing_each([(wavenumber, order)], distance_mm)[0])
+def outgoing(wavenumber: complex, distance_mm: Float64Array) -> Complex128Array:
+    """H0(2)(k r) at many distances, see `outgoing_each`."""
+    return np.asarray(outgoing_each([(wavenumber, 0)], distance_mm)[0])
 
 
 def outgoing_each(waves: Sequence[tuple[complex, int]], distance_mm: Float64Array) -> Complex128Array:
@@ -89,12 +89,8 @@ def outgoing_at_all(wavenumbers: Complex128Array, distance_mm: Float64Array) -> 
     at = (distance_mm.ravel() - low_mm) / step_mm + 1.0
     cell = at.astype(np.int32)
     t = at - cell
-    weights = [
-        -t * (t - 1) * (t - 2) / 6,
-        (t + 1) * (t - 1) * (t - 2) / 2,
-        -(t + 1) * t * (t - 2) / 2,
-        (t + 1) * t * (t - 1) / 6,
-    ]
+    before, at_or_before = -t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2
+    weights = [before, at_or_before, -(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6]
     rows = 4 * np.arange(len(at) + 1, dtype=np.int32)
     columns = (cell[:, None] + np.arange(-1, 3, dtype=np.int32)).ravel()
     values = np.stack(weights, axis=1).ravel().astype(np.complex64)
@@ -196,12 +192,12 @@ class Dispersion:
         return np.asarray(ratio**-self.slope * damped / self.speed_mm_s)
 
     @property
-    def vector(self) -> Float64Array:
+    def _vector(self) -> Float64Array:
         """What is fitted: (log c, log b, m, q)."""
         return np.array([np.log(self.speed_mm_s), np.log(self.loss_per_s), self.slope, self.loss_slope])
 
     @classmethod
-    def of_vector(cls, vector: Float64Array, middle_hz: float) -> Dispersion:
+    def _of_vector(cls, vector: Float64Array, middle_hz: float) -> Dispersion:
         """From what is fitted."""
         log_c, log_b, slope, loss_slope = vector.tolist()
         return cls(
@@ -212,10 +208,10 @@ class Dispersion:
         """The law nearest to some wave numbers, relative to them, by least squares."""
 
         def misfit(vector: Float64Array) -> float:
-            law = Dispersion.of_vector(vector, self.middle_hz).wavenumber(frequency_hz)
+            law = Dispersion._of_vector(vector, self.middle_hz).wavenumber(frequency_hz)
             return float(1e4 * np.square(np.abs(law / wavenumber - 1.0)).sum())
 
-        return Dispersion.of_vector(_simplex(misfit, self.vector, [0.01, 0.2, 0.05, 0.1], 2000), self.middle_hz)
+        return Dispersion._of_vector(_simplex(misfit, self._vector, [0.01, 0.2, 0.05, 0.1], 2000), self.middle_hz)
 
 
 SCANNED_SPEEDS = 160
@@ -255,7 +251,7 @@ def dispersion_of_own_waves(
     weight = 1.0 / np.maximum(np.square(np.abs(values)).sum(axis=(1, 2)), 1e-300)
 
     def left(vector: Float64Array) -> float:
-        wavenumber = Dispersion.of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
+        wavenumber = Dispersion._of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
         # No plate's wave number falls with frequency, or grows with more than its square.
         length_mm = 2.0 * np.pi / max(abs(wavenumber[-1]), 1e-300)
         if not (abs(vector[2]) <= 1.0 and shortest_mm <= length_mm <= longest_mm):
@@ -278,29 +274,23 @@ def dispersion_of_own_waves(
     if elastic_near is None:
         lengths_mm = np.geomspace(shortest_mm, longest_mm, SCANNED_SPEEDS)
         loss = np.log(SCANNED_LOSS * 2.0 * np.pi * middle_hz)
+        highest_hz = frequency_hz[-1]
         starts = [
-            np.array(
-                [np.log(length * frequency_hz[-1] * (frequency_hz[-1] / middle_hz) ** -slope), loss, slope, 0.0, 0.0]
-            )
+            np.array([np.log(length * highest_hz * (highest_hz / middle_hz) ** -slope), loss, slope, 0.0, 0.0])
             for slope in SCANNED_SLOPES
             for length in lengths_mm
         ]
     else:
-        starts = [np.array([*elastic_near.vector, PRESSURE_SHARE]) for _ in ELASTIC_SPEEDS]
+        starts = [np.array([*elastic_near._vector, PRESSURE_SHARE]) for _ in ELASTIC_SPEEDS]
         for start, ratio in zip(starts, ELASTIC_SPEEDS, strict=True):
             start[0] += np.log(ratio)
     best = _simplex(left, min(starts, key=left), [0.03, 0.5, 0.1, 0.3, 0.02], 300)
     share = float(np.clip(best[4], 0.02, 1.0)) if pressure_share else 0.0
-    return Dispersion.of_vector(best[:4], middle_hz), share, left(best)
+    return Dispersion._of_vector(best[:4], middle_hz), share, left(best)
 
 
 def _simplex(misfit: Any, start: Float64Array, step: list[float], evaluations: int) -> Float64Array:
     simplex = np.vstack([start, start + np.diag(step)])
-    options: Any = {
-        "maxfev": evaluations,
-        "maxiter": evaluations,
-        "xatol": 1e-7,
-        "fatol": 1e-9,
-        "initial_simplex": simplex,
-    }
+    options: Any = {"maxfev": evaluations, "maxiter": evaluations, "xatol": 1e-7, "fatol": 1e-9}
+    options["initial_simplex"] = simplex
     return np.asarray(minimize(misfit, start, method="Nelder-Mead", options=options).x)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 import scipy.fft
@@ -12,7 +11,6 @@ from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array,
 from wavefocus.calibration.numerics import fourier_sum, periodic_signal
 
 Operator = Callable[[Float64Array], Float64Array]
-Real = TypeVar("Real", Float32Array, Float64Array)
 
 RIDGE = 1e-6
 """Penalty on a response's energy relative to the excitation's median power in band."""
@@ -26,7 +24,7 @@ GARROTE = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class CausalSolution:
+class _CausalSolution:
     """Causal FIRs of a batch of spectra, and what they leave.
 
     green, float32 (records, taps): On the playback clock.
@@ -80,7 +78,7 @@ class CausalFit:
             solutions.append(scipy.linalg.solve(gram, skewed.T @ left, assume_a="pos").T)
         self._solutions = np.concatenate(solutions).astype(np.float32)
 
-    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> CausalSolution:
+    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> _CausalSolution:
         """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,).
 
         A direction that the sweep hardly excites, at the band's very edge, gives its noise back magnified by
@@ -101,7 +99,7 @@ class CausalFit:
         bins = self._weight.size
         whitened = np.empty((len(data), bins), dtype=np.complex64)
         whitened.real, whitened.imag = unexplained[:, :bins], unexplained[:, bins:]
-        return CausalSolution(self._taps(coefficients, skew), whole, left, whitened, whitened / self._weight)
+        return _CausalSolution(self._taps(coefficients, skew), whole, left, whitened, whitened / self._weight)
 
     def _taps(self, coefficients: Float32Array, skew: Float64Array) -> Float32Array:
         """FIRs (records, L) on the playback clock; `skew` (records,) is each record's clock ratio minus 1."""
@@ -172,7 +170,7 @@ class ToeplitzFit:
         # Directions that show in the band: its share of the taps, and a few at each of its edges.
         self.rank = int(min(taps, self.elements * taps / period + 2 * np.log(taps + 1)))
 
-    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> CausalSolution:
+    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> _CausalSolution:
         """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,)."""
         left = np.empty_like(spectrum)
         green = np.empty((len(spectrum), self._taps), dtype=np.float32)
@@ -181,7 +179,7 @@ class ToeplitzFit:
         whole, unexplained = (
             np.square(np.abs(values)).sum(axis=1, dtype=np.float64) for values in (spectrum * self._weight, left)
         )
-        return CausalSolution(green, whole, unexplained, left, (left / self._weight).astype(np.complex64))
+        return _CausalSolution(green, whole, unexplained, left, (left / self._weight).astype(np.complex64))
 
     def _solved(self, spectrum: Complex128Array, ratio: float) -> tuple[Complex64Array, Float32Array]:
         turn = self._turn * ratio
@@ -228,22 +226,15 @@ def circulant_inverse(kernel: Float64Array, ridge: float) -> Operator:
 
 
 def conjugate_gradients(
-    gram: Callable[[Real], Real],
-    wanted: Real,
-    ridge: float | Real,
-    inverse: Callable[[Real], Real],
-    start: Real,
-    *,
-    enough: float = CG_TOLERANCE,
-    most_steps: int = MAX_STEPS,
-) -> Real:
+    gram: Operator, wanted: Float64Array, ridge: float, inverse: Operator, start: Float64Array
+) -> Float64Array:
     """Solve ``(gram + ridge) x = wanted`` from `start`, preconditioned by `inverse`, to a relative residual."""
-    goal = enough**2 * float(np.vdot(wanted, inverse(wanted)))
+    goal = CG_TOLERANCE**2 * float(np.vdot(wanted, inverse(wanted)))
     found = start.copy()
     left = wanted - gram(found) - ridge * found
     even = inverse(left)
     step, size = even.copy(), float(np.vdot(left, even))
-    for _ in range(most_steps):
+    for _ in range(MAX_STEPS):
         if size <= goal:
             break
         turned = gram(step) + ridge * step

@@ -23,7 +23,7 @@ MIN_STEPS = 0.5 / (1 - CLIP_SHARE)
 
 
 @dataclass(frozen=True, slots=True)
-class Levels:
+class _Levels:
     """Peaks of records, and what of them is clipped.
 
     reference_v, response_v, float32 (records,): Largest magnitudes in volts.
@@ -39,7 +39,7 @@ class Levels:
 
 def measure_levels(
     reference_v: Float32Array, response_v: Float32Array, range_v: tuple[float, float], name: str = "a recording"
-) -> Levels:
+) -> _Levels:
     """Measure records (records, samples) on converters that end at `range_v` on (reference, response).
 
     Raises InputError: values that are not finite.
@@ -48,7 +48,7 @@ def measure_levels(
     if not (np.isfinite(reference_peak).all() and np.isfinite(peak).all()):
         raise InputError(f"{name} holds values that are not finite; allowed are volts")
     clipped = _count_clipped(reference_v, reference_peak, reference_place, range_v[0])
-    return Levels(reference_peak, peak, place, clipped + _count_clipped(response_v, peak, place, range_v[1]))
+    return _Levels(reference_peak, peak, place, clipped + _count_clipped(response_v, peak, place, range_v[1]))
 
 
 def _peaks(channel: Float32Array) -> tuple[Float32Array, Int64Array]:
@@ -73,13 +73,13 @@ def _count_clipped(channel: Float32Array, peak_v: Float32Array, place: Int64Arra
             top = _beyond(around, CLIP_SHARE * level)
             if top < MIN_FLAT or 4 * top <= _beyond(around, BELOW_SHARE * level):
                 continue
-            if converter_steps(around) < MIN_STEPS:
+            if _converter_steps(around) < MIN_STEPS:
                 continue
         count[record] = _beyond(channel[record], CLIP_SHARE * level)
     return count
 
 
-def converter_steps(recording: Float32Array) -> float:
+def _converter_steps(recording: Float32Array) -> float:
     """How many steps of its converter a recording in volts reaches; 0 for silence, infinite where it has no steps."""
     levels = np.unique(recording)
     if levels.size < 2:
@@ -105,7 +105,7 @@ SURE_DB = -36.0
 FLOOR = 1e-30
 
 
-class ThirdHarmonic:
+class _ThirdHarmonic:
     """Level of the third harmonic around a recording's loudest moment.
 
     A peak cut off at 0.95 of its height has it at -38 dB, at 0.9 at -30 dB; in-band figures hardly see that, for
@@ -219,27 +219,6 @@ def worst_of(defects: NDArray[np.void]) -> np.void:
     return worst
 
 
-@dataclass(frozen=True, slots=True)
-class Residuals:
-    """Spectra of a batch of records in all bins that the sweep fills, and what a fit leaves of them.
-
-    response_v, float32 (records, samples): Response channel in volts.
-    levels: Its peaks.
-    answered_energy, float64 (records,): Energy of the sweeps on the response channel in the sweep's band.
-    reference, complex64 (records, averages, bins): Spectra of the sweeps on the reference channel.
-    differing, complex64 (records, averages, bins): What one mean transfer function leaves of the response: zeros for a
-        single sweep.
-    missed, complex64 (records, bins): What of that function the FIR of L taps leaves unexplained.
-    """
-
-    response_v: Float32Array
-    levels: Levels
-    answered_energy: Float64Array
-    reference: Complex64Array
-    differing: Complex64Array
-    missed: Complex64Array
-
-
 class DefectFinder:
     """Looks at sequential records.
 
@@ -267,30 +246,49 @@ class DefectFinder:
     ) -> None:
         self._in_band, self._first_bin, self._period, self._averages = in_band, first_bin, period, averages
         self._rate_hz, self._taps, self._freedom, self._is_swept = sample_rate_hz, taps, freedom, is_swept
-        self._harmonic = ThirdHarmonic(sample_rate_hz, period)
+        self._harmonic = _ThirdHarmonic(sample_rate_hz, period)
 
-    def find(self, spectra: Residuals) -> NDArray[np.void]:
-        """Look through a batch of records: structured array (records,), as `DEFECTS`; `slip_db` is not looked at."""
-        here, whole = self._in_band, np.maximum(spectra.answered_energy, FLOOR)
+    def find(
+        self,
+        response_v: Float32Array,
+        levels: _Levels,
+        answered_energy: Float64Array,
+        reference: Complex64Array,
+        differing: Complex64Array,
+        missed: Complex64Array,
+    ) -> NDArray[np.void]:
+        """Look through a batch of records, their spectra in all bins that the sweep fills.
+
+        response_v, float32 (records, samples): Response channel in volts; `levels` are its peaks.
+        answered_energy, float64 (records,): Energy of the sweeps on the response channel in the sweep's band.
+        reference, complex64 (records, averages, bins): Spectra of the sweeps on the reference channel.
+        differing, complex64 (records, averages, bins): What one mean transfer function leaves of the response: zeros
+            for a single sweep.
+        missed, complex64 (records, bins): What of that function the FIR of L taps leaves unexplained.
+
+        Returns a structured array (records,), as `DEFECTS`; `slip_db` is not looked at.
+        """
+        here, whole = self._in_band, np.maximum(answered_energy, FLOOR)
         defects = np.zeros(len(whole), DEFECTS)
         for name in ("burst_db", "line_db", "tail_db", "misfit_db", "unsteady_db"):
             defects[name] = -np.inf
         defects["harmonic_db"] = defects["slip_db"] = np.nan
-        defects["dead"] = spectra.answered_energy <= DEAD_SHARE * np.square(spectra.levels.response_v, dtype=np.float64)
-        missed = energy(spectra.missed) * energy(spectra.reference).sum(axis=1)
-        power = missed + energy(spectra.differing).sum(axis=1)
-        left = missed[:, here].sum(axis=1, dtype=np.float64)
-        noise, differing = left / max(self._freedom, FLOOR), left / self._averages
+        defects["dead"] = answered_energy <= DEAD_SHARE * np.square(levels.response_v, dtype=np.float64)
+        missed_power = energy(missed) * energy(reference).sum(axis=1)
+        power = missed_power + energy(differing).sum(axis=1)
+        left = missed_power[:, here].sum(axis=1, dtype=np.float64)
+        noise, apart = left / max(self._freedom, FLOOR), left / self._averages
         if self._averages == 1:
             defects["unsteady_db"] = defects["misfit_db"] = defects["tail_db"] = np.nan
         else:
-            differing = (power - missed)[:, here].sum(axis=1, dtype=np.float64) / (self._averages - 1)
+            apart = (power - missed_power)[:, here].sum(axis=1, dtype=np.float64) / (self._averages - 1)
             if 2 * (here.stop - here.start) * self._freedom > MIN_FREE:
-                self._compare(noise, differing, spectra.missed[:, here], left, whole, defects)
-                self._excuse_rounding(spectra, defects)
-        loud = np.flatnonzero(self._is_swept & (whole > 10 ** (CLEAR_DB / 10) * np.minimum(differing, noise)))
-        defects["harmonic_db"][loud] = self._harmonic(spectra.response_v, spectra.levels.loudest, loud)
-        self._concentrated(spectra, power, whole, defects)
+                self._compare(noise, apart, missed[:, here], left, whole, defects)
+                self._excuse_rounding(response_v, levels, defects)
+        loud = np.flatnonzero(self._is_swept & (whole > 10 ** (CLEAR_DB / 10) * np.minimum(apart, noise)))
+        defects["harmonic_db"][loud] = self._harmonic(response_v, levels.loudest, loud)
+        residual = (missed[:, None] * reference + differing)[..., here]
+        self._concentrated(residual, power, whole, defects)
         return defects
 
     def _compare(
@@ -315,16 +313,16 @@ class DefectFinder:
         late[missing] = delays[:, after].sum(axis=1) > MOST * delays.sum(axis=1)
         defects["tail_db"][late] = defects["misfit_db"][late]
 
-    def _excuse_rounding(self, spectra: Residuals, defects: NDArray[np.void]) -> None:
+    def _excuse_rounding(self, response_v: Float32Array, levels: _Levels, defects: NDArray[np.void]) -> None:
         """Faint records have few steps of a range that is right for the loudest: the same rounding in all sweeps."""
         for record in np.flatnonzero(defects["misfit_db"] > -np.inf).tolist():
-            middle = int(spectra.levels.loudest[record])
-            around = spectra.response_v[record, max(0, middle - AROUND_SAMPLES) : middle + AROUND_SAMPLES]
-            if record != spectra.levels.response_v.argmax() and 0 < converter_steps(around) < MIN_STEPS:
+            middle = int(levels.loudest[record])
+            around = response_v[record, max(0, middle - AROUND_SAMPLES) : middle + AROUND_SAMPLES]
+            if record != levels.response_v.argmax() and 0 < _converter_steps(around) < MIN_STEPS:
                 defects["misfit_db"][record] = defects["tail_db"][record] = -np.inf
 
     def _concentrated(
-        self, spectra: Residuals, power: Float32Array, whole: Float64Array, defects: NDArray[np.void]
+        self, residual: Complex64Array, power: Float32Array, whole: Float64Array, defects: NDArray[np.void]
     ) -> None:
         """Whether most of what is left is a tone, or lies in one moment."""
         here = self._in_band
@@ -336,7 +334,6 @@ class DefectFinder:
         # At the band's edge what leaks looks like a long response.
         beyond = (highest < here.start) | (highest >= here.stop)
         defects["tail_db"][is_tone & beyond & (power.max(axis=1) > left)] = -np.inf
-        residual = (spectra.missed[:, None] * spectra.reference + spectra.differing)[..., here]
         length = residual.shape[-1]
         moments = energy(scipy.fft.ifft(residual, axis=-1)).reshape(len(left), -1)
         step = self._period / length / self._rate_hz

@@ -177,8 +177,8 @@ class Records:
 
     def by_actuator(self, estimates: Sequence[Estimate], records: Sequence[int]) -> Estimate:
         """Rows of slots of records, put in the order of the actuators."""
-        slots = [self.schedule.slots(record) for record in records]
-        actuator, gain = np.concatenate([slot[0] for slot in slots]), np.concatenate([slot[2] for slot in slots])
+        actuators, _, gains = zip(*(self.schedule.slots(record) for record in records), strict=True)
+        actuator, gain = np.concatenate(actuators), np.concatenate(gains)
         return Estimate.joined(estimates).by_actuator(actuator, gain)
 
 

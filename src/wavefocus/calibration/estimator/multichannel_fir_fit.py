@@ -1,36 +1,22 @@
 """Least squares for the causal FIRs of all actuators that play in one record, each with its own delay."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
 import scipy.linalg
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
-from wavefocus.calibration.estimator.causal_fit import conjugate_gradients, toeplitz_product
+from wavefocus.calibration.estimator.causal_fit import toeplitz_product
 from wavefocus.storage.errors import InputError
 
 # Left vectors that are made at once, for little memory.
 CHUNK = 16
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CausalBasis:
-    """Singular triplets of the map from L taps to a weighted spectrum.
-
-    left, complex128 (bins, rank): Spectra; orthonormal when the coefficients are real and real and imaginary parts
-        count as two.
-    singular, float64 (rank,): Descending.
-    right, float64 (rank, taps): Responses, orthonormal.
-    """
-
-    left: Complex128Array
-    singular: Float64Array
-    right: Float64Array
-
-
-def causal_basis(bins: Int64Array, weight: Float64Array, period: int, taps: int, smallest: float) -> CausalBasis:
+def _causal_basis(
+    bins: Int64Array, weight: Float64Array, period: int, taps: int, smallest: float
+) -> tuple[Complex128Array, Float64Array, Float64Array]:
     """Find the singular triplets above `smallest` of the matrix ``weight_k exp(-j w_k n)``, ``w_k = 2 pi k / period``.
 
     Its Gram matrix is Toeplitz, so subspace iteration (Halko et al. 2011, algorithm 4.4) needs transforms and
@@ -42,7 +28,9 @@ def causal_basis(bins: Int64Array, weight: Float64Array, period: int, taps: int,
     taps: Length L of the responses.
     smallest: Singular values below this are left out, > 0.
 
-    Returns CausalBasis.
+    Returns left, complex128 (bins, rank): spectra, orthonormal when the coefficients are real and real and imaginary
+    parts count as two; singular values, float64 (rank,), descending; right, float64 (rank, taps): responses,
+    orthonormal.
     """
     power = np.zeros(period)
     power[bins] = np.square(weight)
@@ -66,7 +54,7 @@ def causal_basis(bins: Int64Array, weight: Float64Array, period: int, taps: int,
         part = slice(low, low + CHUNK)
         spectra = scipy.fft.rfft(right[part] / singular[part, None], period)[:, bins]
         left[:, part] = (weight * spectra).T
-    return CausalBasis(left, singular, right)
+    return left, singular, right
 
 
 # Directions weaker than this share of the ridge would be damped to 1 % of themselves: left out.
@@ -75,46 +63,26 @@ CUT = 1e-2
 # noise of so many times its variance.
 WEAK = 0.1
 GARROTE = 3.0
-# Conjugate gradients end at this relative residual; they need about ten steps, a fuller record more.
-CG_TOLERANCE = 3e-5
-MAX_STEPS = 100
-# Random signs that measure the freedom of a fit that is only known by its solutions.
-PROBES = 4
-
-
 # A joint fit keeps its directions in memory: this much, and no more.
 MAX_JOINT_BYTES = 1 << 30
-
-
-@dataclass(frozen=True, slots=True)
-class JointSolution:
-    """What a record says of each of its slots.
-
-    green, float32 (slots, taps): FIRs, from the base signal to the response.
-    energy, float64 (slots,): Energy that each slot's FIR explains of the whitened data.
-    variance: Variance of the noise on one element of the whitened data.
-    left, complex64 (bins,): What they leave of the whitened data.
-    """
-
-    green: Float32Array
-    energy: Float64Array
-    variance: float
-    left: Complex64Array
 
 
 class JointFit:
     """Solve ``min sum_k power_k |H_k - sum_i exp(-j w_k delay_i) sum_n g_i[n] exp(-j w_k n)|^2 + ridge |g|^2``.
 
-    Each FIR lives in the same few directions (`causal_basis`), turned by its delay. Where the delays are
-    evenly spaced on the ring of a period, a DFT over the slots takes the system apart into one small matrix per
-    harmonic, inverted once. Any other delays are solved by conjugate gradients in those directions.
+    Each FIR lives in the same few directions (`_causal_basis`), turned by its delay. The delays are evenly spaced on
+    the ring of a period, so that a DFT over the slots takes the system apart into one small matrix per harmonic,
+    inverted once.
 
     omega, float64 (bins,): Frequencies in radians per playback sample, multiples of one spacing, ascending.
     power, float64 (bins,): Squared magnitude of the base signal's spectrum, relative to its median in band.
     period: Samples of the ring.
     taps: Length L of the FIRs.
-    delays, float64 (slots,): Delay of each slot in playback samples; L or more apart, round the ring.
+    delays, float64 (slots,): Delay of each slot in playback samples, each a place of an even spacing of L or more round
+        the ring.
     ridge: Penalty relative to the median power in band.
+
+    Raises InputError: other delays, or too much for the memory of a joint fit.
     """
 
     def __init__(
@@ -130,38 +98,36 @@ class JointFit:
             )
         weight = np.sqrt(2 * power / period)
         bins = np.round(omega * period / (2 * np.pi)).astype(np.int64)
-        basis = causal_basis(bins, weight, period, taps, math.sqrt(CUT * ridge))
+        left, singular, right = _causal_basis(bins, weight, period, taps, math.sqrt(CUT * ridge))
         self.weight = weight.astype(np.float32)
         self.elements = 2 * omega.size
-        self._left = np.concatenate([basis.left.real, basis.left.imag]).astype(np.float32)
+        self._left = np.concatenate([left.real, left.imag]).astype(np.float32)
         self._left_transposed = np.ascontiguousarray(self._left.T)
-        self._responses = (basis.right / basis.singular[:, None]).astype(np.float32)
-        self._weak = np.flatnonzero(basis.singular < WEAK)
-        self._penalty = (ridge / basis.singular**2).astype(np.float32)
-        ring = ring_slots(delays, period, taps)
-        self._inverses: Complex64Array | None = None
-        if ring is None:
-            self._chosen = np.arange(delays.size)
-        else:
-            slots, self._chosen = ring
-            delays = delays[0] + (np.arange(slots) - self._chosen[0]) * (period / slots)
-            self._inverses, freedom, spread = _harmonics(basis.left, bins, slots, self._penalty)
+        self._responses = (right / singular[:, None]).astype(np.float32)
+        self._weak = np.flatnonzero(singular < WEAK)
+        slots, self._chosen = _ring_slots(delays, period, taps)
+        delays = delays[0] + np.arange(slots) * (period / slots)
+        penalty = (ridge / singular**2).astype(np.float32)
+        self._inverses, freedom, spread = _harmonics(left, bins, slots, penalty)
         self._turns = np.exp(-1j * np.outer(omega, delays)).astype(np.complex64)
-        if self._inverses is None:
-            freedom, spread = self._probe()
         self._left_over = max(self.elements - freedom, 1.0)
         self.left_share = self._left_over / self.elements
         self._spread = spread[self._weak].astype(np.float32)
 
-    def solve(self, data: Complex64Array) -> JointSolution:
+    def solve(self, data: Complex64Array) -> tuple[Float32Array, Float64Array, Complex64Array]:
         """Fit one record.
 
         data, complex64 (bins,): Transfer from base signal to response, times `weight`.
 
-        Returns JointSolution.
+        Returns float32 (slots, taps): FIRs, from the base signal to the response; float64 (slots,): energy that each
+        explains of the whitened data; complex64 (bins,): what they leave of these.
         """
-        seen = self._seen(data)
-        found = self._solved(seen)
+        # Data as the slots see it: coefficients (rank, slots); and the solution of each harmonic of the slots.
+        turned = data[:, None] * self._turns.conj()
+        seen = self._left_transposed @ np.concatenate([turned.real, turned.imag])
+        harmonics = np.fft.rfft(seen, axis=1).astype(np.complex64)
+        solved = np.matmul(self._inverses, harmonics.T[:, :, None])[:, :, 0]
+        found = np.ascontiguousarray(np.fft.irfft(solved.T, seen.shape[1], axis=1).astype(np.float32))
         left = data - self._shown(found)
         unexplained = float(np.vdot(left, left).real)
         variance = unexplained / self._left_over
@@ -171,12 +137,7 @@ class JointFit:
         squared = np.maximum(np.square(found[self._weak]), np.float32(1e-30))
         noise = np.float32(GARROTE * variance) * self._spread[:, None]
         found[self._weak] *= np.maximum(1 - noise / squared, 0)
-        return JointSolution(found.T @ self._responses, np.maximum(energy, 0), variance, left)
-
-    def _seen(self, data: Complex64Array) -> Float32Array:
-        """Data as the slots see it: coefficients (rank, slots)."""
-        turned = data[:, None] * self._turns.conj()
-        return np.asarray(self._left_transposed @ np.concatenate([turned.real, turned.imag]))
+        return found.T @ self._responses, np.maximum(energy, 0), left
 
     def _shown(self, coefficients: Float32Array) -> Complex64Array:
         """Data (bins,) that coefficients (rank, slots) make."""
@@ -186,61 +147,20 @@ class JointFit:
         spectra.real, spectra.imag = parts[:bins], parts[bins:]
         return np.asarray(np.einsum("bs,bs->b", spectra, self._turns))
 
-    def _solved(self, seen: Float32Array) -> Float32Array:
-        if self._inverses is not None:
-            slots = seen.shape[1]
-            harmonics = np.fft.rfft(seen, axis=1).astype(np.complex64)
-            solved = np.matmul(self._inverses, harmonics.T[:, :, None])[:, :, 0]
-            return np.ascontiguousarray(np.fft.irfft(solved.T, slots, axis=1).astype(np.float32))
-        return self._conjugate_gradients(seen)
 
-    def _conjugate_gradients(self, seen: Float32Array) -> Float32Array:
-        penalty = self._penalty[:, None]
-        if seen.shape[1] == 1:
-            return seen / (1 + penalty)
-        return conjugate_gradients(
-            lambda found: self._seen(self._shown(found)),
-            seen,
-            penalty,
-            lambda left: left / (1 + penalty),
-            np.zeros_like(seen),
-            enough=CG_TOLERANCE,
-            most_steps=MAX_STEPS,
-        )
-
-    def _probe(self) -> tuple[float, Float64Array]:
-        """Freedom of the fit, and variance of each direction's coefficient, from its answers to random signs."""
-        rank, slots = self._left.shape[1], self._turns.shape[1]
-        if slots == 1:
-            damped = 1 / (1 + self._penalty.astype(np.float64))
-            return float(damped.sum()), damped
-        draw = np.random.default_rng(0)
-        freedom, spread = 0.0, np.zeros(rank)
-        for _ in range(PROBES):
-            signs = draw.choice(np.array([-1, 1], dtype=np.float32), (rank, slots))
-            answer = self._conjugate_gradients(signs).astype(np.float64)
-            freedom += (rank * slots - float((self._penalty[:, None] * answer * signs).sum())) / PROBES
-            spread += (answer * signs).mean(axis=1) / PROBES
-        return freedom, np.maximum(spread, 1.0)
-
-
-def ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int64Array] | None:
-    """Find evenly spaced slots on the ring that hold all delays, as few as will do.
-
-    delays, float64 (slots,): Delays in samples.
-    period: Samples of the ring.
-    taps: Least distance of two slots.
-
-    Returns tuple of int and int64 array, or None: how many slots, and which of them each delay is; None where there are
-    no such slots.
-    """
+def _ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int64Array]:
+    """Evenly spaced slots on the ring, `taps` or more apart, that hold all delays: how many; which each is."""
     for slots in range(delays.size, period // taps + 1):
         place = (delays - delays[0]) * (slots / period)
         whole = np.round(place)
         if np.abs(place - whole).max() * period / slots < 1e-6:
             chosen = whole.astype(np.int64) % slots
-            return (slots, chosen) if np.unique(chosen).size == delays.size else None
-    return None
+            if np.unique(chosen).size == delays.size:
+                return slots, chosen
+    raise InputError(
+        f"delays of {', '.join(f'{delay:g}' for delay in delays)} samples are not multiples of one stagger that "
+        f"divides the period of {period}, {taps} samples or more; records of such a schedule are needed"
+    )
 
 
 def _harmonics(

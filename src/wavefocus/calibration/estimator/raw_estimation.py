@@ -44,24 +44,12 @@ REMEDY = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class FoundSweeps:
-    """The sweeps of a sequential record, found in its reference channel.
-
-    sweep_samples, period_samples: Length of one sweep, and of a sweep with its silence, on the playback clock.
-    averages: Number of sweeps.
-    offset: DAQ sample at which the first one begins.
-    ratio: DAQ rate over playback rate.
-    """
-
-    sweep_samples: int
-    period_samples: int
-    averages: int
-    offset: float
-    ratio: float
+_Sweeps = tuple[int, int, int, float, float]
+"""Sweeps of a sequential record: samples of one, and of one with its silence, on the playback clock; their number; DAQ
+sample at which the first one begins; DAQ rate over playback rate."""
 
 
-def find_sweeps(reference: Float32Array, header: RawHeader) -> FoundSweeps:
+def _find_sweeps(reference: Float32Array, header: RawHeader) -> _Sweeps:
     """Find the sweeps of a sequential record: reference channel (samples,) in volts, and what the file says of them.
 
     Raises InputError: the sweeps are not there, or the file states no law.
@@ -73,7 +61,7 @@ def find_sweeps(reference: Float32Array, header: RawHeader) -> FoundSweeps:
                 fit = ClockFitter(played, max_ppm=MAX_PPM).fit(reference, diagnose=False)
                 found = _without_fades(reference, cycles, period, averages, fit.offset_samples, fit.ratio)
                 if found is not None:
-                    return FoundSweeps(sweep, period, averages, *found)
+                    return sweep, period, averages, *found
                 break
     raise _no_clock(header)
 
@@ -164,13 +152,12 @@ def _highest_cycles(header: RawHeader, sweep_s: float) -> float:
     return min((high + BEYOND_BAND * math.sqrt((high - low) / sweep_s)) / header.sample_rate_hz, 0.499)
 
 
-def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader) -> RecordedExcitation:
-    """The mean of the sweeps of a record, on the playback clock; what `find_sweeps` found, and what it was found in."""
-    period, ratio = found.period_samples, found.ratio
-    highest = _highest_cycles(header, found.sweep_samples / header.sample_rate_hz)
-    decay = period - found.sweep_samples
-    starts = found.offset + ratio * period * np.arange(found.averages)
-    inside = starts[starts + 0.5 * found.sweep_samples < reference.size]
+def _learn_sweeps(found: _Sweeps, reference: Float32Array, header: RawHeader) -> RecordedExcitation:
+    """The mean of the sweeps of a record that `_find_sweeps` found in it, on the playback clock."""
+    sweep, period, averages, offset, ratio = found
+    highest, decay = _highest_cycles(header, sweep / header.sample_rate_hz), period - sweep
+    starts = offset + ratio * period * np.arange(averages)
+    inside = starts[starts + 0.5 * sweep < reference.size]
     low = max(math.floor(inside[0]) - decay // 2, 0)
     sweeps = reference[low : math.floor(inside[-1] + ratio * period) - decay // 2].astype(np.float64)
     # Their sum on the ring of a period.
@@ -179,10 +166,10 @@ def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader)
     base = scipy.fft.irfft(spectrum / ratio, period) / inside.size
     # An abrupt start rings before it, once it is limited to its band.
     base = np.roll(base, min(round(1 / highest), max(decay - header.taps, 0) // 2))
-    return RecordedExcitation(base, header.sample_rate_hz, *header.band_hz, decay, found.averages)
+    return RecordedExcitation(base, header.sample_rate_hz, *header.band_hz, decay, averages)
 
 
-def learn_base(reference: Float32Array, header: RawHeader) -> tuple[Float64Array, float]:
+def _learn_base(reference: Float32Array, header: RawHeader) -> tuple[Float64Array, float]:
     """Find the base signal of periodic records.
 
     reference, float32 (samples,): Reference channel of one of them in volts.
@@ -371,7 +358,7 @@ def _periodic(
     header: RawHeader, records: Records, first: Recordings, report: Callable[[str], None]
 ) -> PositionEstimator:
     """The base signal is already running when a record starts."""
-    base_v, ratio = learn_base(first.reference_v[0], header)
+    base_v, ratio = _learn_base(first.reference_v[0], header)
     report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
     return StaggeredEstimator(base_v, records)
 
@@ -384,23 +371,24 @@ def _with_silence(
         report("same_clock: whole records, each with its own reference")
         return WholeRecordEstimator(records)
     reference, taps = first.reference_v[0], header.taps
-    found = find_sweeps(reference, header)
+    found = _find_sweeps(reference, header)
+    sweep, period, averages, _, ratio = found
     report(
-        f"{found.averages} sweeps of {found.sweep_samples / header.sample_rate_hz:g} s, {header.law}; "
-        f"clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"
+        f"{averages} sweeps of {sweep / header.sample_rate_hz:g} s, {header.law}; "
+        f"clocks differ by {1e6 * (ratio - 1):.2f} ppm"
     )
-    is_whole = header.averages is not None or found.period_samples <= header.samples
-    if header.schedule.is_sequential and taps <= found.period_samples - found.sweep_samples and is_whole:
-        sweeps = learn_sweeps(found, reference, header)
+    is_whole = header.averages is not None or period <= header.samples
+    if header.schedule.is_sequential and taps <= period - sweep and is_whole:
+        sweeps = _learn_sweeps(found, reference, header)
         comparable = header.averages is not None
         return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=comparable)
 
     def clock(reference_v: Float32Array) -> tuple[float, float]:
         try:
-            here = find_sweeps(reference_v, header)
+            *_, offset, ratio = _find_sweeps(reference_v, header)
         except InputError as error:
             raise ReferenceMissingError(str(error), advised=True) from error
-        return here.ratio, here.offset
+        return ratio, offset
 
     return WholeRecordEstimator(records, clock_ratio=clock)
 
@@ -419,17 +407,6 @@ CHANNEL_BYTES = 16
 BASE_BYTES = 200 << 20
 
 
-def estimation_bytes(header: RawHeader) -> int:
-    """Bytes that one position of a raw file takes while it is estimated, roughly and rather too many."""
-    longest = header.samples + header.taps
-    together = header.records if header.same_clock else 1
-    return (
-        header.records * header.samples * CHANNEL_BYTES
-        + longest * (TRANSFORM_BYTES + 16 * 3 * (together - 1))
-        + header.actuators * header.taps * 64
-    )
-
-
 def affordable_workers(header: RawHeader, workers: int, what: str, *, present: int | None = None) -> int:
     """Number of positions, up to `workers`, that may be estimated at a time.
 
@@ -440,10 +417,13 @@ def affordable_workers(header: RawHeader, workers: int, what: str, *, present: i
 
     Raises InputError: when a single position needs more memory than there is.
     """
-    total = physical_bytes() if present is None else present
+    total = _physical_bytes() if present is None else present
     if total is None:
         return workers
-    needed = estimation_bytes(header)
+    # Bytes that one position takes while it is estimated, roughly and rather too many.
+    together = header.records if header.same_clock else 1
+    needed = header.records * header.samples * CHANNEL_BYTES + header.actuators * header.taps * 64
+    needed += (header.samples + header.taps) * (TRANSFORM_BYTES + 16 * 3 * (together - 1))
     if needed + BASE_BYTES > total:
         raise InputError(
             f"{what}: a position of {header.records} records of {header.samples} samples and {header.taps} taps needs "
@@ -453,7 +433,7 @@ def affordable_workers(header: RawHeader, workers: int, what: str, *, present: i
     return max(min(workers, (total - BASE_BYTES) // (2 * needed)), 1)
 
 
-def physical_bytes() -> int | None:
+def _physical_bytes() -> int | None:
     """Memory of this computer in bytes; None where the system does not say."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

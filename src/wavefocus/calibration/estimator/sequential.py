@@ -1,14 +1,14 @@
 """From sequential records, sweeps with silence after each, to Green's functions and figures of their quality."""
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.estimator.causal_fit import RIDGE, CausalFit, ToeplitzFit
-from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy, measure_levels
+from wavefocus.calibration.estimator.defect_finder import DefectFinder, energy, measure_levels
 from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
 from wavefocus.calibration.excitation import Excitation
 from wavefocus.calibration.known_signal import ReferenceMissingError, filled_bins
@@ -26,23 +26,7 @@ FEW_SWEEPS, FIRST_MARGIN = 3, 200
 DELAY_PARTS = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Repeats:
-    """The sweeps of a batch of records.
-
-    starts, int64 (records, averages): First sample of each sweep's segment of one period.
-    spectra, complex64 (records, averages, bins): Spectra of the reference's segments in the bins of the band.
-    offset_samples, ratio, residual_db, float64 (records,): As in `wavefocus.calibration.timing.ClockFit`.
-    """
-
-    starts: Int64Array
-    spectra: Complex64Array
-    offset_samples: Float64Array
-    ratio: Float64Array
-    residual_db: Float64Array
-
-
-class SweepCutter:
+class _SweepCutter:
     """Cuts records into repeats of one nominal sweep, where the clock fitted to the whole record says they are.
 
     excitation: What was played.
@@ -72,33 +56,32 @@ class SweepCutter:
         few = played[: FEW_SWEEPS * base.size]
         self._first_sweeps = ClockFitter(few, max_ppm=max_ppm) if self.averages > FEW_SWEEPS else None
 
-    def cut(self, reference: Float32Array, first_record: int = 0) -> Repeats:
+    def cut(
+        self, reference: Float32Array, first_record: int
+    ) -> tuple[Int64Array, Float64Array, Float64Array, Float64Array]:
         """Find the sweeps in reference recordings (records, samples) in volts; `first_record` counts in messages.
 
         Sweeps that one clock did not play, as where the player slipped between two, are refused like a signal that is
         absent, too noisy, or not entirely inside.
 
+        Returns int64 (records, averages): first sample of each sweep's segment of one period; offset in samples, clock
+        ratio and residual in dB, float64 (records,), as `wavefocus.calibration.timing.ClockFit` has them.
         Raises ReferenceMissingError: which record, and why.
         """
         samples = reference.shape[1]
-        if samples < max(self._least, self.period):
+        if samples < (least := max(self._least, self.period)):
             raise InputError(
-                f"records have {samples} samples; allowed is at least {max(self._least, self.period)}, "
-                f"{self.averages} sweeps with their responses"
+                f"records have {samples} samples; allowed is at least {least}, {self.averages} sweeps with responses"
             )
         names = [f"the reference of record {first_record + record}" for record in range(len(reference))]
-        if self._first_sweeps is None:
+        if (few := self._first_sweeps) is None:
             fits = self._clock.fit_all(reference, names)
         else:
-            fits = [
-                self._fit_long(recording, self._first_sweeps, name)
-                for recording, name in zip(reference, names, strict=True)
-            ]
-        offset, ratio = np.array([(fit.offset_samples, fit.ratio) for fit in fits]).T
+            fits = [self._fit_long(row, few, name) for row, name in zip(reference, names, strict=True)]
+        offset, ratio, residual_db = np.array([(fit.offset_samples, fit.ratio, fit.residual_db) for fit in fits]).T
         place = offset[:, None] + ratio[:, None] * self.period * np.arange(self.averages)
         starts = np.clip(np.floor(place).astype(np.int64) - self._guard, 0, samples - self.period)
-        residual_db = np.array([fit.residual_db for fit in fits])
-        return Repeats(starts, self.spectra(reference, starts), offset, ratio, residual_db)
+        return starts, offset, ratio, residual_db
 
     def _fit_long(self, recording: Float32Array, first_sweeps: ClockFitter, name: str) -> ClockFit:
         """Fit a record of many sweeps, near the clock of its first ones."""
@@ -161,7 +144,7 @@ class SequentialEstimator:
             )
         self.excitation, self.taps = excitation, taps
         self._schedule, self._comparable = schedule, comparable
-        self._cutter = SweepCutter(excitation, excitation.decay_samples - taps, MAX_PPM)
+        self._cutter = _SweepCutter(excitation, excitation.decay_samples - taps, MAX_PPM)
         omega, period = self._cutter.omega, self._cutter.period
         relative = self._cutter.power / self._cutter.median_power
         self._fit = (
@@ -210,8 +193,6 @@ class SequentialEstimator:
             for low in range(0, records, self._batch)
         ]
         found = parts[0] if len(parts) == 1 else Estimate.joined(parts)
-        if not self._comparable:
-            found = replace(found, coherence=np.full_like(found.coherence, np.nan))
         if self._schedule is None:
             return found
         slots = [self._schedule.slots(record) for record in range(records)]
@@ -224,18 +205,17 @@ class SequentialEstimator:
         self, reference: Float32Array, response: Float32Array, range_v: tuple[float, float], first: int
     ) -> Estimate:
         levels = measure_levels(reference, response, range_v)
-        repeats = self._cutter.cut(reference, first)
-        x = repeats.spectra
-        y = self._cutter.spectra(response, repeats.starts)
+        starts, offset, ratio, slip_db = self._cutter.cut(reference, first)
+        x, y = self._cutter.spectra(reference, starts), self._cutter.spectra(response, starts)
         reference_power = energy(x).sum(axis=1)
         transfer = (x.conj() * y).sum(axis=1) / np.maximum(reference_power, np.float32(FLOOR))
-        found = self._fit.solve(transfer * self._in_time, repeats.ratio - 1)
+        found = self._fit.solve(transfer * self._in_time, ratio - 1)
         here = self._in_band
         answered = energy(y[..., here]).sum(axis=(1, 2), dtype=np.float64)
         # What one relation to the reference leaves of each sweep.
         differing = y - transfer[:, None] * x
         coherence = np.full(answered.shape, np.nan, np.float32)
-        if self.excitation.averages > 1:
+        if self.excitation.averages > 1 and self._comparable:
             apart = energy(differing[..., here]).sum(axis=(1, 2), dtype=np.float64)
             coherence = (1 - (apart + FLOOR) / (answered + FLOOR)).astype(np.float32)
         whole = energy(transfer[:, here] * self._weight).sum(axis=1, dtype=np.float64)
@@ -243,21 +223,19 @@ class SequentialEstimator:
         variance = left / max(self._share * (self._fit.elements - self._fit.rank), 1.0)
         noise = variance * self._share * self._fit.elements
         gain = reference_power.sum(axis=1, dtype=np.float64) / self._cutter.power.sum()
-        residual_db = decibel(left, whole)
-        noise_v = np.sqrt(variance * gain * self._cutter.median_power)
         missed = found.missed * self._in_time.conj()
-        defects = self._defects.find(Residuals(response, levels, answered, x, differing, missed))
-        defects["slip_db"] = repeats.residual_db
+        defects = self._defects.find(response, levels, answered, x, differing, missed)
+        defects["slip_db"] = slip_db
         return Estimate(
             green=found.green * np.float32(self._scale),
             snr_db=decibel(np.maximum(whole - noise, 0), noise),
-            residual_db=residual_db,
+            residual_db=decibel(left, whole),
             coherence=coherence,
             peak_v=levels.response_v,
-            noise_v=noise_v.astype(np.float32),
+            noise_v=np.sqrt(variance * gain * self._cutter.median_power).astype(np.float32),
             clip_count=levels.clip_count,
-            offset_samples=repeats.offset_samples,
-            clock_ratio=repeats.ratio,
+            offset_samples=offset,
+            clock_ratio=ratio,
             defects=defects,
             reference_db=decibel(gain, self._reference_power),
         )

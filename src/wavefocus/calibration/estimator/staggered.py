@@ -10,7 +10,13 @@ from wavefocus.calibration.estimator.causal_fit import RIDGE
 from wavefocus.calibration.estimator.defect_finder import energy, find_moment, find_tone, measure_levels, not_looked_at
 from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
 from wavefocus.calibration.estimator.multichannel_fir_fit import JointFit
-from wavefocus.calibration.known_signal import KnownSignalClock, KnownSignalFit, filled_bins, require_found
+from wavefocus.calibration.known_signal import (
+    REFERENCE_LIMIT,
+    KnownSignalClock,
+    KnownSignalFit,
+    filled_bins,
+    missing_reference,
+)
 from wavefocus.calibration.numerics import periodic_signal
 from wavefocus.calibration.resampling import Decimated, decimate
 from wavefocus.storage.errors import InputError
@@ -194,30 +200,35 @@ class StaggeredEstimator:
         require_coverage(samples, self._period, self._highest, name)
         decimated = decimate(channels, self._highest)
         clock = self._clock.fit(decimated)
-        require_found(clock.explained, clock.ratio, channels[0], self._base_v, f"the reference of {name}", MAX_PPM)
+        words = ""
+        if not clock.explained > 1 - REFERENCE_LIMIT:
+            words = f"explained {100 * clock.explained:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
+        elif abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
+            words = f"clock skew {1e6 * (clock.ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
+        if words:
+            raise missing_reference(channels[0], self._base_v, f"the reference of {name}", words, MAX_PPM)
         turn = 2 * np.pi / (self._period * clock.ratio)
         reference, answered = period_spectrum(decimated.spectrum(turn, 0, self._bins.stop), turn, samples)
         base = self._cleaned(reference[self._bins], clock)
         transfer = answered[self._bins] * base.conj() / np.maximum(np.square(np.abs(base)), FLOOR)
         data = (fit.weight * self._in_time * transfer).astype(np.complex64)
-        solution = fit.solve(data)
-
+        green, explained, left = fit.solve(data)
         periods = samples / (self._period * clock.ratio)
         here = self._in_band
-        whole, unexplained = (float(np.vdot(values[here], values[here]).real) for values in (data, solution.left))
+        whole, unexplained = (float(np.vdot(values[here], values[here]).real) for values in (data, left))
         variance = unexplained / (self._share * fit.left_share * fit.elements)
         level = float(np.square(np.abs(base) * self._period / 2).sum() / self._nominal_power.sum())
-        defects = not_looked_at(solution.energy.size)
+        defects = not_looked_at(len(green))
         defects["slip_db"] = decibel(max(1 - clock.explained, 0.0), 1.0)
-        turned = solution.left * np.exp(1j * np.angle(base))
+        turned = left * np.exp(1j * np.angle(base))
         # The fit hides its share of what is there.
         visible_db = decibel(unexplained / fit.left_share, whole)
         for name, is_there, where in self._concentrated(turned):
             defects[f"{name}_db"] = visible_db if is_there else -np.inf
             defects["burst_s" if name == "burst" else "line_hz"] = where
         return Estimate.of_slots(
-            solution.green * scale[:, None],
-            decibel(solution.energy, variance * fit.elements),
+            green * scale[:, None],
+            decibel(explained, variance * fit.elements),
             defects=defects,
             residual_db=float(decibel(unexplained, whole)),
             coherence=self._coherence(decimated, answered, turn, periods),

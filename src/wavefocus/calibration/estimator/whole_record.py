@@ -1,7 +1,6 @@
 """Green's functions from whole records of any excitation: hammer hits, noise, sweeps of any law, once or repeated."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
@@ -70,15 +69,15 @@ class WholeRecordEstimator:
             [self._played(row, ratio) for row, (ratio, _) in zip(channel, clocks, strict=True)]
             for channel in (reference_v, response_v)
         )
-        solution = _Fit(references, responses, self._records, group[0]).solve()
+        green, shares, whole, left, noise, noise_v = _Fit(references, responses, self._records, group[0]).solve()
         channels = self._records.channels
         return Estimate.of_slots(
-            (solution.green * (channels.reference_gain * channels.response_per_volt)).astype(np.float32),
-            decibel(np.maximum(solution.whole - solution.noise, 0) * solution.shares, solution.noise),
-            residual_db=float(decibel(solution.left, solution.whole)),
+            (green * (channels.reference_gain * channels.response_per_volt)).astype(np.float32),
+            decibel(np.maximum(whole - noise, 0) * shares, noise),
+            residual_db=float(decibel(left, whole)),
             coherence=np.nan,
             peak_v=float(levels.response_v.max()),
-            noise_v=solution.noise_v,
+            noise_v=noise_v,
             clip_count=int(levels.clip_count.sum()),
             offset_samples=clocks[0][1],
             clock_ratio=clocks[0][0],
@@ -91,18 +90,6 @@ class WholeRecordEstimator:
         if ratio != 1:
             channel = resampled(channel[None], 0.0, ratio, int(channel.size / ratio))[0]
         return np.asarray(channel - channel.mean())
-
-
-@dataclass(frozen=True, slots=True)
-class _Solution:
-    """FIRs (slots, taps), energies in band: of the responses, of what is left of them, and of the noise in it."""
-
-    green: Float64Array
-    shares: Float64Array
-    whole: float
-    left: float
-    noise: float
-    noise_v: float
 
 
 class _Fit:
@@ -137,15 +124,18 @@ class _Fit:
         penalty = scipy.fft.irfft(self._outside, self._ring)[:taps]
         self._kernel = kernel + penalty
 
-    def solve(self) -> _Solution:
-        """The FIRs; what was already running when the records start is left out if there is such."""
+    def solve(self) -> tuple[Float64Array, Float64Array, float, float, float, float]:
+        """The FIRs (slots, taps); what was already running when the records start is left out if there is such.
+
+        Also each one's share of the energy, and energies in band: of the responses, of what is left of them, and of the
+        noise in it; the rms of white noise in volts.
+        """
         first = 0
         green, left = self._solved(first)
         if self._may_run():
-            early = sum(self._energy(residual[: self._lead]) for residual in left) / (self._lead * len(left))
-            later = sum(self._energy(residual[self._lead :]) for residual in left) / sum(
-                residual.size - self._lead for residual in left
-            )
+            lead, rest = self._lead, sum(residual.size - self._lead for residual in left)
+            early = sum(self._energy(residual[:lead]) for residual in left) / (lead * len(left))
+            later = sum(self._energy(residual[lead:]) for residual in left) / rest
             if early > RUNNING * later:
                 first = self._lead
                 green, left = self._solved(first)
@@ -155,20 +145,16 @@ class _Fit:
         noise = unexplained * rows / self._free(first)
         each = np.array([np.square(row).sum() for row in green * self._gain[:, None]]) + FLOOR
         noise_v = np.sqrt(unexplained / self._free(first))
-        return _Solution(green, each / each.sum(), whole, unexplained, noise, float(noise_v))
+        return green, each / each.sum(), whole, unexplained, noise, float(noise_v)
 
     def _may_run(self) -> bool:
         """Whether the references go on after their first samples, and are long enough to leave those out."""
-        rest = sum(samples - self._lead for samples in self._samples)
-        if min(self._samples) <= 2 * self._lead or rest <= MIN_SHARE * self._taps * len(self._gain):
+        lead, rest = self._lead, sum(samples - self._lead for samples in self._samples)
+        if min(self._samples) <= 2 * lead or rest <= MIN_SHARE * self._taps * len(self._gain):
             return False
-        begin = sum(float(np.square(reference[: self._lead]).sum()) for reference in self._references) / self._lead
-        later = (
-            sum(float(np.square(reference[self._lead :]).sum()) for reference in self._references)
-            * len(self._samples)
-            / rest
-        )
-        return begin < LOUDER * later
+        begin = sum(float(np.square(reference[:lead]).sum()) for reference in self._references) / lead
+        later = sum(float(np.square(reference[lead:]).sum()) for reference in self._references) / rest
+        return begin < LOUDER * later * len(self._samples)
 
     def _free(self, first: int) -> float:
         """Directions in band that the taps leave free."""

@@ -32,7 +32,7 @@ _NAMES = "xyz"
 
 
 @dataclass(frozen=True, slots=True)
-class Projection:
+class _Projection:
     """How places in space become places on the surface.
 
     axes, float64 (2, 3): Unit vectors of the bank's x and y in the file's coordinates.
@@ -61,7 +61,7 @@ class Projection:
         return np.asarray(~(height > max(NEAR * extent, self.off_plane_m, 1e-9)))
 
 
-def choose_projection(places_m: Float64Array, columns: str) -> Projection:
+def _choose_projection(places_m: Float64Array, columns: str) -> _Projection:
     """Choose the surface that positions lie on.
 
     places_m, float64 (P, 3): Places in metres.
@@ -83,7 +83,7 @@ def choose_projection(places_m: Float64Array, columns: str) -> Projection:
         third = 3 - first - second
         axes = np.eye(3)[[first, second]]
         off = float(spread[third]) / 2
-        return Projection(axes, f"columns {columns} of the places, as asked", off, off <= FLAT * extent)
+        return _Projection(axes, f"columns {columns} of the places, as asked", off, off <= FLAT * extent)
     for third in (2, 0, 1):  # the plane x, y where it will do
         if spread[third] <= 1e-9:
             kept = [index for index in range(3) if index != third]
@@ -91,7 +91,7 @@ def choose_projection(places_m: Float64Array, columns: str) -> Projection:
             words = (
                 f"{_NAMES[kept[0]]} and {_NAMES[kept[1]]} of the places; {_NAMES[third]} is {value:.6g} mm throughout"
             )
-            return Projection(np.eye(3)[kept], words, 0.0, True)
+            return _Projection(np.eye(3)[kept], words, 0.0, True)
     normal = np.linalg.svd(places_m - places_m.mean(axis=0), full_matrices=True)[2][2]
     off = float(np.abs((places_m - places_m.mean(axis=0)) @ normal).max())
     if off > FLAT * extent:
@@ -108,7 +108,7 @@ def choose_projection(places_m: Float64Array, columns: str) -> Projection:
         f"the plane that fits best, up to {off * 1e3:.3g} mm from the positions; its normal is"
         f" ({normal[0]:.3f}, {normal[1]:.3f}, {normal[2]:.3f})"
     )
-    return Projection(axes, words, off, True)
+    return _Projection(axes, words, off, True)
 
 
 OnProgress = Callable[[int, int], None]
@@ -161,7 +161,7 @@ def import_bank(
     with opened(source, kind, options) as found, one_blas_thread():
         measured = _swapped(found, source) if options.swap_roles else found
         try:
-            projection = choose_projection(measured.position_m, options.columns)
+            projection = _choose_projection(measured.position_m, options.columns)
         except InputError as error:
             raise InputError(f"{source}: {error}") from None
         conversion = Conversion(measured, options, source)
@@ -281,7 +281,7 @@ def _facts(
     kind: str,
     measured: Measured,
     conversion: Conversion,
-    projection: Projection,
+    projection: _Projection,
     rows: int,
     options: ImportOptions,
     senseless: list[int],
@@ -321,23 +321,16 @@ def _facts(
             " the surface only, so theirs are left out"
         )
         left_out.append(f"places of {len(far)} actuators, which lie off the surface of the positions")
-    unsuited = {}
-    if not projection.is_flat:
-        unsuited = dict.fromkeys(("kernel", "bilinear"), NOT_A_SURFACE)
-    elif not conversion.is_motion:
-        unsuited = {"kernel": NOT_A_PLATE}
+    unsuited = {} if conversion.is_motion else {"kernel": NOT_A_PLATE}
     caution = ""
     if not projection.is_flat:
+        unsuited = dict.fromkeys(("kernel", "bilinear"), NOT_A_SURFACE)
         caution = (
             f"{NOT_A_SURFACE}: snapping to a position may miss it by up to {projection.off_plane_m * 2e3:.3g} mm across"
         )
-    paragraph = f"Imported from {source.resolve().name} ({kind}). Read: {'; '.join(read)}."
-    if assumed:
-        paragraph += f" Assumed: {'; '.join(assumed)}."
-    if left_out:
-        paragraph += f" Left out: {'; '.join(left_out)}."
-    if warnings:
-        paragraph += f" Warnings: {'; '.join(warnings)}."
+    parts = {"Read": read, "Assumed": assumed, "Left out": left_out, "Warnings": warnings}
+    paragraph = f"Imported from {source.resolve().name} ({kind})."
+    paragraph += "".join(f" {title}: {'; '.join(said)}." for title, said in parts.items() if said)
     if unsuited:
         paragraph += f" Interpolation {', '.join(unsuited)} is refused: {next(iter(unsuited.values()))}."
     return {

@@ -25,7 +25,7 @@ _MIRRORED = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrequencyAxis:
+class _FrequencyAxis:
     """Where the values of a frequency response lie.
 
     step_hz: Distance of two frequencies.
@@ -47,7 +47,7 @@ class FrequencyAxis:
         return found if self.mirror is None else (found + np.conj(values[..., self.mirror])) / 2
 
 
-def frequency_axis(frequency_hz: Float64Array, sample: ComplexArray) -> FrequencyAxis:
+def frequency_axis(frequency_hz: Float64Array, sample: ComplexArray) -> _FrequencyAxis:
     """Understand an axis: from 0 or above, with negative frequencies before or after, or to the sample rate.
 
     frequency_hz, float64 (frequencies,): In Hz.
@@ -78,26 +78,25 @@ def frequency_axis(frequency_hz: Float64Array, sample: ComplexArray) -> Frequenc
         )
     number = bins.astype(np.int64)
     if number[0] < 0:
-        at = dict(zip(number.tolist(), order.tolist(), strict=True))
         kept = number[number >= 0]
         if len(kept) < 2:
             raise InputError("the frequency axis has hardly any frequencies of 0 Hz or above; those are needed")
         last = int(kept[-1])
         if number[0] not in (-last, -last - 1) or kept[0] != 0:
-            return FrequencyAxis(step_hz, order[number >= 0], kept, None, None)
+            return _FrequencyAxis(step_hz, order[number >= 0], kept, None, None)
         if number[0] == -last - 1:  # half the rate stands only at its negative place
             kept = np.append(kept, last + 1)
         at = dict(zip(number.tolist(), order.tolist(), strict=True))
         take = np.array([at.get(step, at[-step]) for step in kept.tolist()], np.int64)
-        return FrequencyAxis(step_hz, take, kept, np.array([at[-step] for step in kept.tolist()], np.int64), count)
+        return _FrequencyAxis(step_hz, take, kept, np.array([at[-step] for step in kept.tolist()], np.int64), count)
     half = sample[..., 1 : (count + 1) // 2]
     upper = np.conj(sample[..., : count // 2 : -1])[..., : half.shape[-1]]
     largest = float(np.abs(sample).max(initial=0.0))
     if number[0] == 0 and count > 4 and largest > 0 and np.abs(half - upper).max() <= _MIRRORED * largest:
         kept = np.arange(count // 2 + 1, dtype=np.int64)
         mirror = (-kept) % count
-        return FrequencyAxis(step_hz, order[kept], kept, order[mirror], count)
-    return FrequencyAxis(step_hz, order, number, None, None)
+        return _FrequencyAxis(step_hz, order[kept], kept, order[mirror], count)
+    return _FrequencyAxis(step_hz, order, number, None, None)
 
 
 @dataclass(frozen=True, slots=True)
