@@ -40,7 +40,7 @@ def pytest_addoption(parser):
     )
 
 
-def failed_for_skipping(report: pytest.TestReport | pytest.CollectReport) -> None:
+def failed_for_skipping(report):
     """Turn the report of a skip into that of a failure: a missing component must not pass for a test run."""
     reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
     report.outcome = "failed"

@@ -1,15 +1,12 @@
 """Files of a small campaign, written and changed."""
 
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
@@ -64,7 +61,7 @@ device = "no such interface"
 """
 
 
-def setup_of(rig: VirtualRig, **changes: object) -> Setup:
+def setup_of(rig, **changes):
     """A virtual rig wired as it is, with a mirror a metre above the plate."""
     settings = rig.settings
     setup = Setup(
@@ -74,13 +71,13 @@ def setup_of(rig: VirtualRig, **changes: object) -> Setup:
     return replace(setup, **changes)
 
 
-def write_positions(folder: Path, positions_mm: Iterable[Sequence[float]]) -> None:
+def write_positions(folder, positions_mm):
     """Write the position list of a run into its folder."""
     lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in positions_mm)
     (folder / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
 
 
-def change_text(file: Path, old: str, new: str) -> None:
+def change_text(file, old, new):
     """Replace a text in a file, which has to hold it."""
     text = file.read_text(encoding="utf-8")
     assert old in text
@@ -88,16 +85,8 @@ def change_text(file: Path, old: str, new: str) -> None:
 
 
 def write_bank(
-    path: Path,
-    green: np.ndarray,
-    position_mm: np.ndarray | None = None,
-    *,
-    rows: Sequence[int] | None = None,
-    actuator_mm: np.ndarray | None = None,
-    rate_hz: float = 10_000.0,
-    band_hz: tuple[float, float] = (20.0, 500.0),
-    check_rows: tuple[int, ...] = (),
-) -> Path:
+    path, green, position_mm=None, *, rows=None, actuator_mm=None, rate_hz=10000.0, band_hz=(20.0, 500.0), check_rows=()
+):
     """Measure rows (positions, actuators, taps) into a new bank: all of them, or those at some positions alone."""
     positions, actuators, taps = green.shape
     if position_mm is None:
@@ -115,7 +104,7 @@ def write_bank(
     return path
 
 
-def with_check_rows(bank: Path, out: Path, *rows: int) -> Path:
+def with_check_rows(bank, out, *rows):
     """Write the same bank with rows that lie off the grid and only judge what is between it."""
     with open_bank(bank) as view:
         header = BankHeader(
@@ -130,7 +119,7 @@ def with_check_rows(bank: Path, out: Path, *rows: int) -> Path:
     return out
 
 
-def write_foreign(path: Path, gain: object = 1.0) -> Path:
+def write_foreign(path, gain=1.0):
     """A bank of another program, no more in it than there must be: 5 x 3 positions, three actuators, 60 taps, 2 kHz."""
     x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
     green = np.random.default_rng(4).standard_normal((15, 3, 60)) * np.exp(-np.arange(60) / 15)
@@ -140,10 +129,10 @@ def write_foreign(path: Path, gain: object = 1.0) -> Path:
     return path
 
 
-def put(name: str, value: object) -> Callable[[h5py.File], None]:
+def put(name, value):
     """A change of a file: another dataset or link under a name."""
 
-    def change(file: h5py.File) -> None:
+    def change(file):
         if name in file:
             del file[name]
         file[name] = value
@@ -151,19 +140,19 @@ def put(name: str, value: object) -> Callable[[h5py.File], None]:
     return change
 
 
-def attribute(name: str, value: object, of: str = "/") -> Callable[[h5py.File], None]:
+def attribute(name, value, of="/"):
     """A change of a file: another value of an attribute."""
 
-    def change(file: h5py.File) -> None:
+    def change(file):
         file[of].attrs[name] = value
 
     return change
 
 
-def without(name: str) -> Callable[[h5py.File], None]:
+def without(name):
     """A change of a file: an attribute or dataset less."""
 
-    def change(file: h5py.File) -> None:
+    def change(file):
         if name in file.attrs:
             del file.attrs[name]
         else:

@@ -3,19 +3,17 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from wavefocus.config.messages import Message
 from wavefocus.config.messages.trials import Answer, GoOn, TrialsState
 from wavefocus.trials.analysis.results import psychometric_of
 from wavefocus.trials.analysis.statistics import table_of
-from wavefocus.trials.answers import AnswersFile, Row
-from wavefocus.trials.design import Stimulus, TrialsDesign, load_trials
+from wavefocus.trials.answers import AnswersFile
+from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import Experiment, share_right
 from wavefocus.trials.presentation import Onset
 from wavefocus.trials.session import TrialsSession
@@ -72,7 +70,7 @@ class Observer:
     guess: float = 0.5
     lapse: float = 0.02
 
-    def share(self, stimulus: Stimulus) -> float:
+    def share(self, stimulus):
         """Share of right answers; without a stimulus the share 1 - guess of answers that none was felt."""
         level = getattr(stimulus, self.factor)
         if not level:
@@ -83,12 +81,12 @@ class Observer:
 class SimulatedParticipant:
     """A participant who feels nothing but answers: presenter, orders and receiver of events of a `TrialsSession`."""
 
-    def __init__(self, design: TrialsDesign, observer: Observer, rng: np.random.Generator) -> None:
+    def __init__(self, design, observer, rng):
         self._design, self._observer, self._rng = design, observer, rng
         self._stimulus = ""
         self._waiting = ""
 
-    def answer(self, name: str) -> str:
+    def answer(self, name):
         """Answer to a stimulus; a wrong one is any of the others, all alike."""
         stimulus = self._design.stimuli[name]
         answers = self._design.config.trials.answers
@@ -97,25 +95,25 @@ class SimulatedParticipant:
             return right
         return str(self._rng.choice([answer for answer in answers if answer != right]))
 
-    def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
+    def present(self, stimulus, trial, note):
         self._stimulus = stimulus
         return Onset(time.monotonic() - REACTION_S, 0.0, 0.0, 1)
 
-    def mute(self) -> None:
+    def mute(self):
         pass
 
-    def receive(self, event: Message) -> None:
+    def receive(self, event):
         """Take an event of the session."""
         if isinstance(event, TrialsState):
             self._waiting = event.waiting
 
-    def next(self, timeout_s: float | None) -> Message | None:
+    def next(self, timeout_s):
         if timeout_s is not None:
             raise TimeoutError
         return Answer(self.answer(self._stimulus)) if self._waiting == "answer" else GoOn()
 
 
-def simulate(design: TrialsDesign, participant: str, observer: Observer, folder: Path, seed: int) -> tuple[Row, ...]:
+def simulate(design, participant, observer, folder, seed):
     """Run the session of a simulated participant without instruments.
 
     folder: Of the answers file.
@@ -137,7 +135,7 @@ class Coverage(NamedTuple):
     slope_ratio: float
 
 
-def designs(folder: Path) -> dict[str, TrialsDesign]:
+def designs(folder):
     """The three designs, read from trials files in a folder."""
     constant = [round(float(one), 6) for one in np.geomspace(0.1, 1.0, 8)]
     ladder = [round(float(one), 6) for one in np.geomspace(10**-1.5, 1.0, 16)]
@@ -154,7 +152,7 @@ def designs(folder: Path) -> dict[str, TrialsDesign]:
     return found
 
 
-def coverage(design: TrialsDesign, people: int, lapse: float, folder: Path) -> Coverage:
+def coverage(design, people, lapse, folder):
     """Run people through a design and the analysis."""
     held, ratios = [], []
     for person in range(people):

@@ -3,10 +3,9 @@
 import gc
 import threading
 import time
-from collections.abc import Iterator
 
 
-def threads_end() -> Iterator[None]:
+def threads_end():
     """For a fixture: fails where a thread that began meanwhile does not end."""
     before = set(threading.enumerate())
     yield

@@ -4,7 +4,6 @@ The virtual rig, the production drivers on emulated wires, and with ``--hardware
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -17,12 +16,10 @@ from tests.wire.daq_bench import Tone
 from tests.wire.emulated import free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL
 from tests.wire.serial_bench import wire as serial_wire
-from wavefocus.acquisition.setup import Openers
 from wavefocus.commands.emulate import wiring_of
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_rig import EmulatedRig
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
@@ -40,26 +37,26 @@ PERIOD_FRAMES = 4096
 class OpenedWhenUsed:
     """The instruments of a rig, each opened when a test first names it: a mirror's test needs no audio server."""
 
-    def __init__(self, openers: Openers) -> None:
+    def __init__(self, openers):
         self._openers = openers
 
     @property
-    def clock(self) -> Clock:
+    def clock(self):
         return self._openers.clock
 
     @cached_property
-    def mirror(self) -> Mirror:
+    def mirror(self):
         return self._openers.mirror()
 
     @cached_property
-    def recorder(self) -> Recorder:
+    def recorder(self):
         return self._openers.recorder()
 
     @cached_property
-    def player(self) -> Player:
+    def player(self):
         return self._openers.player()
 
-    def rest(self) -> None:
+    def rest(self):
         """Leave nothing under way for the next test, and open anew what this one has closed."""
         for role, stop in (("player", "mute"), ("recorder", "abort"), ("mirror", "park")):
             if role in self.__dict__:
@@ -69,7 +66,7 @@ class OpenedWhenUsed:
                 except InstrumentError:
                     del self.__dict__[role]
 
-    def close(self) -> None:
+    def close(self):
         for role in ("player", "recorder", "mirror"):
             if role in self.__dict__:
                 getattr(self, role).close()
@@ -91,7 +88,7 @@ class Bench:
     latency_s: float
     """Longest time from asking for a sound to its first sample, or from muting to silence."""
 
-    def undisturbed(self, take: Callable[[], Taken]) -> Taken:
+    def undisturbed(self, take):
         """Do something again, as an attempt is taken again, until no passing fault of a busy machine disturbs it."""
         for _ in range(20):
             try:
@@ -102,7 +99,7 @@ class Bench:
         return take()
 
 
-def bench_of(rig: RigConfig, latency_s: float) -> Bench:
+def bench_of(rig, latency_s):
     limit_mrad = rig.mirror.limit_mrad
     return Bench(
         instruments=OpenedWhenUsed(openers_of(rig)),
@@ -130,7 +127,7 @@ def emulated(tmp_path_factory):
     started: list[tuple[EmulatedRig, RigConfig]] = []
     with pytest.MonkeyPatch.context() as environment:
 
-        def start() -> RigConfig:
+        def start():
             if not started:
                 folder = tmp_path_factory.mktemp("wires")
                 rig_file = folder / "rig.toml"
@@ -152,7 +149,7 @@ def wire(emulated):
     """The bench on the emulated rig; to open an audio stream takes a second."""
     made: list[Bench] = []
 
-    def bench() -> Bench:
+    def bench():
         if not made:
             made.append(bench_of(emulated(), latency_s=0.5))
         return made[0]
@@ -167,7 +164,7 @@ def mirror_side(tmp_path):
     """A rig of which only the mirror is there, in the dialect that is asked for."""
     started: list[EmulatedSerial | NiServer] = []
 
-    def start(dialect: str) -> RigConfig:
+    def start(dialect):
         if dialect == "analog":
             server = NiServer(Tone(), "USB-6211")
             server.start()

@@ -57,7 +57,7 @@ def installed(tmp_path_factory):
     return target
 
 
-def python(*arguments: object, paths: tuple[Path, ...], cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+def python(*arguments, paths, cwd=ROOT):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
     command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False)

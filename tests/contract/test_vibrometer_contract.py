@@ -1,15 +1,13 @@
 """What every vibrometer's controller must do, through its driver."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
 from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import WallClock
-from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading
+from wavefocus.drivers.registry import VIBROMETERS
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.vibrometer import VIBROMETER_DRIVERS, Ofv3001Device, PolytecDevice, VibrometerDevice
@@ -32,25 +30,19 @@ def driver(request):
 
 
 @contextmanager
-def controller(device: VibrometerDevice, folder: Path, *faults: WireFault) -> Iterator[EmulatedSerial]:
+def controller(device, folder, *faults):
     with EmulatedSerial(device, wire(LOCAL, folder), WireFaultPlan("vibrometer", faults)) as emulated:
         yield emulated
 
 
-def read(
-    driver: str,
-    emulated: EmulatedSerial,
-    identity: str | None = None,
-    clock: Callable[[], WallClock] = ImpatientClock,
-    **keys: float,
-) -> VibrometerReading:
+def read(driver, emulated, identity=None, clock=ImpatientClock, **keys):
     opened = VIBROMETERS.all()[driver](**keys)  # type: ignore[call-arg]
     return opened.read(  # type: ignore[call-arg]
         emulated.address, identity=identity, answer_s=0.2, clock=clock()
     )
 
 
-def fault(kind: str, count: int = 1) -> WireFault:
+def fault(kind, count=1):
     return WireFault("vibrometer", kind, "range", at_call=1, count=count)
 
 

@@ -26,7 +26,7 @@ from PyQt5.QtWidgets import (
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
-from tests.system.test_startup import loaded_by
+from tests.system.test_options import loaded_by
 from wavefocus.gui.files import Settings
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, Theme, palette_of

@@ -2,9 +2,6 @@
 
 import io
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import h5py
 
@@ -14,44 +11,44 @@ from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.storage.bank.writer import create_bank
 
 
-def wavefocus(*arguments: object) -> int:
+def wavefocus(*arguments):
     """Run a command in this process; its exit code."""
     return run([str(argument) for argument in arguments])
 
 
-def of_kind(events: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
+def of_kind(events, kind):
     """The events of a kind."""
     return [event for event in events if event["event"] == kind]
 
 
-def events_of(text: str, kind: str = "") -> list[dict[str, Any]]:
+def events_of(text, kind=""):
     """The events among lines of JSON: all, or those of a kind."""
     return [event for event in map(json.loads, text.splitlines()) if kind in ("", event["event"])]
 
 
-def states_of(text: str) -> list[object]:
+def states_of(text):
     """The states that lines of JSON tell of, in order."""
     return [event["state"] for event in events_of(text, "state_changed")]
 
 
-def empty_bank(lab: Path, name: str) -> Path:
+def empty_bank(lab, name):
     """A bank of the lab's run as it is now; faults put into the run file later leave no trace in it."""
     create_bank(lab / name, blueprint_from_files(lab / "run.toml").bank_header())
     return lab / name
 
 
-def capture(lab: Path, bank: Path) -> int:
+def capture(lab, bank):
     """Capture into a bank in this process, its events on standard output; the exit code."""
     return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
 
 
-def held(bank: Path, name: str = "status") -> list[int]:
+def held(bank, name="status"):
     """What a bank holds of its positions."""
     with h5py.File(bank, "r") as file:
         return list(file[name][...].tolist())
 
 
-def capture_process(lab: Path, bank: Path) -> Lines:
+def capture_process(lab, bank):
     """A capture in a process of its own."""
     return Lines("capture", lab / "run.toml", "--bank", bank, "--json")
 
@@ -59,11 +56,11 @@ def capture_process(lab: Path, bank: Path) -> Lines:
 class Listener(io.TextIOBase):
     """Standard output that does something, once each, while the words that it waits for are being told."""
 
-    def __init__(self, *acts: tuple[str, Callable[[], object]]) -> None:
+    def __init__(self, *acts):
         self._acts = list(acts)
         self.told = ""
 
-    def write(self, text: str) -> int:
+    def write(self, text):
         self.told += text
         if self._acts and self._acts[0][0] in text:
             self._acts.pop(0)[1]()

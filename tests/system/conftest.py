@@ -1,7 +1,6 @@
 """Small campaigns on the virtual rig, quick enough for a test, through the same commands as large ones."""
 
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -24,7 +23,7 @@ limit_v = 1.0
 """
 
 
-def write_lab(folder: Path) -> Path:
+def write_lab(folder):
     """Write the files of a small campaign into a folder."""
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     (folder / "run.toml").write_text(RUN, encoding="utf-8")
@@ -55,7 +54,7 @@ def bank(lab, measured):
     return lab / measured.name
 
 
-def with_faults(lab: Path, *faults: str) -> None:
+def with_faults(lab, *faults):
     """Let the virtual rig of a lab show faults, each an inline TOML table."""
     run = (lab / "run.toml").read_text(encoding="utf-8")
     plan = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in faults)

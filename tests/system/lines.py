@@ -5,8 +5,6 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
-from types import TracebackType
 from typing import Any
 
 # What a busy machine may take; nothing is judged by it.
@@ -16,7 +14,7 @@ SOON_S = 60.0
 class Lines:
     """A running command; a block's end waits for its own."""
 
-    def __init__(self, *arguments: object, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(self, *arguments, environment=None):
         self.process = subprocess.Popen(
             [sys.executable, "-m", "wavefocus", *map(str, arguments)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
@@ -27,26 +25,26 @@ class Lines:
         for thread in self._threads:
             thread.start()
 
-    def send(self, **line: object) -> None:
+    def send(self, **line):
         self.send_text(json.dumps(line))
 
-    def send_text(self, text: str) -> None:
+    def send_text(self, text):
         assert self.process.stdin is not None
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()
 
-    def told(self) -> dict[str, Any] | None:
+    def told(self):
         """The next line that it tells; None at its end."""
         return self._told.get(timeout=SOON_S)
 
-    def hear(self, *events: str) -> dict[str, Any]:
+    def hear(self, *events):
         """The next event of one of some kinds; those before it are passed over."""
         while (told := self.told()) is not None:
             if told["event"] in events:
                 return told
         raise AssertionError(f"it ended without {' or '.join(events)}: {self.said}")
 
-    def next_of(self, event: str) -> dict[str, Any] | None:
+    def next_of(self, event):
         """The next event of a kind that was told already, None where there is none; those before it are passed over."""
         while not self._told.empty():
             told = self._told.get()
@@ -57,18 +55,18 @@ class Lines:
                 return told
         return None
 
-    def rest(self) -> list[dict[str, Any]]:
+    def rest(self):
         """All that it tells until its end."""
         told = []
         while (one := self.told()) is not None:
             told.append(one)
         return told
 
-    def close_input(self) -> None:
+    def close_input(self):
         assert self.process.stdin is not None
         self.process.stdin.close()
 
-    def end(self) -> int:
+    def end(self):
         """Its exit code."""
         code = self.process.wait(timeout=SOON_S)
         for thread in self._threads:
@@ -76,12 +74,10 @@ class Lines:
         assert not any("Traceback" in line for line in self.said), self.said
         return code
 
-    def __enter__(self) -> "Lines":
+    def __enter__(self):
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, failure: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind, failure, trace):
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -91,13 +87,13 @@ class Lines:
             if stream is not None:
                 stream.close()
 
-    def _read(self) -> None:
+    def _read(self):
         assert self.process.stdout is not None
         for line in self.process.stdout:
             self._told.put(json.loads(line))
         self._told.put(None)
 
-    def _listen(self) -> None:
+    def _listen(self):
         assert self.process.stderr is not None
         for line in self.process.stderr:
             self.said.append(line.rstrip())

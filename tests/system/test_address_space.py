@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -21,7 +20,7 @@ resource.setrlimit(resource.RLIMIT_AS, ((1 << 40) - spare_address_space() + {spa
 """
 
 
-def _limited(code: str, spare: int, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def _limited(code, spare, *arguments, folder):
     return subprocess.run(
         [sys.executable, "-c", LIMITED.format(spare=spare) + code, *arguments],
         cwd=folder, capture_output=True, text=True, timeout=100, check=False,

@@ -8,7 +8,6 @@ import sys
 from contextlib import redirect_stderr, redirect_stdout
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ import pytest
 from wavefocus.__main__ import run
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import CalibrationRecord, load_calibration
-from wavefocus.configuration import load_rig
 from wavefocus.mocks.virtual.synthesis import output_errors
 from wavefocus.storage.bank.reading import open_bank
 
@@ -52,7 +50,7 @@ def rig(tmp_path):
     return tmp_path / "rig.toml"
 
 
-def calibrate(rig: Path, *options: object, lines: list[str] | None = None, code: int = 0) -> tuple[dict[str, Any], str]:
+def calibrate(rig, *options, lines=None, code=0):
     """Run the command with a person who types, and return its JSON and what the person was told."""
     out, told = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as person, redirect_stdout(out), redirect_stderr(told):
@@ -61,12 +59,12 @@ def calibrate(rig: Path, *options: object, lines: list[str] | None = None, code:
     return json.loads(out.getvalue()) if out.getvalue() else {}, told.getvalue()
 
 
-def typed_by(lines: list[str] | None) -> str:
+def typed_by(lines):
     """What a person types: these lines, or Enter as often as it takes."""
     return "\n" * 50 if lines is None else "".join(f"{line}\n" for line in lines)
 
 
-def marks_file(folder: Path, sigma_mm: float = 0.1) -> Path:
+def marks_file(folder, sigma_mm=0.1):
     """Marks, and the angles at which a person who errs a little found the beam on them."""
     rng = np.random.default_rng(0)
     lines = ["x_mm,y_mm,x_mrad,y_mrad"]
@@ -78,7 +76,7 @@ def marks_file(folder: Path, sigma_mm: float = 0.1) -> Path:
     return file
 
 
-def beam_error_mm(map_rows: object) -> float:
+def beam_error_mm(map_rows):
     """How far from where it should be the beam falls, rms over the surface."""
     x_mm, y_mm = np.meshgrid(np.linspace(-100, 100, 9), np.linspace(-50, 50, 5))
     found = MirrorMap(tuple(tuple(row) for row in map_rows))
@@ -86,11 +84,11 @@ def beam_error_mm(map_rows: object) -> float:
     return float(np.sqrt(np.mean((there[0] - x_mm) ** 2 + (there[1] - y_mm) ** 2)))
 
 
-def record_of(told: dict[str, Any]) -> CalibrationRecord:
+def record_of(told):
     return CalibrationRecord.model_validate(told["calibration"])
 
 
-def name_in(rig: Path, file: Path) -> None:
+def name_in(rig, file):
     rig.write_text(f'{RIG}\n[calibration]\nfile = "{file.name}"\n', encoding="utf-8")
 
 
@@ -142,16 +140,6 @@ def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig):
     )
 
 
-@pytest.mark.parametrize("moved", [0, 3])
-def test_given_enter_at_the_marks_then_no_map_is_taken_and_nothing_is_written(rig, moved):
-    lines = ["0 0", ""] + moved * ["0.5 -0.25", ""] + (6 - moved) * [""]
-    told, people = calibrate(rig, "--only", "mirror", lines=lines, code=1)
-    assert "mark 7 of 7 at (-100, 0) mm" in people
-    assert (told["file"], told["measured"], len(told["problems"])) == (None, [], 1)
-    assert f"It was moved at {moved} of 7;" in told["problems"][0]
-    assert list(rig.parent.iterdir()) == [rig]
-
-
 def test_given_four_marks_then_they_are_too_few_to_show_a_wrong_one(rig):
     file = marks_file(rig.parent)
     header, _, *rest = file.read_text(encoding="utf-8").splitlines()
@@ -197,30 +185,14 @@ def test_given_flaws_then_each_is_named_with_what_to_do(rig):
     assert [one.polarity for one in record.actuators.actuator] == [1, 1, 1, -1, 1, -1]
 
 
-def test_given_a_calibration_then_its_values_win_and_another_one_finds_nothing_more(rig):
-    told, _ = calibrate(rig, "--fiducials", marks_file(rig.parent))
-    name_in(rig, Path(str(told["file"])))
-    first = record_of(told)
-    assert first.mirror is not None
-    assert load_rig(rig).mirror.map == first.mirror.map
-    told, people = calibrate(rig, "--only", "outputs", "--out", rig.parent / "second.toml")
-    second = record_of(told)
-    assert (second.mirror, second.inputs, second.actuators) == (first.mirror, first.inputs, first.actuators)
-    assert first.outputs is not None
-    assert second.outputs is not None
-    for before, after in zip(first.outputs.channel, second.outputs.channel, strict=True):
-        assert after.full_scale_v == pytest.approx(before.full_scale_v, rel=1e-3)
-    assert 'file = "second.toml"' in people
-
-
 class SomebodyWhoTakesTheName(io.StringIO):
     """A person at the keyboard; meanwhile another program writes a file under the name that was asked for."""
 
-    def __init__(self, taken: Path) -> None:
+    def __init__(self, taken):
         super().__init__("\n\n")
         self.taken = taken
 
-    def readline(self, size: int | None = -1) -> str:
+    def readline(self, size=-1):
         self.taken.write_text("of somebody else", encoding="utf-8")
         return super().readline()
 
@@ -258,13 +230,6 @@ def test_given_a_person_who_leaves_half_way_then_what_was_measured_is_kept(rig):
     assert record.inputs is not None
     assert record.outputs is not None
     assert record.mirror is None
-
-
-def test_given_a_probe_too_loud_for_an_input_then_it_says_which_and_what_to_do(rig):
-    rig.write_text(f"{RIG}\n[recorder]\nresponse_range_v = 0.5\n", encoding="utf-8")
-    told, _ = calibrate(rig, "--only", "inputs", "--amplitude-v", "2", code=1)
-    assert "reaches the end of the response input's range of 0.5 V" in str(told["problems"])
-    assert told["file"] is None
 
 
 RUN = """

@@ -2,7 +2,6 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -35,7 +34,7 @@ def asked(rig):
         yield lines
 
 
-def meet(lines: Lines, ask: dict[str, Any], off_mm: float = 0.0) -> None:
+def meet(lines, ask, off_mm=0.0):
     """Bring the beam onto the mark that is asked for."""
     x_mrad, y_mrad = (float(angle) for angle in TRUE.angles_mrad(ask["place_mm"][0] + off_mm, ask["place_mm"][1]))
     lines.send(answer="by", x_mrad=x_mrad - ask["at_mrad"][0], y_mrad=y_mrad - ask["at_mrad"][1])

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -17,13 +16,13 @@ from tests.system.captures import capture_process, events_of, held, wavefocus
 from tests.system.conftest import with_faults, write_lab
 
 
-def _capture(lab: Path, name: str = "plate.h5") -> Path:
+def _capture(lab, name="plate.h5"):
     bank = lab / name
     assert wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
     return bank
 
 
-def _take_longer(lab: Path) -> None:
+def _take_longer(lab):
     """More sweeps a record, so that a signal still meets the campaign on a machine that is busy."""
     change_text(lab / "run.toml", "averages = 2", "averages = 12")
 

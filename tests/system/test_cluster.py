@@ -55,7 +55,7 @@ def lab(tmp_path):
     return tmp_path
 
 
-def wavefocus(*arguments: object) -> str:
+def wavefocus(*arguments):
     """Run a command in a process of its own to its good end; what it told people."""
     command = [sys.executable, "-W", "error", "-m", "wavefocus", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

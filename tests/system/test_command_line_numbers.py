@@ -1,7 +1,5 @@
 """Numbers on the command line that no computation can do with: one sentence and exit code 2, or a result."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.lab_files import write_foreign
@@ -43,7 +41,7 @@ def lab(tmp_path_factory):
     return folder
 
 
-def told(lab: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str]) -> int:
+def told(lab, capsys, monkeypatch, command):
     monkeypatch.chdir(lab)
     capsys.readouterr()
     code = run(command)

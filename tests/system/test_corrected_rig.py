@@ -25,7 +25,7 @@ device = "none"
 """
 
 
-def _printed(told: str) -> list[str]:
+def _printed(told):
     """The words of the command that the last line ends with, without the program's name."""
     words = shlex.split(told.splitlines()[-1].rpartition("go on with: ")[2])
     assert words[0] == "wavefocus"

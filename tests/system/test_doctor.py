@@ -1,8 +1,6 @@
 """The doctor through the real command: findings for people and programs, and exit codes."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,7 +14,7 @@ position_mm = [[110, 0], [0, 60], [-110, 10]]
 KEYS = {"rig", "name", "good", "counts", "findings", "versions"}
 
 
-def doctor(rig: Path, *options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any], str]:
+def doctor(rig, *options, capsys):
     capsys.readouterr()
     code = run(["doctor", str(rig), *options])
     told = capsys.readouterr()
@@ -25,7 +23,7 @@ def doctor(rig: Path, *options: str, capsys: pytest.CaptureFixture[str]) -> tupl
     return code, {}, told.out + told.err
 
 
-def written(folder: Path, text: str) -> Path:
+def written(folder, text):
     (folder / "rig.toml").write_text(text, encoding="utf-8")
     return folder / "rig.toml"
 

@@ -17,7 +17,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,7 +43,7 @@ class Step(NamedTuple):
     shown: tuple[str, ...] = ()
 
 
-def steps(page: Path) -> Iterator[Step]:
+def steps(page):
     """The steps of a page, in order."""
     note, numbered = "", 0
     for token in MarkdownIt("commonmark").parse(page.read_text(encoding="utf-8")):
@@ -66,7 +65,7 @@ def steps(page: Path) -> Iterator[Step]:
                     note = ""
 
 
-def block(language: str, content: str, note: str) -> Iterator[Step]:
+def block(language, content, note):
     """The steps of a fenced block."""
     if note.startswith("file: "):
         yield Step("file", content, note.removeprefix("file: "))
@@ -88,13 +87,13 @@ def block(language: str, content: str, note: str) -> Iterator[Step]:
         )
 
 
-def comment(text: str) -> str:
+def comment(text):
     """What a comment says; Markdown after it on the same line would not be shown."""
     said = re.fullmatch(r"<!-- (.*) -->", text.strip())
     return said[1] if said else ""
 
 
-def words_of(text: str) -> list[str]:
+def words_of(text):
     """The words of a command line without its comment."""
     return shlex.split(text, comments=True)
 
@@ -110,7 +109,7 @@ def test_every_command_of_a_page_is_one_of_the_program(page, capsys):
             assert fault_of(words[1:], whole=step.kind == "command") == ""
 
 
-def fault_of(words: list[str], *, whole: bool) -> str:
+def fault_of(words, *, whole):
     """What the program's own parser finds wrong; unless it is to be whole, prose may leave out what is needed."""
     try:
         parser().parse_args(words)
@@ -178,7 +177,7 @@ def small(tmp_path_factory):
     return folder
 
 
-def make_small(folder: Path) -> None:
+def make_small(folder):
     """Put a small plate and run in place of those of `wavefocus init`."""
     (folder / "rig.toml").write_text(RIG, "utf-8")
     (folder / "run.toml").write_text(RUN.replace("[capture]", "[capture]\nkeep_raw = true"), "utf-8")
@@ -215,7 +214,7 @@ def test_every_command_of_a_page_does_what_the_page_shows(page, small, tmp_path,
                 assert re.search(pattern, shape(printed)), f"{step.text} printed no such line: {line}\n{printed}"
 
 
-def carried_out(text: str) -> int:
+def carried_out(text):
     """The exit code of a command line, run in this process."""
     words = words_of(text)
     assert words[0] == "wavefocus", f"mark it with a comment, or write it otherwise: {text}"
@@ -225,7 +224,7 @@ def carried_out(text: str) -> int:
     return code
 
 
-def carry_out_in_shell(step: Step, folder: Path) -> None:
+def carry_out_in_shell(step, folder):
     """Carry out a block as the reader of this system does; that of the other system was parsed."""
     if (step.kind == "bat") != (os.name == "nt"):
         return
@@ -240,7 +239,7 @@ def carry_out_in_shell(step: Step, folder: Path) -> None:
         assert (folder / "".join(made)).exists(), done.stderr
 
 
-def interrupted(text: str) -> int:
+def interrupted(text):
     """The exit code of a capture that Ctrl-C ends after its first position."""
     words = words_of(text)
     events = Path(words[-1]).with_suffix(".events.jsonl")
@@ -251,6 +250,6 @@ def interrupted(text: str) -> int:
         return child.wait(60)
 
 
-def shape(text: str) -> str:
+def shape(text):
     """A text without its numbers and the width of its blanks."""
     return re.sub(r"[-+]?\d[\d.,:]*", "#", " ".join(text.split()))

@@ -1,6 +1,5 @@
 """Units of drives: taken from the unit of the Green's functions, kept by exports, and played only in volts."""
 
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -35,7 +34,7 @@ loopback_channel = 4
 """
 
 
-def foreign(path: Path, **attributes: str) -> Path:
+def foreign(path, **attributes):
     with h5py.File(path, "w") as file:
         file["green"], file["position_mm"] = GREEN, [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]]
         file.attrs.update(sample_rate_hz=2000.0, **attributes)

@@ -2,8 +2,6 @@
 
 import csv
 import json
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -38,12 +36,12 @@ def bank(tmp_path):
     return tmp_path / "foreign.h5"
 
 
-def green_of(bank: Path) -> np.ndarray:
+def green_of(bank):
     with h5py.File(bank, "r") as file:
         return np.asarray(file["green"])
 
 
-def export(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+def export(capsys, *arguments):
     assert run(["export", *map(str, arguments), "--json"]) == 0
     return dict(json.loads(capsys.readouterr().out))
 

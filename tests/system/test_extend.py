@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -22,7 +21,7 @@ from wavefocus.storage.bank.writer import BankWriter
 MORE = [[12.0, 0.0], *POSITIONS[:4], [12.0, 4.0]]
 
 
-def _scale_rows(bank: Path, rows: int, factor: float) -> None:
+def _scale_rows(bank, rows, factor):
     """The same bank as if the first rows had been measured with another gain."""
     with open_bank(bank) as view:
         plan = view.plan_sha256
@@ -31,7 +30,7 @@ def _scale_rows(bank: Path, rows: int, factor: float) -> None:
             writer.commit(row, writer.green(row) * np.float32(factor), writer.record(row))
 
 
-def _extend(lab: Path, *banks: Path, new: str = "new.h5", runs: bool = True) -> int:
+def _extend(lab, *banks, new="new.h5", runs=True):
     named = ["--run", str(lab / "run.toml")] if runs else []
     return run(["extend", *map(str, banks), *named, "--bank", str(lab / new), "--json"])
 

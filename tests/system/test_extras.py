@@ -23,7 +23,7 @@ sys.exit(run(sys.argv[2:]))
 """
 
 
-def without(packages: str, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+def without(packages, *words, cwd):
     return subprocess.run(
         [sys.executable, "-c", RUN, packages, *words], cwd=cwd, capture_output=True, text=True, check=False
     )

@@ -1,6 +1,5 @@
 """Packed, masked and unwritten values of netCDF files, as the netCDF library reads them itself."""
 
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -18,7 +17,7 @@ PLACES_MM = np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(POSIT
 VALUES = np.random.default_rng(5).integers(1, 1200, (POSITIONS, ACTUATORS, TAPS))
 
 
-def write(path: Path, kind: str, form: str, attributes: dict[str, Any], rows: Any = slice(None)) -> None:
+def write(path, kind, form, attributes, rows=slice(None)):
     """Write stored numbers with the netCDF library, whose own packing is off, in some rows only."""
     attributes = dict(attributes)
     with netCDF4.Dataset(path, "w", format=form) as file:
@@ -39,14 +38,14 @@ def write(path: Path, kind: str, form: str, attributes: dict[str, Any], rows: An
         file.setncatts({"sample_rate_hz": np.float32(1000.0), "response_unit": "m/s/V"})
 
 
-def imported(source: Path, tmp_path: Path) -> tuple[np.ndarray, np.ndarray]:
+def imported(source, tmp_path):
     """Values and status of the bank that an import makes."""
     with wf.import_bank(source, tmp_path / f"{source.stem}.h5", "netcdf") as bank:
         assert (bank.sample_rate_hz, bank.response_unit) == (1000.0, "m/s/V")
         return np.stack([bank.green(row) for row in range(bank.positions)]), bank.status
 
 
-def as_netcdf4_reads(source: Path) -> np.ma.MaskedArray:
+def as_netcdf4_reads(source):
     with netCDF4.Dataset(source) as file:
         return np.ma.masked_array(file["green"][:], dtype=np.float64)
 

@@ -10,7 +10,6 @@ from socket import AF_INET, SOCK_DGRAM, socket
 
 import pytest
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
-from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 
 from tests.lab_files import with_check_rows
@@ -22,11 +21,11 @@ from wavefocus.rendering.scene.trajectory import TrajectoryPath
 QUIET = {"amplitude": 1e-3}
 
 
-def live(lab: Path, *options: object) -> Lines:
+def live(lab, *options):
     return Lines("live", lab / "plate.h5", "--rig", lab / "rig.toml", "--json", "--ahead-ms", "200", *options)
 
 
-def move_until_heard(running: Lines, *names: str, x_mm: float = 4.0) -> dict:
+def move_until_heard(running, *names, x_mm=4.0):
     """Send positions until all sources sound."""
     for _ in range(600):
         for name in names:
@@ -83,7 +82,7 @@ def test_positions_on_standard_input_then_sources_sound_there_until_the_order_to
     assert recorded.regularisation.independent
 
 
-def message(address: str, *values: object) -> OscMessage:
+def message(address, *values):
     builder = OscMessageBuilder(address)
     for value in values:
         builder.add_arg(value)

@@ -22,19 +22,19 @@ COUNTS = {"not-measured": 0, "valid": 6, "poor": 0}
 class Office:
     """A web server that takes messages; `busy` lets it refuse them."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.taken: list[dict[str, str]] = []
         self.busy = False
         office = self
 
         class Handler(http.server.BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
+            def do_POST(self):
                 text = self.rfile.read(int(self.headers["Content-Length"]))
                 office.taken.append(json.loads(text))
                 self.send_response(503 if office.busy else 200)
                 self.end_headers()
 
-            def log_message(self, *_: object) -> None:
+            def log_message(self, *_):
                 pass
 
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
@@ -42,10 +42,10 @@ class Office:
         self.thread.start()
 
     @property
-    def url(self) -> str:
+    def url(self):
         return f"json://technician:{PASSWORD}@127.0.0.1:{self.server.server_port}/night"
 
-    def wait_for(self, count: int) -> list[dict[str, str]]:
+    def wait_for(self, count):
         latest_s = time.monotonic() + 10
         while len(self.taken) < count:
             assert time.monotonic() < latest_s, self.taken
@@ -62,11 +62,11 @@ def office():
     office.thread.join()
 
 
-def drift(verdict: str) -> Drift:
+def drift(verdict):
     return Drift(1.0, 0, -0.7, 0.1, 0.99, verdict, "run", "the level changed", ())
 
 
-def ended(state: State) -> SessionEnded:
+def ended(state):
     return SessionEnded(7200.0, state, 6, 6, COUNTS)
 
 

@@ -7,8 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -99,7 +97,7 @@ def test_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried
     assert operated.end() == 0
 
 
-def _piped(rig: Path, text: bytes) -> tuple[list[dict[str, Any]], subprocess.CompletedProcess[bytes]]:
+def _piped(rig, text):
     """Answers to orders that are all in the pipe before anything is read, and how the command ended."""
     command = [sys.executable, "-m", "wavefocus", "operate", str(rig)]
     done = subprocess.run(command, input=text, capture_output=True, timeout=60, check=False)

@@ -3,12 +3,10 @@
 import contextlib
 import json
 import os
-import re
 import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import h5py
@@ -18,7 +16,7 @@ import pytest
 from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.output_files import replacement, require_outputs, staged_folder, write_whole
+from wavefocus.storage.output_files import replacement
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, devices and limits of POSIX")
 
@@ -50,7 +48,7 @@ def lab(made, tmp_path, monkeypatch):
     return Path(shutil.copytree(made, tmp_path, dirs_exist_ok=True))
 
 
-def make() -> None:
+def make():
     import soundfile
 
     random = np.random.default_rng(4)
@@ -223,7 +221,7 @@ for name, arguments in json.loads(sys.argv[1]).items():
 """
 
 
-def in_forks(script: str, names: Sequence[str], *options: str) -> None:
+def in_forks(script, names, *options):
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COV")}
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     commands = json.dumps({name: COMMANDS[name] for name in names})
@@ -255,8 +253,8 @@ def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(tmp_pa
     """The disk is asked by ``fsync`` of the folder, before and after the name is given."""
     real, calls = os.fsync, 0
 
-    def fails_at(number: int) -> Callable[[int], None]:
-        def fsync(fd: int) -> None:
+    def fails_at(number):
+        def fsync(fd):
             nonlocal calls
             calls += 1
             if calls == number:
@@ -265,7 +263,7 @@ def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(tmp_pa
 
         return fsync
 
-    def write(number: int) -> None:
+    def write(number):
         nonlocal calls
         with monkeypatch.context() as broken, replacement(tmp_path / "file") as temporary:
             temporary.write_bytes(b"new")
@@ -278,26 +276,3 @@ def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(tmp_pa
             write(number)
         assert (tmp_path / "file").read_bytes() == OLD
         assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
-
-
-def test_given_a_damaged_bank_or_a_bank_of_another_program_then_it_is_recognised(lab):
-    content = bytearray((lab / "other.h5").read_bytes())
-    (lab / "damaged.h5").write_bytes(content[:700])
-    for name in ("damaged.h5", "other.h5"):
-        with pytest.raises(InputError):
-            require_outputs((lab / name,), (), force=True)
-    require_outputs((lab / "field.h5",), (), force=True)
-
-
-def test_a_staged_folder_that_fails_then_its_final_name_is_told_and_nothing_appears(tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "record").write_bytes(OLD)
-
-    def write() -> None:
-        with staged_folder(tmp_path / "out", "record") as staged:
-            write_whole(staged / "data", b"new")
-            raise InputError(f"{staged / 'data'} cannot be written")
-
-    with pytest.raises(InputError, match=re.escape(str(tmp_path / "out" / "data"))):
-        write()
-    assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["record"]

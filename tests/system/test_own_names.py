@@ -23,7 +23,7 @@ with wf.open_bank("plate.h5") as bank:
 """
 
 
-def checked(*command: object, cwd: Path) -> str:
+def checked(*command, cwd):
     """Run a command in a folder, without this test's own paths; what it printed."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "COVERAGE"))}
     done = subprocess.run(
@@ -33,7 +33,7 @@ def checked(*command: object, cwd: Path) -> str:
     return done.stdout
 
 
-def take_names(folder: Path, kind: str) -> None:
+def take_names(folder, kind):
     """Put a module or a package of each name into a folder."""
     for name in NAMES:
         module = folder / f"{name}.py" if kind == "files" else folder / name / "__init__.py"
@@ -75,7 +75,7 @@ def test_a_wheel_next_to_the_package_config_runs_the_demo_among_users_files(tmp_
     assert (folder / "out" / "verify" / "report.html").is_file()
 
 
-def copy_of_source(tmp_path: Path) -> Path:
+def copy_of_source(tmp_path):
     """The files that git has, as a fresh checkout would hold them: a build leaves no trace among the sources."""
     source = tmp_path / "source"
     for name in checked("git", "ls-files", "-z", cwd=ROOT).split("\0"):

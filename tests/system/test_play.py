@@ -1,7 +1,6 @@
 """Drives played on the virtual rig through the command line, and what is refused before anything sounds."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +27,7 @@ def lab(tmp_path):
     return tmp_path
 
 
-def write(lab: Path, amplitude_v: float, actuators: int = 3, seconds: float = 1.5) -> None:
+def write(lab, amplitude_v, actuators=3, seconds=1.5):
     time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     drive_v = np.zeros((actuators, time_s.size))
     drive_v[1] = amplitude_v * np.sin(2 * np.pi * 100.0 * time_s)
@@ -36,7 +35,7 @@ def write(lab: Path, amplitude_v: float, actuators: int = 3, seconds: float = 1.
     write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, -0.1999, "sampled", 1.0, 0.0, none, none, none), force=True)
 
 
-def play(lab: Path, *options: str) -> int:
+def play(lab, *options):
     return run(["play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml"), "--json", *options])
 
 
@@ -49,7 +48,7 @@ def test_given_a_drive_then_it_is_played_and_told(lab, capsys):
     assert "muted" in told.err
 
 
-def refused(lab: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str:
+def refused(lab, capsys, *options):
     assert play(lab, *options) == 2
     told = capsys.readouterr()
     assert told.out == ""

@@ -1,19 +1,15 @@
 """Power cuts replayed from a log of writes: what survives, and that the replay sees what lesser writers lose."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
 
 from tests.system.crash.logged import INODE, LoggedFile, WithoutFirstBarrier, WithoutSecondBarrier
-from tests.system.crash.power_cuts import Call, Disk, evenly, images
+from tests.system.crash.power_cuts import Disk, evenly, images
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
-from wavefocus.storage.durable import OpenFile
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import owner_path
 from wavefocus.storage.raw.header import RawHeader, sequential
@@ -26,17 +22,17 @@ TURNS = ((2, 1), (0, 1), (2, 2), (1, 1))
 STEP_V = 2.0**-15
 
 
-def header() -> BankHeader:
+def header():
     grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
     corner = np.full((ACTUATORS, 2), np.nan)
     return BankHeader(10_000.0, TAPS, (20.0, 500.0), grid, corner, "{}", "{}", "ab" * 32, "wavefocus test")
 
 
-def green_of(position: int, attempt: int = 1) -> np.ndarray:
+def green_of(position, attempt=1):
     return np.random.default_rng([position, attempt]).normal(size=(ACTUATORS, TAPS)).astype(np.float32)
 
 
-def record_of(position: int, attempt: int = 1) -> PointRecord:
+def record_of(position, attempt=1):
     figures = np.arange(ACTUATORS, dtype=np.float32) + position + attempt / 10
     return PointRecord(1, attempt, figures, -figures, figures / 100, figures * 2)
 
@@ -46,14 +42,14 @@ def _fresh_log():
     LoggedFile.log.clear()
 
 
-def cuts(path: Path, before: bytes, log: list[Call]) -> Iterator[tuple[int, bytes]]:
+def cuts(path, before, log):
     """Some (calls that had returned, bytes of the file) that a power cut can leave; `make soak` tries thousands."""
     found = list(images(Disk({path: before}, {path: INODE}), log, np.random.default_rng(1), 3))
     assert len(found) > TRIED
     return ((image.step, image.files[str(path)]) for image in evenly(found, len(found), TRIED))
 
 
-def measure(writer: BankWriter) -> list[tuple[int, int, int]]:
+def measure(writer):
     """Measure what is left of the turns; return (length of the log, position, attempt) at each acknowledgement."""
     done = []
     for position, attempt in TURNS:
@@ -63,7 +59,7 @@ def measure(writer: BankWriter) -> list[tuple[int, int, int]]:
     return done
 
 
-def logged_bank(path: Path, open_file: OpenFile) -> tuple[bytes, list[Call], list[tuple[int, int, int]]]:
+def logged_bank(path, open_file):
     """Measure a bank from its beginning; return that, the log and what was acknowledged when."""
     create_bank(path, header())
     before = path.read_bytes()
@@ -73,16 +69,16 @@ def logged_bank(path: Path, open_file: OpenFile) -> tuple[bytes, list[Call], lis
     return before, list(LoggedFile.log), acknowledged
 
 
-def promised_at(acknowledged: list[tuple[int, int, int]], step: int) -> dict[int, int]:
+def promised_at(acknowledged, step):
     return {position: attempt for length, position, attempt in acknowledged if length <= step}
 
 
-def holds(found: np.ndarray, position: int, attempt: int) -> bool:
+def holds(found, position, attempt):
     """What was acknowledged, or the newer attempt that was on its way."""
     return any(np.array_equal(found, green_of(position, newer)) for newer in range(attempt, 3))
 
 
-def lost_in_bank(path: Path, promised: dict[int, int]) -> int:
+def lost_in_bank(path, promised):
     """Positions that were acknowledged and are not in the bank as a reader finds it."""
     lost = 0
     with open_bank(path) as bank:
@@ -137,12 +133,12 @@ def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(tmp_
     assert wrong_by_checksum == 0
 
 
-def raw_of(position: int, take: int) -> np.ndarray:
+def raw_of(position, take):
     counts = np.random.default_rng([position, take]).integers(-2000, 2000, size=(2, 1, 700))
     return (counts * STEP_V).astype(np.float32)
 
 
-def record(writer: RawWriter) -> list[tuple[int, int, int]]:
+def record(writer):
     """Record all turns; return (length of the log, position, take) at each acknowledgement."""
     done = []
     for position, take in TURNS:

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -13,15 +12,12 @@ from wavefocus.storage.bank.reading import open_bank
 ESCAPES = ("\x1b", "\x07", "\u202e", "\u2066")
 
 
-def wavefocus(code: str, *arguments: object, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def wavefocus(code, *arguments, folder, **environment):
     """A command in a process of its own, after some lines of Python."""
     return subprocess.run(
         [sys.executable, "-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *map(str, arguments)],
         cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=100, check=False,
     )  # fmt: skip
-
-
-# -- standard streams -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.may_skip("a shell that closes standard streams")
@@ -37,8 +33,6 @@ def test_given_closed_standard_streams_then_a_campaign_is_measured(lab, closing)
     with open_bank(lab / "plate.h5") as bank:
         assert bank.status.all()
 
-
-# -- Ctrl-C while modules are loaded --------------------------------------------------------------------------
 
 INTERRUPTED_AT = """
 import os, signal, sys, weakref
@@ -69,8 +63,6 @@ def test_ctrl_c_while_modules_are_loaded_then_exit_code_is_130_without_traceback
     assert done.returncode == 130
     assert done.stderr in ("", "wavefocus: stopped by the user\n")
 
-
-# -- errors and warnings --------------------------------------------------------------------------------------
 
 FAILING = """
 from pathlib import Path

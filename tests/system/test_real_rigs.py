@@ -55,7 +55,7 @@ def vibrometer():
         yield emulated
 
 
-def with_vibrometer(port: str, **more: object) -> RigConfig:
+def with_vibrometer(port, **more):
     return RigConfig.model_validate(
         {
             "mirror": {"driver": "generic", "port": "COM3"},

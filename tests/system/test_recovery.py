@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import signal
 import subprocess
 import sys
 
@@ -61,25 +60,12 @@ def test_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_
     assert bank.read_bytes() == measured.read_bytes()
 
 
-def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(lab, capsys):
-    with_faults(
-        lab,
-        'role = "player"\noperation = "play"\nkind = "lost"\nposition = 1\nrecord = 0',
-        'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
-    )
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 3
-    told = capsys.readouterr().err
-    assert "on the way out: virtual player: muting" in told
-    assert "on the way out: virtual mirror: parking" in told
-    assert "player" in told.splitlines()[-1]
-
-
 def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_which(lab):
     with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "unplugged"\nposition = 2\nrecord = 0\ntries = 2')
     bank = lab / "plate.h5"
     answers: list[subprocess.CompletedProcess[str]] = []
 
-    def ask() -> None:
+    def ask():
         for more in (["--json"], []):
             command = [sys.executable, "-m", "wavefocus", "status", str(bank), *more]
             answers.append(subprocess.run(command, capture_output=True, text=True, check=True))
@@ -97,41 +83,3 @@ def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_wh
     assert facts["recovering"]["gives_up_s"] == 600.0
     assert "is recovering since" in answers[1].stdout
     assert "virtual player" in answers[1].stdout
-
-
-@pytest.mark.parametrize("interrupts", [1, 2])
-def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(lab, measured, interrupts, capsys):
-    bank = empty_bank(lab, "plate.h5")
-    sound = (lab / "run.toml").read_text(encoding="utf-8")
-    with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
-
-    def press() -> None:
-        for _ in range(interrupts):
-            signal.raise_signal(signal.SIGINT)
-
-    listener = Listener(('"event": "reconnect_tried"', press))
-    with contextlib.redirect_stdout(listener):
-        assert capture(lab, bank) == 130
-    assert len(events_of(listener.told, "reconnect_tried")) == 1
-    assert events_of(listener.told, "session_ended")[0]["state"] == "stopped"
-    assert f"wavefocus resume {bank}" in capsys.readouterr().err
-    (lab / "run.toml").write_text(sound, encoding="utf-8")
-    assert capture(lab, bank) == 0
-    assert bank.read_bytes() == measured.read_bytes()
-
-
-def test_an_instrument_unplugged_during_a_scan_then_verification_goes_on_and_passes(lab, capsys):
-    with_faults(
-        lab,
-        'role = "player"\noperation = "play"\nkind = "unplugged"\nposition = 3\npurpose = "scan"\ntries = 2',
-        'role = "recorder"\noperation = "read"\nkind = "unplugged"\nposition = 4\npurpose = "scan"\ntries = 0',
-    )
-    bank = lab / "plate.h5"
-    assert capture(lab, bank) == 0
-    capsys.readouterr()
-    verify = ["verify", lab / "scene.toml", "--bank", bank, "--rig", lab / "rig.toml", "--out", lab / "verify"]
-    assert run([str(word) for word in verify]) == 0
-    told = capsys.readouterr().err
-    assert "virtual player: try 1 to connect again failed" in told
-    assert "virtual player: connected again (try 3)" in told
-    assert "virtual recorder: connected again (try 1)" in told

@@ -1,8 +1,6 @@
 """What ``render`` and ``movie`` do besides drives: limits, figures, pictures."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -51,12 +49,12 @@ def lab(tmp_path):
     return tmp_path
 
 
-def render(lab: Path, *options: str) -> int:
+def render(lab, *options):
     place = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "drive.h5"), "--force"]
     return run(["render", *place, "--json", *options])
 
 
-def figures(lab: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+def figures(lab, capsys, *options):
     assert render(lab, *options) == 0
     return dict(json.loads(capsys.readouterr().out))
 
@@ -143,7 +141,7 @@ normalise = true
 """
 
 
-def write_point(lab: Path, signal: str, amplitude: float, limit: str = "") -> None:
+def write_point(lab, signal, amplitude, limit=""):
     text = POINT.format(signal=signal, amplitude=amplitude, limit=limit)
     (lab / "scene.toml").write_text(text, encoding="utf-8")
 

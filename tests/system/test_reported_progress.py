@@ -13,7 +13,6 @@ import pytest
 from tests.system.captures import Listener, capture
 from wavefocus.__main__ import run
 from wavefocus.campaign.control import give_order, orders_path
-from wavefocus.console import finish_clock
 
 # Three records of two periods of 0.4 s with 0.12 s around them, and 0.05 s a position beside, the sentinel being the
 # seventh; 0.52 s of the loopback alone with 0.12 s around them, at the beginning and with the sentinel.
@@ -39,15 +38,6 @@ def test_given_a_plan_then_its_bytes_are_those_of_the_bank(lab, bank, capsys):
     planned = json.loads(capsys.readouterr().out)["bank_bytes"]
     # The plan allows HDF5 four front blocks of 1 MB, of which it needs one or two.
     assert planned - 4.5e6 < bank.stat().st_size <= planned
-
-
-def test_given_a_bank_then_status_tells_people_how_it_stands(bank, capsys):
-    capsys.readouterr()
-    assert run(["status", str(bank)]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    assert "6 of 6 positions measured (6 valid)" in told.out
-    assert "no process is measuring" in told.out
 
 
 @pytest.mark.may_skip("only Linux has a device that is always full")
@@ -79,16 +69,16 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(lab, ca
     facts: list[dict[str, object]] = []
     told: list[str] = []
 
-    def status(*options: str) -> str:
+    def status(*options):
         command = [sys.executable, "-m", "wavefocus", "status", str(bank), *options]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
-    def ask() -> None:
+    def ask():
         facts.append(json.loads(status("--json")))
         told.append(status())
         give_order(bank, "go-on")
 
-    def during() -> None:
+    def during():
         facts.append(json.loads(status("--json")))
         give_order(bank, "pause")
         until_s = time.monotonic() + 60
@@ -108,18 +98,3 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(lab, ca
     assert float(str(paused["wall_remaining_s"])) > 0
     assert "5 positions to go" in told[0]
     assert "finished at" not in told[0]
-
-
-def test_given_the_written_templates_then_they_plan_the_thirty_hour_campaign(tmp_path, capsys):
-    assert run(["init", str(tmp_path / "lab")]) == 0
-    capsys.readouterr()
-    assert run(["plan", str(tmp_path / "lab" / "run.toml"), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["positions"] == 1500
-    assert facts["actuators"] == 20
-    assert 30.0 < facts["hours"] < 32.0
-
-
-def test_given_seconds_left_then_the_finish_is_told_with_its_day_when_not_today():
-    assert len(finish_clock(0.0)) == len("12:34:56")
-    assert finish_clock(3 * 86400.0)[:3].isalpha()

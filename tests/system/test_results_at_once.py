@@ -36,7 +36,7 @@ sys.addaudithook(hook)
 RUNS = "from wavefocus.__main__ import run\nsys.exit(run(sys.argv[1:]))"
 
 
-def killed_at(renaming: int, code: str, *arguments: object) -> bool:
+def killed_at(renaming, code, *arguments):
     """Run code in a process that is killed before its n-th renaming; whether it came that far."""
     done = subprocess.run(
         [sys.executable, "-c", KILLED + code, str(renaming), *map(str, arguments)],
@@ -48,7 +48,7 @@ def killed_at(renaming: int, code: str, *arguments: object) -> bool:
     return done.returncode == 9
 
 
-def bank_of(path: Path, factor: float) -> Path:
+def bank_of(path, factor):
     green = np.random.default_rng(3).standard_normal((POSITIONS, ACTUATORS, TAPS)) * factor
     with h5py.File(path, "w") as file:
         file["green"], file["position_mm"] = green.astype(np.float32), [[4.0 * row, 0.0] for row in range(POSITIONS)]
@@ -56,7 +56,7 @@ def bank_of(path: Path, factor: float) -> Path:
     return path
 
 
-def values(folder: Path, out: Path) -> np.ndarray | None:
+def values(folder, out):
     """Green's functions of an exported folder as an import reads them; None where it refuses it."""
     try:
         with wf.import_bank(folder, out, "wav") as bank:
@@ -120,7 +120,7 @@ def test_trials_that_are_killed_while_stimuli_are_prepared_go_on(lab, bank):
     assert renaming == 5  # the list, two drives, the list again
 
 
-def prepared_by(command: list[str]) -> dict[str, str]:
+def prepared_by(command):
     """Hashes of the stimuli that a command prepares, as their list has them."""
     assert run(command) == 0
     manifest = json.loads((Path(command[-1]) / "stimuli" / "manifest.json").read_text(encoding="utf-8"))

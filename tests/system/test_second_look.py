@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from shutil import copyfile
 
 import h5py
@@ -45,9 +44,7 @@ noise_v = {noise_v}
 FAULTY = (1, 4, 5, 9)
 
 
-def captured(
-    folder: Path, schedule: str, records: dict[int, int], *, look: bool, level_db: float = 0.0, noise_v: float = 1e-4
-) -> tuple[np.ndarray, np.ndarray]:
+def captured(folder, schedule, records, *, look, level_db=0.0, noise_v=0.0001):
     folder.mkdir()
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     text = RUN.format(schedule=schedule, quality='second_look = "twice"' if look else "", noise_v=noise_v)
@@ -62,7 +59,7 @@ def captured(
         return file["green"][...].astype(np.float64), file["status"][...]
 
 
-def gains(rows: np.ndarray, clean: np.ndarray) -> np.ndarray:
+def gains(rows, clean):
     """Level of each row over that of another measurement; noise hardly counts."""
     return np.sum(rows * clean, axis=2) / np.sum(clean * clean, axis=2)
 
@@ -137,7 +134,7 @@ noise_v = 5e-5
 LEVEL, SWAPPED, MOVED, CHECKED = 12, 20, 31, 42
 
 
-def coarse_lab(folder: Path, grid: str) -> Path:
+def coarse_lab(folder, grid):
     folder.mkdir()
     (folder / "rig.toml").write_text(COARSE_RIG, encoding="utf-8")
     (folder / "run.toml").write_text(COARSE_RUN.format(grid=grid), encoding="utf-8")

@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -21,14 +20,14 @@ from wavefocus.storage.bank.writer import create_bank
 KEEP = 'excitation = "staggered"'
 
 
-def _with_capture(lab: Path, *lines: str) -> Path:
+def _with_capture(lab, *lines):
     """The lab's run file with more lines in its capture table."""
     path = lab / "run.toml"
     change_text(path, "[capture]\n", "[capture]\n" + "\n".join(lines) + "\n")
     return path
 
 
-def _median_error_db(bank: Path) -> float:
+def _median_error_db(bank):
     configuration = blueprint_from_bank(bank).configuration
     with open_bank(bank) as content:
         rig = virtual_rig(configuration.rig, configuration.run.virtual)

@@ -1,6 +1,7 @@
-"""Scenes that are rendered into files of drives and sounds through the command line."""
+"""Scenes of several and extended sources, and their sounds through the command line."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,9 @@ import soundfile
 
 from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import load_scene
 from wavefocus.storage.drive_file import read_drive
 
 SCENE = """
@@ -45,7 +49,7 @@ def lab(tmp_path):
     return tmp_path
 
 
-def render(lab: Path, name: str, *options: str) -> int:
+def render(lab, name, *options):
     out, wav = str(lab / f"{name}.h5"), str(lab / f"{name}.wav")
     place = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--rig", str(lab / "rig.toml")]
     return run(["render", *place, "--out", out, "--wav", wav, "--json", *options])
@@ -65,3 +69,33 @@ def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab
     assert "between samples" in figures["limited_by"]
     assert figures["scale"] == drive.scale < 1
     assert "between samples = 0.01 V; actuator" in told.err
+
+
+PAGE = Path(__file__).parents[2] / "docs/how-to/render-and-play.md"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    text = PAGE.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    file = tmp_path_factory.mktemp("scene") / "scene.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_scene(file)
+
+
+@pytest.fixture(scope="module")
+def bank():
+    position_mm = np.array([(x, y) for y in np.arange(-12.0, 45.0, 4.0) for x in np.arange(-44.0, 45.0, 4.0)])
+    green = np.random.default_rng(5).standard_normal((len(position_mm), 3, 80)) * np.exp(-np.arange(80) / 20)
+    return GreenArray(green, position_mm, 2000.0)
+
+
+def test_given_a_bar_then_its_points_move_abreast_and_say_the_same(scene, bank):
+    bar = replace(scene, sources=scene.sources[:3])
+    drive = render_with_report(bar, bank)[0]
+    sample, place = drive.focus_sample.reshape(3, 21), bank.position_mm[drive.focus_position].reshape(3, 21, 2)
+    assert (sample == sample[0]).all()
+    assert (place[:, :, 0] == place[0, :, 0]).all()
+    np.testing.assert_array_equal(np.diff(place[:, :, 1], axis=0), 8.0)
+    signals = [source.signal.samples(2000.0) for source in bar.sources]
+    np.testing.assert_array_equal(signals[0], signals[1])
+    np.testing.assert_array_equal(signals[0], signals[2])

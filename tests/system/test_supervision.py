@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -24,7 +23,7 @@ WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
 
 
-def _with_rig(lab: Path, text: str) -> None:
+def _with_rig(lab, text):
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
         rig.write(text)
 
@@ -32,11 +31,11 @@ def _with_rig(lab: Path, text: str) -> None:
 class _Orders:
     """Orders given by processes of their own while a capture runs in this one."""
 
-    def __init__(self, bank: Path) -> None:
+    def __init__(self, bank):
         self._bank = bank
         self._given: list[subprocess.Popen[str]] = []
 
-    def give(self, word: str) -> None:
+    def give(self, word):
         """Give an order, and return when the capture has heard it."""
         before = read_heartbeat(self._bank)
         command = [*WAVEFOCUS, word, str(self._bank), "--json"]
@@ -49,7 +48,7 @@ class _Orders:
             time.sleep(0.01)
         pytest.fail(f"nobody heard the order {word}")
 
-    def answers(self) -> list[tuple[int, dict[str, object], str]]:
+    def answers(self):
         """Exit code, facts and sentence of each order."""
         ended = [(one.communicate(timeout=60), one.returncode) for one in self._given]
         return [(code, json.loads(out), err) for (out, err), code in ended]
@@ -93,19 +92,6 @@ def test_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(
     assert bank.read_bytes() == measured.read_bytes()
 
 
-@pytest.mark.parametrize("asked", ["pause", "stop"])
-def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab, asked):
-    bank = empty_bank(lab, "plate.h5")
-    orders = _Orders(bank)
-    end = (lambda: orders.give("stop")) if asked == "stop" else (lambda: signal.raise_signal(signal.SIGINT))
-    listener = Listener(('"event": "position_started"', lambda: orders.give("pause")), ('"state": "paused"', end))
-    with contextlib.redirect_stdout(listener):
-        assert capture(lab, bank) == 130
-    assert states_of(listener.told)[-2:] == ["paused", "stopped"]
-    assert "while paused" in str(events_of(listener.told, "state_changed")[-1]["reason"])
-    orders.answers()
-
-
 HOLDER = """
 import sys
 from wavefocus.storage.bank.writer import BankWriter
@@ -116,7 +102,7 @@ with BankWriter.open(sys.argv[1]):
 
 
 @contextlib.contextmanager
-def _held(bank: Path):
+def _held(bank):
     """A process that owns a bank and says nothing."""
     command = [sys.executable, "-c", HOLDER, str(bank)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
@@ -163,8 +149,6 @@ def test_given_a_campaign_then_its_heartbeat_tells_how_it_ended(lab, capsys):
     assert "no process owns the bank" in told
 
 
-# -- drivers that hang ------------------------------------------------------------------------------------------
-
 HANGS = {
     "recorder in a record": 'role = "recorder"\noperation = "read"\nposition = 2\nrecord = 1',
     "mirror before a move": 'role = "mirror"\noperation = "move_to"\nat_call = 4',
@@ -209,8 +193,6 @@ def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab
     assert "Traceback" not in ended.stderr
     assert held(bank) == [1, 0, 0, 0, 0, 0]
 
-
-# -- every way out ----------------------------------------------------------------------------------------------
 
 LONG_NIGHT = ("averages = 2", "averages = 40")
 
@@ -261,8 +243,6 @@ def test_terminal_that_is_closed_then_position_is_finished_and_log_says_why(lab)
     assert "stopped because its terminal was closed" in reasons[0]
     assert run(["resume", str(bank)]) == 0
 
-
-# -- conditions -------------------------------------------------------------------------------------------------
 
 WATCHED = """
 [watch]
@@ -354,17 +334,3 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
     status = held(bank)
     assert status[2] & 1 == 0
     assert status[:2] + status[3:] == [1] * 5
-
-
-def test_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab):
-    _with_rig(lab, WATCHED)
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 4\nkind = "dark"')
-    bank = lab / "plate.h5"
-    orders = _Orders(bank)
-    listener = Listener(
-        ('"state": "suspended"', lambda: orders.give("pause")), ('"state": "paused"', lambda: orders.give("resume"))
-    )
-    with contextlib.redirect_stdout(listener):
-        assert capture(lab, bank) == 0
-    assert states_of(listener.told) == ["running", "suspended", "paused", "running", "finished"]
-    orders.answers()

@@ -1,8 +1,6 @@
 """Whole experiments through the command, answered by a program: what is stored, refused, repeated and muted."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -27,7 +25,7 @@ amplitude = 0.001
 MASKING = "\n[masking]\noutput = 5\nrms_v = 0.2\n"
 
 
-def arguments(lab: Path) -> list[str]:
+def arguments(lab):
     """The command line of a lab's experiment for its first participant."""
     files = [lab / "trials.toml", "--bank", lab / "plate.h5", "--rig", lab / "rig.toml", "--out", lab / "out"]
     return ["trials", *map(str, files), "--participant", "P1"]
@@ -40,7 +38,7 @@ def experiment(lab, bank):
     return arguments(lab)
 
 
-def answer(session: Lines, choice: str = "right") -> list[dict[str, Any]]:
+def answer(session, choice="right"):
     """Go on and answer until the session ends; its events."""
     events = []
     while True:
@@ -100,7 +98,7 @@ def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(tmp_path, 
 
 
 def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, experiment, capsys):
-    def refused(*words: str, trials: str = TRIALS, options: tuple[str, ...] = ("--lines",)) -> None:
+    def refused(*words, trials=TRIALS, options=("--lines",)):
         (lab / "trials.toml").write_text(trials, encoding="utf-8")
         capsys.readouterr()
         assert run([*experiment, *options]) == 2

@@ -4,11 +4,10 @@ import json
 import random
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
-from tests.system.crash.processes import Ended, How, Order, Processes
+from tests.system.crash.processes import How, Order, Processes
 from tests.system.test_trials import TRIALS
 from wavefocus.trials.answers import read_answers
 from wavefocus.trials.design import load_trials
@@ -24,7 +23,7 @@ ANSWERS = ("left", "right")
 class Killed:
     """An experiment whose participants' sessions are killed and resumed."""
 
-    def __init__(self, lab: Path, bank: Path, says: Path) -> None:
+    def __init__(self, lab, bank, says):
         (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
         self.out = lab / "out"
         self._common = [lab / "trials.toml", "--bank", bank, "--rig", lab / "rig.toml", "--out", self.out]
@@ -35,7 +34,7 @@ class Killed:
         self.kills, self._number = 0, 0
         self._begin()
 
-    def session(self, lifetime_s: float = 1e9, order: Order | None = None) -> Ended:
+    def session(self, lifetime_s=1000000000.0, order=None):
         """Carry on with the participant until the end or the kill, look at what is stored, and take the next one."""
         command = ["trials", *self._common, "--participant", self._participant, "--lines", "--fast"]
         ended = self.processes.converse(_answer, *command, order=order, lifetime_s=lifetime_s)
@@ -52,7 +51,7 @@ class Killed:
             self._begin()
         return ended
 
-    def _begin(self) -> None:
+    def _begin(self):
         self._number, self._stored = self._number + 1, 0
         self._participant = f"P{self._number}"
         order = order_of(self._design, self._participant)
@@ -62,11 +61,11 @@ class Killed:
             order.answered(ANSWERS[trial.number % 2])
 
 
-def _events(text: str) -> list[dict[str, object]]:
+def _events(text):
     return [json.loads(line) for line in text.split("\n")[:-1]]
 
 
-def _answer(line: str) -> str:
+def _answer(line):
     event = json.loads(line)
     match event["event"], event.get("waiting"):
         case "state", "go_on":
@@ -83,7 +82,7 @@ def killed(lab, bank):
     one.processes.close()
 
 
-def kill(killed: Killed, at_random: int, at_calls: int, full: int) -> None:
+def kill(killed, at_random, at_calls, full):
     """Kill so many sessions at any moment, and so many before or within one of their calls on files.
 
     So many more find the disk full from one of their calls on, or fail at it once.

@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -19,7 +18,7 @@ from wavefocus.rendering.verify.record import read_record
 from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 
-def _verify(lab: Path, bank: Path, *more: str) -> int:
+def _verify(lab, bank, *more):
     scene, rig, out = lab / "scene.toml", lab / "rig.toml", lab / "verify"
     return run(["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out), "--json", *more])
 
@@ -125,7 +124,7 @@ def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(la
     )
 
 
-def _killed_in_scan(command: list[str], journal: Path) -> None:
+def _killed_in_scan(command, journal):
     with subprocess.Popen([sys.executable, "-m", "wavefocus", *command], stderr=subprocess.DEVNULL) as killed:
         while killed.poll() is None and not (journal.exists() and journal.stat().st_size > 2 * 4096):
             time.sleep(0.01)
@@ -194,19 +193,3 @@ def test_given_a_louder_actuator_then_cause_and_remedy_stand_first_in_the_report
     assert symptom["sentence"] in printed.err
     report = (lab / "verify" / "report.html").read_text(encoding="utf-8")
     assert report.index(symptom["sentence"]) < report.index(symptom["remedy"]) < report.index("<table>")
-
-
-@pytest.mark.parametrize(
-    ("emulation", "code", "actuators"),
-    [("swapped_outputs = [[0, 2]]", "swapped", [0, 2]), ("output_delays_s = [0, 2e-4]", "delay", [1])],
-)
-def test_given_a_rig_that_was_changed_then_its_cause_is_named(lab, bank, capsys, emulation, code, actuators):
-    change_text(
-        lab / "scene.toml", 'kind = "sine", frequency_hz = 200.0', 'kind = "noise", band_hz = [50, 450], seed = 1'
-    )
-    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
-        rig.write(f"\n[emulation]\n{emulation}\n")
-    capsys.readouterr()
-    assert _verify(lab, bank) == 1
-    (symptom,) = json.loads(capsys.readouterr().out)["symptoms"]
-    assert (symptom["code"], symptom["actuators"]) == (code, actuators)

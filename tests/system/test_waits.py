@@ -100,7 +100,7 @@ def lab(tmp_path_factory):
     return folder
 
 
-def shown(folder: Path, command: str) -> tuple[int, list[tuple[float, str]]]:
+def shown(folder, command):
     """The exit code of a command on a terminal, and what it wrote there, after how much processor time."""
     own, its = os.openpty()
     words = [sys.executable, "-m", "wavefocus", *command.split()]
@@ -123,7 +123,7 @@ def shown(folder: Path, command: str) -> tuple[int, list[tuple[float, str]]]:
     return code, written
 
 
-def names_work(text: str) -> bool:
+def names_work(text):
     """Whether the last line of a terminal says what is going on: a line that ends in dots, or a bar."""
     line = "".join(text.strip().splitlines()[-1:])
     return line.endswith("...") or bool(re.search(r"[━╸╺]", line))

@@ -22,8 +22,7 @@ from wavefocus.rendering.scene.paths import Line
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.rendering.verify.results import Sentinel
 from wavefocus.rendering.verify.scan import Scan
-from wavefocus.rendering.verify.verdict import Verification, compare
-from wavefocus.storage.drive_file import Drive
+from wavefocus.rendering.verify.verdict import compare
 
 NEAREST = Output(interpolation="nearest")
 
@@ -54,15 +53,15 @@ Transfer = Callable[[np.ndarray, np.ndarray, Medium], np.ndarray]
 """Spectra (places, sources, K) between places and sources in mm."""
 
 
-def _apart_m(place_mm: np.ndarray, source_mm: np.ndarray) -> np.ndarray:
+def _apart_m(place_mm, source_mm):
     return np.maximum(np.hypot(*(place_mm[:, None] - source_mm).transpose(2, 0, 1)), 1.0) * 1e-3
 
 
-def _wavenumber(medium: Medium, speed_m_s: float) -> np.ndarray:
+def _wavenumber(medium, speed_m_s):
     return OMEGA / (medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06) * (1.0 - 0.04j * medium.loss)
 
 
-def gel(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+def gel(place_mm, source_mm, medium):
     wavenumber = _wavenumber(medium, 5.2)
     total = 0.0
     for scale, gain in ((1.0, 1.0), (1.3, 0.3), (-1.45, 0.2)):
@@ -70,7 +69,7 @@ def gel(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarr
     return 1e-2 * OMEGA * total
 
 
-def mirrors(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+def mirrors(place_mm, source_mm, medium):
     wavenumber, (width, height) = _wavenumber(medium, 6.5), (210.0, 140.0)
     total = 0.0
     for m in (-1, 0, 1):
@@ -82,7 +81,7 @@ def mirrors(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.n
     return 1e-2 * OMEGA * total
 
 
-def disk(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+def disk(place_mm, source_mm, medium):
     """A membrane, clamped at a radius of 125 mm: sum over Bessel modes."""
     radius_m, speed = 0.125, medium.speed * 7.5
     total = 0.0
@@ -100,7 +99,7 @@ def disk(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndar
     return total
 
 
-def bending(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+def bending(place_mm, source_mm, medium):
     """A simply supported plate of glass, 300 x 200 x 0.5 mm."""
     width, height, stiffness, mass = 0.30, 0.20, 70e9 * 0.0005**3 / 12 / 0.94, 2500 * 0.0005
     total = 0.0
@@ -125,13 +124,13 @@ SHAPE = {"bending": (85.0, 60.0)}
 GEL_KG = {"gel": 40.0, "mirrors": 40.0, "disk": 1.0, "bending": 1.0}
 
 
-def places_mm(plate: str) -> np.ndarray:
+def places_mm(plate):
     pitch = PITCH_MM.get(plate, 4.0)
     x, y = np.meshgrid(pitch * (np.arange(9) - 4), pitch * (np.arange(7) - 3))
     return np.c_[x.ravel(), y.ravel()].astype(float)
 
 
-def actuators_mm(plate: str) -> np.ndarray:
+def actuators_mm(plate):
     angle = 2 * np.pi * (np.arange(ACTUATORS) + 0.3) / ACTUATORS
     return np.stack(
         [SHAPE.get(plate, (85.0, 58.0))[0] * np.cos(angle), SHAPE.get(plate, (85.0, 58.0))[1] * np.sin(angle)], 1
@@ -139,7 +138,7 @@ def actuators_mm(plate: str) -> np.ndarray:
 
 
 @cache
-def _green(plate: str, medium: Medium, places: bytes) -> np.ndarray:
+def _green(plate, medium, places):
     place_mm, source_mm = np.frombuffer(places).reshape(-1, 2), actuators_mm(plate)
     transfer = PLATES[plate]
     spectra = np.asarray(transfer(place_mm, source_mm, medium))
@@ -154,7 +153,7 @@ def _green(plate: str, medium: Medium, places: bytes) -> np.ndarray:
     return scipy.fft.irfft(whole, LENGTH)[..., :TAPS]
 
 
-def green(plate: str, medium: Medium = Medium(), place_mm: np.ndarray | None = None) -> np.ndarray:
+def green(plate, medium=Medium(), place_mm=None):
     place = places_mm(plate) if place_mm is None else place_mm
     return _green(plate, medium, np.ascontiguousarray(place, float).tobytes())
 
@@ -168,7 +167,7 @@ class Case:
 
 
 @cache
-def lab(plate: str) -> tuple[GreenArray, Drive]:
+def lab(plate):
     rng = np.random.default_rng([5, len(plate)])
     bank = GreenArray(
         noisy(green(plate), rng), places_mm(plate), RATE_HZ, actuator_mm=actuators_mm(plate), band_hz=BAND_HZ
@@ -179,15 +178,15 @@ def lab(plate: str) -> tuple[GreenArray, Drive]:
     return bank, render_with_report(Scene("stroke", (source,), output=NEAREST), bank)[0]
 
 
-def noisy(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def noisy(values, rng):
     level = BANK_ERROR * np.linalg.norm(values, axis=2, keepdims=True) / np.sqrt(values.shape[2])
     return (values + level * rng.standard_normal(values.shape)).astype(np.float32)
 
 
-def verified(plate: str, case: Case, rng: np.random.Generator, *, quiet_db: float | None = None) -> Verification:
+def verified(plate, case, rng, *, quiet_db=None):
     bank, drive = lab(plate)
 
-    def scan(factor: float) -> Scan:
+    def scan(factor):
         field_ = np.asarray(predict(drive, replace(bank, values=case.green)).field, float)
         loudest = np.abs(field_).max()
         field_ = loudest * case.respond(factor * field_ / loudest)
@@ -207,14 +206,14 @@ def verified(plate: str, case: Case, rng: np.random.Generator, *, quiet_db: floa
     )  # fmt: skip
 
 
-def driven(values: np.ndarray, actuators: tuple[int, ...], factor: float, late_ms: float) -> np.ndarray:
+def driven(values, actuators, factor, late_ms):
     """Green's functions where the drives of some actuators have another level and come later."""
     turn = np.ones((ACTUATORS, len(FREQUENCY_HZ)), complex)
     turn[list(actuators)] = factor * np.exp(-2e-3j * np.pi * late_ms * FREQUENCY_HZ)
     return np.fft.irfft(np.fft.rfft(values, LENGTH) * turn, LENGTH)[..., :TAPS]
 
 
-def unlisted(plate: str) -> dict[str, Case]:
+def unlisted(plate):
     """Causes that have no name: damping, a cubic, a finger."""
     finger = Medium(mass=1e-3 * GEL_KG[plate], mass_mm=(-11.0, 8.0))
     return {

@@ -13,8 +13,6 @@ from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Line
 from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.rendering.verify.scan import Scan
-from wavefocus.storage.drive_file import Drive
-from wavefocus.storage.field_file import Field
 
 RATE_HZ = 4_000.0
 TAPS = 200
@@ -24,7 +22,7 @@ ACTUATOR_MM = np.array([(-40.0, 0.0), (40.0, 10.0), (0.0, 40.0), (5.0, -40.0)])
 
 
 @cache
-def bank() -> GreenArray:
+def bank():
     distance_m = np.hypot(*(GRID_MM[:, None] - ACTUATOR_MM).transpose(2, 0, 1)) / 1e3
     late_s = np.arange(TAPS) / RATE_HZ - distance_m[..., None] / 4.8 - 0.006
     pulse = np.sin(2.0 * np.pi * 250.0 * late_s) * np.exp(-((late_s / 0.002) ** 2))
@@ -32,18 +30,18 @@ def bank() -> GreenArray:
     return GreenArray(green, GRID_MM, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=(50.0, 500.0))
 
 
-def scene_of(name: str = "line") -> Scene:
+def scene_of(name="line"):
     source = Source(Line((-12.0, 0.0), (12.0, 0.0)), Impulse(), speed_mm_s=200.0, step_mm=4.0, emission="per_point")
     return Scene(name, (source,), Regularisation(), Output(interpolation="nearest"))
 
 
 @cache
-def rendered() -> tuple[Drive, Field]:
+def rendered():
     drive, _ = render_with_report(scene_of(), bank())
     return drive, predict(drive, bank())
 
 
-def scan_of(field: np.ndarray, start_s: float, rate_hz: float, noise_rms: float = np.nan, **changes: object) -> Scan:
+def scan_of(field, start_s, rate_hz, noise_rms=np.nan, **changes):
     """A scan of all positions that holds such a field."""
     made = Scan(
         field=field.astype(np.float32),

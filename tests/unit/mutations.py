@@ -1,18 +1,16 @@
 """Random single mutations of files, and whether one changes what h5py reads."""
 
 import random
-from collections.abc import Iterator
-from pathlib import Path
 
 import h5py
 import numpy as np
 
 
-def snapshot(path: Path) -> dict[str, object]:
+def snapshot(path):
     """All that h5py reads of a file, names and attributes included."""
     found: dict[str, object] = {}
 
-    def note(name: str, item: h5py.Group | h5py.Dataset) -> None:
+    def note(name, item):
         for key in sorted(item.attrs):
             value = item.attrs[key]
             if key not in ("DIMENSION_LIST", "REFERENCE_LIST"):
@@ -28,11 +26,11 @@ def snapshot(path: Path) -> dict[str, object]:
     return found
 
 
-def stored_bytes(path: Path) -> list[tuple[int, int]]:
+def stored_bytes(path):
     """Where values of datasets lie: (offset, size) of each piece."""
     extents: list[tuple[int, int]] = []
 
-    def note(_: str, item: h5py.Group | h5py.Dataset) -> None:
+    def note(_, item):
         if not isinstance(item, h5py.Dataset) or not item.id.get_storage_size():
             return
         if item.chunks is None:
@@ -45,7 +43,7 @@ def stored_bytes(path: Path) -> list[tuple[int, int]]:
     return extents
 
 
-def mutations(content: bytes, extents: list[tuple[int, int]], count: int, seed: int) -> Iterator[tuple[str, bytes]]:
+def mutations(content, extents, count, seed):
     """Some mutated copies: in the values of any dataset, and anywhere in the first pages and the file."""
     rng = random.Random(seed)
     for _ in range(count):

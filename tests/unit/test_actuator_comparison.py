@@ -10,7 +10,7 @@ from wavefocus.acquisition.calibrate_channels import compare_actuators
 RATE_HZ = 10_000.0
 
 
-def responses(factors: list[float], seed: int = 0) -> np.ndarray:
+def responses(factors, seed=0):
     """Bursts alike, each a little different, as at one distance on a plate with an edge."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(1500) / RATE_HZ

@@ -9,16 +9,16 @@ import pytest
 
 from wavefocus.config.trials import AdaptiveTable
 from wavefocus.trials.design import load_trials
-from wavefocus.trials.order import QuestPlus, Track, Trial, UpDown, order_of, share_right, track_of
+from wavefocus.trials.order import QuestPlus, Trial, UpDown, order_of, share_right, track_of
 
 LADDER = tuple(np.geomspace(0.01, 1.0, 17).tolist())
 
 
-def table(**keys: object) -> AdaptiveTable:
+def table(**keys):
     return AdaptiveTable.model_validate({"method": "up_down", "factor": "amplitude", **keys})
 
 
-def levels_of(track: Track, answers: str) -> list[float | None]:
+def levels_of(track, answers):
     levels = []
     for answer in answers:
         levels.append(track.next_level())
@@ -31,11 +31,6 @@ def test_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one():
     assert levels_of(track, "++++-++-++") == [4, 4, 3, 3, 2, 3, 3, 2, 3, 3, None]
     assert track.reversals == [2, 3, 2, 3]
     assert track.threshold == pytest.approx((math.log10(2) + math.log10(3)) / 2)
-
-
-def test_a_staircase_at_an_end_of_its_ladder_stays_and_ends_by_its_trials():
-    assert levels_of(UpDown(table(trials=6), [2.0, 1.0]), "++++++") == [2, 2, 1, 1, 1, 1, None]
-    assert levels_of(UpDown(table(trials=3), [2.0, 1.0]), "---") == [2, 2, 2, None]
 
 
 def test_ladder_begins_at_its_easiest_level():

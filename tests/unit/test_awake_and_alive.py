@@ -11,28 +11,28 @@ import time
 import pytest
 
 from wavefocus.config.rig import MessagesSection
-from wavefocus.rig.unattended import AliveSignal, alive_findings, inhibitors, kept_awake
+from wavefocus.rig.unattended import AliveSignal, alive_findings, kept_awake
 from wavefocus.storage.errors import InputError
 
 
 class Watch:
     """A web server that notes when it was asked; `hangs` lets it never answer."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.asked: list[str] = []
         self.hangs = threading.Event()
         self.status = 200
         watch = self
 
         class Handler(http.server.BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
+            def do_GET(self):
                 watch.asked.append(self.path)
                 if watch.hangs.is_set():
                     time.sleep(30)
                 self.send_response(watch.status, f"nothing wanted {self.path}")
                 self.end_headers()
 
-            def log_message(self, *_: object) -> None:
+            def log_message(self, *_):
                 pass
 
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
@@ -42,7 +42,7 @@ class Watch:
         self.thread.start()
 
     @property
-    def url(self) -> str:
+    def url(self):
         return f"http://127.0.0.1:{self.server.server_port}/secret-check"
 
 
@@ -55,7 +55,7 @@ def watch():
     one.server.server_close()
 
 
-def until(true: object, within_s: float = 20.0) -> None:
+def until(true, within_s=20.0):
     assert callable(true)
     latest_s = time.monotonic() + within_s
     while not true():
@@ -122,24 +122,3 @@ def test_session_manager_then_it_is_told_reason_and_released_however_run_ends(tm
         until(noted.exists)
         holder.kill()
     until(lambda: "over" in noted.read_text())
-
-
-def test_given_a_system_that_refuses_then_the_run_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with kept_awake("measuring") as accepted:
-        assert accepted is (sys.platform == "win32")
-    assert inhibitors("darwin", "x")[0][-1] == str(os.getpid())
-    assert inhibitors("sunos5", "x") == []
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="systemd-inhibit")
-def test_given_a_user_who_may_only_refuse_idling_then_that_is_asked_for(tmp_path, monkeypatch):
-    noted = tmp_path / "noted"
-    stand_in = tmp_path / "systemd-inhibit"
-    text = f'#!/bin/sh\ncase "$1" in *sleep*) exit 1;; esac\necho "$1" >> {noted}\nshift 4\n"$@"\n'
-    stand_in.write_text(text)
-    stand_in.chmod(stand_in.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with kept_awake("measuring") as accepted:
-        assert accepted
-        assert noted.read_text() == "--what=idle\n"

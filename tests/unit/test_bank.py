@@ -1,7 +1,5 @@
 """Reading banks: measured by this program, or written by any other."""
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
@@ -16,20 +14,20 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.pages import Replacement
 
 
-def measured(path: Path, positions: int = 3) -> Path:
+def measured(path, positions=3):
     return write_bank(path, np.stack([green_of(position) for position in range(positions)]))
 
 
-def green_of(position: int, attempt: int = 1) -> np.ndarray:
+def green_of(position, attempt=1):
     return np.random.default_rng([position, attempt]).normal(size=(2, 16)).astype(np.float32)
 
 
-def record_of(attempt: int) -> PointRecord:
+def record_of(attempt):
     figures = np.ones(2, np.float32)
     return PointRecord(1, attempt, figures, figures, figures, figures)
 
 
-def foreign(path: Path, green: np.ndarray, **options: object) -> Path:
+def foreign(path, green, **options):
     with h5py.File(path, "w") as file:
         file.attrs["sample_rate_hz"] = 8000
         file.create_dataset("green", data=green, **options)
@@ -37,25 +35,10 @@ def foreign(path: Path, green: np.ndarray, **options: object) -> Path:
     return path
 
 
-def overwrite(path: Path, offset: int, content: bytes) -> None:
+def overwrite(path, offset, content):
     with path.open("r+b") as file:
         file.seek(offset)
         file.write(content)
-
-
-# --- banks of this program ------------------------------------------------------------------------------
-
-
-def test_a_measured_bank_then_tells_its_header(tmp_path):
-    with open_bank(measured(tmp_path / "bank.h5")) as bank:
-        assert (bank.positions, bank.actuators, bank.taps) == (3, 2, 16)
-        assert bank.sample_rate_hz == 10_000.0
-        assert bank.band_hz == (20.0, 500.0)
-        assert (bank.rig_json, bank.run_json, bank.plan_sha256) == ("{}", "{}", "ab" * 32)
-        assert (bank.response_unit, bank.drive_unit) == ("m/s/V", "V")
-        assert np.isnan(bank.actuator_mm).all()
-        assert bank.green(1).dtype == np.float32
-        assert np.array_equal(bank.green(1), green_of(1))
 
 
 @pytest.mark.parametrize("position", [-1, 3])
@@ -92,9 +75,6 @@ def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_pat
     overwrite(path, heap + 16, bytes(16))  # an object without index and size: HDF5 2.0 never returns from it
     with pytest.raises(InputError, match="its texts are not readable"):
         open_bank(path)
-
-
-# --- banks of other programs ----------------------------------------------------------------------------
 
 
 @given(

@@ -1,14 +1,12 @@
 """What a check of a bank finds."""
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import write_bank
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
-from wavefocus.calibration.check import BankProblem, check_bank
+from wavefocus.calibration.check import check_bank
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
@@ -17,20 +15,20 @@ from wavefocus.storage.errors import InputError
 POSITIONS, ACTUATORS, TAPS = 6, 3, 200
 
 
-def responses() -> np.ndarray:
+def responses():
     """Responses that have died away by the last tenth of the taps."""
     noise = np.random.default_rng(0).normal(size=(POSITIONS, ACTUATORS, TAPS))
     return (noise * np.exp(-np.arange(TAPS) / 15)).astype(np.float32)
 
 
-def measured(path: Path, green: np.ndarray, grid: np.ndarray | None = None) -> Path:
+def measured(path, green, grid=None):
     """A bank of six positions of which the first are measured."""
     rows = np.zeros((POSITIONS, ACTUATORS, TAPS), np.float32)
     rows[: len(green)] = green
     return write_bank(path, rows, grid, rows=range(len(green)))
 
 
-def flip(path: Path, dataset: str, byte: int, chunk: int | None = None) -> None:
+def flip(path, dataset, byte, chunk=None):
     """Flip one bit of a dataset, or of one chunk of it, so many bytes from its beginning."""
     with h5py.File(path, "r") as file:
         kept = file[dataset].id
@@ -42,7 +40,7 @@ def flip(path: Path, dataset: str, byte: int, chunk: int | None = None) -> None:
         raw.write(bytes([found ^ 4]))
 
 
-def only(findings: list[BankProblem]) -> BankProblem:
+def only(findings):
     assert len(findings) == 1, findings
     return findings[0]
 
@@ -171,7 +169,7 @@ def test_bank_without_checksum_of_its_contents_then_is_read_and_checked_as_befor
     assert check_bank(path) == []
 
 
-def plate_bank_file(path: Path, wrong: int, check_rows: tuple[int, ...] = (), spacing_mm: float = 4.0) -> Path:
+def plate_bank_file(path, wrong, check_rows=(), spacing_mm=4.0):
     """A bank of 7 x 7 positions and three actuators in which one row has the wrong sign and half the level."""
     axis_mm = spacing_mm * np.arange(-3, 4)
     grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)

@@ -4,10 +4,8 @@ import json
 from importlib.util import find_spec
 from pathlib import Path
 
-import pytest
-
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, draw_diagrams
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
 from wavefocus.benchmarks.machine import conditions, load
 
 
@@ -41,20 +39,3 @@ def test_points_are_written_as_json_and_tables_with_their_marks(tmp_path):
     assert any("**not met**" in line for line in findings.lines())
     assert not any("met" in line.split("|")[-2] for line in findings.lines(judged=False) if line.startswith("| ours"))
     assert points[1].met is False
-
-
-@pytest.mark.parametrize("value", [None, 3.0])
-def test_a_mark_of_a_figure_that_was_not_measured_is_not_judged(value):
-    point = Entry(work="w", method="m", figures={"hours": value}, marks=(Mark("hours", 2.0, at_most=True),))
-    assert point.judged(point.marks[0]) is (None if value is None else False)
-
-
-def _precision(method: str, step: float, error: float, wall_s: float) -> Entry:
-    return Entry(work="w", method=method, parameters={"step_mm": step}, error=error, timing=Times(wall_s, wall_s))
-
-
-def test_a_work_of_three_errors_is_a_diagram(tmp_path):
-    findings = Findings([_precision("ours", 1.0, 1e-4, 3.0), _precision("ours", 2.0, 1e-3, 1.0),
-                         _precision("peer", 1.0, 1e-2, 2.0), Entry(work="too few", method="m", error=0.1)])  # fmt: skip
-    assert draw_diagrams(findings, tmp_path, "some") == {"w": "some-w.png"}
-    assert (tmp_path / "some-w.png").read_bytes().startswith(b"\x89PNG")

@@ -1,7 +1,6 @@
 """A rig operated by hand: levels, single sweeps, and a gate that silences whoever is waiting."""
 
 import threading
-from collections.abc import Mapping
 from dataclasses import replace
 
 import msgspec
@@ -10,9 +9,9 @@ import pytest
 
 from tests.lab_files import setup_of
 from wavefocus.acquisition.manual import ManualMeasurements
-from wavefocus.acquisition.setup import Setup, point_at
+from wavefocus.acquisition.setup import point_at
 from wavefocus.config.messages.operate import TakeSweep
-from wavefocus.drivers.protocols import Float64Array, Instruments, Player
+from wavefocus.drivers.protocols import Instruments
 from wavefocus.drivers.timeouts import BoundedPlayer, ShutError
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 
@@ -21,7 +20,7 @@ ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
 SWEEP = TakeSweep(actuator=0, level_v=1.0, start_hz=40.0, stop_hz=400.0, duration_s=0.3)
 
 
-def bench(**changes: object) -> Setup:
+def bench(**changes):
     rig = VirtualRig(replace(VirtualSettings(actuator_mm=ACTUATORS, dropout_probability=0.0), **changes))
     setup = setup_of(rig, inter_channel_delay_s=rig.settings.inter_channel_delay_s)
     point_at(setup, 20.0, 10.0)
@@ -61,20 +60,20 @@ def test_loopback_that_is_not_plugged_in_then_sweep_tells_that_in_place_of_figur
 class SlowPlayer:
     """Converts its signal for as long as somebody lets it, as real ones do."""
 
-    def __init__(self, player: Player) -> None:
+    def __init__(self, player):
         self._player = player
         self.converting, self.go_on = threading.Event(), threading.Event()
         self.sounding = False
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name):
         return getattr(self._player, name)
 
-    def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
+    def play(self, signals_v, sample_rate_hz):
         self.converting.set()
         assert self.go_on.wait(30)
         self.sounding = True
 
-    def mute(self) -> None:
+    def mute(self):
         self.sounding = False
 
 
@@ -83,7 +82,7 @@ def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds():
     gate = BoundedPlayer(player, 30.0)
     refused: list[ShutError] = []
 
-    def play() -> None:
+    def play():
         try:
             gate.play({0: np.zeros(4)}, RATE_HZ)
         except ShutError as shut:

@@ -8,7 +8,6 @@ import pytest
 from tests.lab_files import setup_of
 from wavefocus.acquisition.calibrate_channels import (
     NotMeasuredError,
-    OutputFigures,
     OutputsTask,
     Probe,
     listening_places,
@@ -16,8 +15,7 @@ from wavefocus.acquisition.calibrate_channels import (
     measure_inputs,
     measure_outputs,
 )
-from wavefocus.acquisition.calibrate_mirror import Jog, JogView, read_fiducials, suspect_mark
-from wavefocus.acquisition.setup import Setup
+from wavefocus.acquisition.calibrate_mirror import read_fiducials, suspect_mark
 from wavefocus.calibration.mirror_map import MirrorMap, fit_mirror_map
 from wavefocus.config.messages.rig_checks import Here
 from wavefocus.config.outline import Outline, default_marks_mm
@@ -31,37 +29,37 @@ ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
 class Hands:
     """A person who forgets some cables, and tries so often before giving up."""
 
-    def __init__(self, rig: VirtualRig, *, forgets: tuple[str, ...] = (), patience: int = 5) -> None:
+    def __init__(self, rig, *, forgets=(), patience=5):
         self._bay, self._forgets, self._patience = rig.patch_bay, list(forgets), patience
         self.plugged: list[str] = []
         self.problems: list[str] = []
 
-    def report(self, line: str) -> None:
+    def report(self, line):
         pass
 
-    def connect(self, source: str) -> None:
+    def connect(self, source):
         self.plugged.append(source)
         if source in self._forgets:
             self._forgets.remove(source)
             return
         self._bay.connect(source)
 
-    def jog(self, view: JogView) -> Jog:
+    def jog(self, view):
         return Here()
 
-    def again(self, problem: str) -> bool:
+    def again(self, problem):
         self.problems.append(problem)
         self._patience -= 1
         return self._patience > 0
 
 
-def bench(**changes: object) -> tuple[VirtualRig, Setup, Probe]:
+def bench(**changes):
     rig = VirtualRig(replace(VirtualSettings(actuator_mm=ACTUATORS, dropout_probability=0.0), **changes))
     setup = setup_of(rig)
     return rig, setup, Probe(setup, RATE_HZ, 1.0)
 
 
-def outputs(probe: Probe, hands: Hands) -> tuple[OutputFigures, ...]:
+def outputs(probe, hands):
     task = OutputsTask((0, 1, 2), 3, (5.0,) * 4, 1.0, 5e-6)
     return measure_outputs(task, probe, hands, lambda done, total: None)
 

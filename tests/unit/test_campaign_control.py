@@ -1,4 +1,4 @@
-"""Heartbeat and orders: the files beside a bank by which processes talk."""
+"""Heartbeat, orders and status: how processes learn of one another's campaign."""
 
 import threading
 import time
@@ -15,27 +15,30 @@ from wavefocus.campaign.control import (
     read_heartbeat,
     take_order,
     withdraw,
-    write_heartbeat,
 )
-from wavefocus.campaign.status import Heartbeat
-from wavefocus.config.messages.campaign import State, StateChanged
+from wavefocus.campaign.sidecar_files import log_path
+from wavefocus.campaign.status import Heartbeat, Recovering, campaign_status
+from wavefocus.config.messages.campaign import (
+    Fault,
+    PositionKept,
+    PositionStarted,
+    Progress,
+    ReconnectTried,
+    RecordTaken,
+    SessionEnded,
+    SessionStarted,
+    State,
+    StateChanged,
+    event_line,
+)
+from wavefocus.storage.ledger.owner import Owner
 
 
-def _until(condition, seconds: float = 30.0) -> None:
+def _until(condition, seconds=30.0):
     until_s = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < until_s
         time.sleep(0.005)
-
-
-def test_given_a_beat_then_it_is_read_as_it_was_written(tmp_path):
-    bank, now = tmp_path / "plate.h5", datetime.now(UTC)
-    beat = Heartbeat(now, 12, "here", "running", "why", now, 7, 3, 9, 60.0, "a fault", "abc")
-    write_heartbeat(bank, beat)
-    assert read_heartbeat(bank) == beat
-    assert beat.finish_at == now + timedelta(minutes=1)
-    assert beat.age_s(now + timedelta(seconds=40)) == 40.0
-    assert [one.name for one in tmp_path.iterdir()] == ["plate.h5.heartbeat"]
 
 
 @pytest.mark.parametrize(
@@ -120,3 +123,63 @@ def test_given_an_order_laid_while_another_is_taken_then_it_is_not_lost(tmp_path
         taken.append(take_order(bank))
         assert last in taken
         assert list(tmp_path.iterdir()) == []
+
+
+OWNER = Owner("here", 7)
+STARTED = SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ())
+RUNNING = StateChanged(0.0, State.RUNNING, "7 positions to do")
+FAULT = Fault(1.0, "virtual mirror", "moving", "it is gone", "plug it in", 5, 1, True)
+LOST = StateChanged(1.0, State.RECOVERING, "virtual mirror: it is gone")
+TRIED = ReconnectTried(2.0, "mirror", "virtual mirror", 3, False, "no answer", 5.0, 60.0)
+WAITS = Recovering("virtual mirror", 3, "no answer", 5.0, 60.0)
+PROGRESS = Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0)
+RECORD = RecordTaken(2.0, 5, 1, 2, 3)
+KEPT = PositionKept(2.0, 4, 1, "no better")
+
+
+def after(bank, *events, owner=OWNER, beat=None):
+    log_path(bank).write_text("".join(map(event_line, events)), encoding="utf-8")
+    return campaign_status(bank, owner, beat)
+
+
+@pytest.mark.parametrize(
+    ("events", "state", "recovering"),
+    [
+        ([], State.IDLE, None),
+        ([STARTED], State.IDLE, None),
+        ([STARTED, RUNNING], State.RUNNING, None),
+        ([STARTED, RUNNING, FAULT, LOST], State.RECOVERING, Recovering("virtual mirror")),
+        ([STARTED, RUNNING, LOST], State.RECOVERING, Recovering()),
+        ([STARTED, RUNNING, FAULT, LOST, TRIED], State.RECOVERING, WAITS),
+        ([STARTED, RUNNING, FAULT, LOST, TRIED, RUNNING], State.RUNNING, None),
+        ([STARTED, RUNNING, StateChanged(3.0, State.FINISHED, "done")], State.IDLE, None),
+        ([STARTED, RUNNING, SessionEnded(3.0, State.FINISHED, 9, 9, {})], State.IDLE, None),
+        ([STARTED, RUNNING, STARTED], State.IDLE, None),
+    ],
+)  # fmt: skip
+def test_given_events_then_the_state_is_that_of_the_latest_session(tmp_path, events, state, recovering):
+    status = after(tmp_path / "plate.h5", *events)
+    assert (status.state, status.recovering) == (state, recovering)
+    assert (status.since is None) == (status.reason == "") == (state is State.IDLE)
+
+
+def test_given_a_session_under_way_then_progress_record_and_what_is_kept_are_known(tmp_path):
+    bank = tmp_path / "plate.h5"
+    status = after(bank, STARTED, RUNNING, KEPT, PROGRESS, PositionStarted(2.0, 5, 1, 0.0, 0.0), RECORD)
+    assert (status.progress, status.record, status.kept) == (PROGRESS, RECORD, {4: "no better"})
+    assert status.planned_s == 70.0
+    assert after(bank, STARTED, RECORD, PositionStarted(3.0, 6, 1, 0.0, 0.0)).record is None
+    fresh = after(bank, STARTED, KEPT, PROGRESS, RECORD, STARTED)
+    assert (fresh.progress, fresh.record, fresh.kept) == (None, None, {})
+
+
+def test_given_no_owner_then_nothing_goes_on_and_what_is_kept_is_named(tmp_path):
+    status = after(tmp_path / "plate.h5", STARTED, RUNNING, KEPT, PROGRESS, owner=None)
+    assert (status.state, status.progress, status.kept) == (State.IDLE, None, {4: "no better"})
+    assert status.last_event_at is not None
+
+
+@pytest.mark.parametrize(("pid", "state"), [(7, State.PAUSED), (8, State.IDLE)])
+def test_given_a_log_that_ended_then_the_owners_heartbeat_says_the_state(tmp_path, pid, state):
+    beat = Heartbeat(datetime.now(UTC), pid, "here", State.PAUSED, "as asked")
+    assert after(tmp_path / "plate.h5", beat=beat).state is state

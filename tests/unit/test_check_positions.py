@@ -2,7 +2,6 @@
 
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,7 +39,7 @@ noise_v = {noise_v}
 """
 
 
-def loaded(folder: Path, grid: str, sweep: str = ""):
+def loaded(folder, grid, sweep=""):
     path = folder / "run.toml"
     path.write_text(f'rig = "virtual"\n[grid]\n{grid}\n[sweep]\n{sweep}\n', encoding="utf-8")
     return load_run(path)
@@ -82,7 +81,7 @@ def test_check_positions_beside_a_list_of_positions_are_refused(tmp_path):
         loaded(tmp_path, 'positions_file = "grid.csv"\ncheck_positions = 3')
 
 
-def begun_earlier(folder: Path, grid: str, checks: int | None = None) -> Path:
+def begun_earlier(folder, grid, checks=None):
     """A bank as versions without check positions, or with 12 of them, began it."""
     earlier = loaded(folder, f"{grid}\ncheck_positions = {checks or 0}")
     run = earlier.run.model_copy(update={"grid": earlier.run.grid.model_copy(update={"check_positions": checks})})

@@ -11,7 +11,7 @@ from wavefocus.storage.errors import InputError
 RATE_HZ = 1000.0
 
 
-def sines(seconds: float, *amplitudes: float) -> np.ndarray:
+def sines(seconds, *amplitudes):
     time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     return np.array(amplitudes)[:, None] * np.sin(2 * np.pi * 50.0 * time_s)
 

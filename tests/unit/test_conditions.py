@@ -1,5 +1,7 @@
 """Values of watched conditions, and their bands."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -8,9 +10,13 @@ from wavefocus.acquisition.attempt import Play
 from wavefocus.acquisition.engine.recovery import Conditions
 from wavefocus.acquisition.setup import AllowedRange, Watch
 from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.config.rig import default_rig
+from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Recording
 from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rig.instruments import openers_of
+from wavefocus.rig.setup import band_of, open_rig, room_c
 
 RATE_HZ = 10_000.0
 EXCITATION = PlayedExcitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 1)
@@ -19,22 +25,22 @@ PLAY = Play(0, {0: SIGNAL_V, 20: SIGNAL_V})
 
 
 class Thermometer:
-    def __init__(self, value: float | None) -> None:
+    def __init__(self, value):
         self.value = value
 
-    def read(self) -> float:
+    def read(self):
         if self.value is None:
             raise InstrumentError("thermometer", "reading", "it is silent", "look after it")
         return self.value
 
 
-def _conditions(sensor: Thermometer | None = None, **bands: AllowedRange) -> Conditions:
+def _conditions(sensor=None, **bands):
     setup = setup_of(VirtualRig(), reference_gain=0.5)
     watch = Watch(bands, {} if sensor is None else {"room": sensor.read})
     return Conditions(watch, setup, EXCITATION)
 
 
-def _recording(reference_gain: float, noise_v: float) -> Recording:
+def _recording(reference_gain, noise_v):
     generator = np.random.default_rng(1)
     volts = np.zeros((2, len(SIGNAL_V) + 1200), np.float32)
     volts[0, 300 : 300 + len(SIGNAL_V)] = reference_gain * SIGNAL_V
@@ -86,3 +92,45 @@ def test_given_a_sensor_that_fails_then_its_value_is_unknown_and_the_failure_is_
     values = conditions.values([], [])
     assert conditions.silent_sensors == {}
     assert "below 18" in conditions.left(values)
+
+
+def _rig(tmp_path, text):
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    return load_rig(tmp_path / "rig.toml")
+
+
+def watch_of(rig):
+    return open_rig(rig, openers_of(rig)).watch
+
+
+def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path):
+    rig = _rig(tmp_path, "[watch.reference]\nleaves_below = -3\nleaves_above = 2.0\nsettle_s = 5")
+    band = band_of(rig.watch.reference, "reference level", "dB") if rig.watch.reference else None
+    assert band is not None
+    assert (band.leaves_below, band.returns_above) == (-3.0, pytest.approx(-2.7))
+    assert (band.leaves_above, band.returns_below) == (2.0, pytest.approx(1.8))
+    assert band.settle_s == 5.0
+
+
+def test_given_no_lower_limit_then_any_low_value_is_well(tmp_path):
+    rig = _rig(tmp_path, "[watch.noise]\nleaves_above = 0.01")
+    watch = watch_of(rig)
+    assert (watch.bands["noise"].leaves_below, watch.bands["noise"].returns_above) == (-math.inf, -math.inf)
+    assert watch.bands["noise"].is_back(0.0)
+
+
+def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path):
+    rig = _rig(tmp_path, "[watch.room]\nleaves_below = 18\n[watch.light]\nleaves_below = 0.2")
+    watch = watch_of(rig)
+    assert {name: sensor() for name, sensor in watch.sensors.items()} == {"room": 21.0, "light": 1.0}
+    assert watch_of(default_rig()).sensors == {}
+
+
+def test_given_a_transmitter_then_its_volts_become_degrees(tmp_path):
+    class Box:
+        def read_input_v(self, name):
+            return {"ai3": 0.25}[name]
+
+    rig = _rig(tmp_path, '[watch.room]\nleaves_below = 18\ninput = "ai3"\ncelsius_per_v = 80.0\ncelsius_at_0_v = 1.5')
+    assert rig.watch.room is not None
+    assert room_c(Box(), rig.watch.room) == 21.5

@@ -1,6 +1,5 @@
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -187,7 +186,7 @@ product_id = 0x7179
 """
 
 
-def real(tmp_path: Path, text: str = "") -> RigConfig:
+def real(tmp_path, text=""):
     file = tmp_path / "rig.toml"
     file.write_text(REAL + text)
     return load_rig(file)

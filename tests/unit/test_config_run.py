@@ -1,5 +1,4 @@
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,13 @@ from wavefocus.storage.errors import InputError
 POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
 
 
-def write(folder: Path, text: str, name: str = "run.toml") -> Path:
+def write(folder, text, name="run.toml"):
     file = folder / name
     file.write_text(text, encoding="utf-8")
     return file
 
 
-def complaint_about(file: Path) -> str:
+def complaint_about(file):
     with pytest.raises(InputError) as told:
         load_run(file)
     message = str(told.value)

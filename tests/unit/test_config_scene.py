@@ -1,10 +1,8 @@
-from pathlib import Path
-
 import pytest
 
 from wavefocus.config.scene import Output, Regularisation, SceneConfig
 from wavefocus.rendering.scene import paths, signals
-from wavefocus.rendering.scene.model import Scene, load_scene
+from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.paths import TextPath
 from wavefocus.rendering.scene.svg import SvgPath
 from wavefocus.storage.errors import InputError
@@ -35,7 +33,7 @@ limit_v = 1.0
 """
 
 
-def scene_of(folder: Path, text: str) -> Scene:
+def scene_of(folder, text):
     file = folder / "scene.toml"
     file.write_text(text, encoding="utf-8")
     return load_scene(file)
@@ -114,7 +112,7 @@ def test_scene_survives_json():
     assert SceneConfig.model_validate_json(scene.model_dump_json()) == scene
 
 
-def moving(path: str) -> str:
+def moving(path):
     return f"{MOVING}path = {path}"
 
 

@@ -24,7 +24,7 @@ with progress("capture", 1500, timed={timed}) as report:
 """
 
 
-def on_a_terminal(code: str, columns: int = 80) -> str:
+def on_a_terminal(code, columns=80):
     """What a Python program writes to standard error on a terminal of so many columns, without its control codes."""
     assert pty is not None
     own, its = pty.openpty()

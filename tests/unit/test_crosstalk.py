@@ -1,7 +1,6 @@
 """Crosstalk: what of the loopback leaks into the response input, on virtual rigs and in the estimator."""
 
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,7 +21,7 @@ from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rendering.verify.results import Symptom
 from wavefocus.rendering.verify.symptoms import crosstalk_symptom, with_crosstalk
 from wavefocus.storage.bank.ledger import PointRecord, Status
-from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.raw.writer import open_raw
 from wavefocus.virtual import virtual_rig
@@ -32,7 +31,7 @@ PER_VOLT = 0.125
 RUN = {"capture": {"averages": 1}, "quality": {"remeasure_pass": 0}, "drift": {"every_positions": 10_000}}
 
 
-def silent_record(share: float, delay_s: float, noise_v: float, seed: int = 0) -> Crosstalk:
+def silent_record(share, delay_s, noise_v, seed=0):
     """A sweep on the loopback, noise and a leak on the response, measured."""
     draw = np.random.default_rng(seed)
     time_s = np.arange(6000) / RATE_HZ
@@ -58,14 +57,14 @@ def test_records_without_a_leak_name_none_and_loud_ones_resolve_none():
     assert not loud.is_seen
 
 
-def measured(path: Path, share: float, delay_s: float = 0.0, **run: dict[str, object]) -> Bank:
+def measured(path, share, delay_s=0.0, **run):
     """A campaign of some positions on the soft plate, with a leak."""
     keys = {"crosstalk": share, "crosstalk_delay_s": delay_s, "seed": 3}
-    rig = virtual_rig(actuators=4, spacing_mm=75.0, run={**RUN, **run, "virtual": keys})
+    rig = virtual_rig(actuators=3, spacing_mm=100.0, run={**RUN, **run, "virtual": keys})
     return rig.measure(path)
 
 
-def looks(bank: Bank) -> list[CrosstalkMeasured]:
+def looks(bank):
     """All looks at the leak, oldest first."""
     found = [one.event for one in last_events(bank.path) if isinstance(one.event, CrosstalkMeasured)]
     return found[::-1]
@@ -76,12 +75,12 @@ def clean(tmp_path_factory):
     return measured(tmp_path_factory.mktemp("bank") / "plate.h5", 0.0)
 
 
-def one_percent(bank: Bank) -> float:
+def one_percent(bank):
     """Share of the loopback that makes 1 % of a bank's median row."""
     return 0.01 * float(np.median(bank.rms)) * np.sqrt(bank.taps) / (PER_VOLT * np.sqrt(2 * 480 / RATE_HZ))
 
 
-@pytest.mark.parametrize(("times", "delay_s"), [(-1.0, 0.0), (3.0, 0.004)])
+@pytest.mark.parametrize(("times", "delay_s"), [(-1.0, 0.0), pytest.param(3.0, 0.004, marks=pytest.mark.long)])
 def test_a_leak_from_one_percent_of_the_median_row_is_named_and_marks_all(clean, tmp_path, times, delay_s):
     share = times * one_percent(clean)
     bank = measured(tmp_path / "plate.h5", share, delay_s)
@@ -110,7 +109,7 @@ def test_a_campaign_without_a_leak_names_none_and_says_that_it_looked(clean):
 class LeakingSetup:
     """A bank, and watches of leaks of any share into it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         self.rig = virtual_rig(actuators=4, spacing_mm=60.0, run=RUN)
         plan = blueprint_of(self.rig.configuration).plan
         header = blueprint_of(self.rig.configuration).bank_header()
@@ -119,13 +118,13 @@ class LeakingSetup:
         self.events: list[CrosstalkMeasured] = []
         self.plan, self.done = plan, 0
 
-    def watch(self, share: float, unvouched: tuple[int, ...] = ()) -> LeakWatch:
+    def watch(self, share, unvouched=()):
         settings = VirtualSettings(crosstalk=share, actuator_mm=tuple(map(tuple, self.plan.actuator_mm.tolist())))
         setup = setup_of(VirtualRig(settings))
         session = Session(setup.instruments.clock, self.events.append, StopRequest())
         return LeakWatch(self.plan, setup, self.bank, session, Recovery(setup, session), unvouched)
 
-    def commit(self, watch: LeakWatch, count: int) -> None:
+    def commit(self, watch, count):
         """Commit rows as loud as 100 times 1e-4 of the loopback."""
         rows, figures = np.zeros((4, self.plan.taps), np.float32), np.ones(4, np.float32)
         rows[:, 5] = 1e-2 * PER_VOLT * np.sqrt(2 * 480 / RATE_HZ)
@@ -168,6 +167,7 @@ def test_leak_at_the_beginning_is_judged_once_there_are_rows(tmp_path):
     bench.bank.close()
 
 
+@pytest.mark.long
 def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean, tmp_path):
     bank = measured(tmp_path / "plate.h5", 5 * one_percent(clean), capture={"averages": 1, "keep_raw": True})
     again = tmp_path / "again.h5"

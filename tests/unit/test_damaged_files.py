@@ -1,8 +1,6 @@
 """Damaged and hostile HDF5 files, fault x kind of file: what changes a value is found, and none ends in a traceback."""
 
 import zlib
-from collections.abc import Callable
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -23,12 +21,12 @@ RNG = np.random.default_rng(0)
 LARGE = 10**12
 
 
-def a_bank(path: Path) -> None:
+def a_bank(path):
     green = RNG.normal(size=(5, 3, 100)) * np.exp(-np.arange(100) / 7)
     write_bank(path, green, POSITION_MM, rows=range(4))  # the last one is not measured
 
 
-def a_raw_file(path: Path) -> None:
+def a_raw_file(path):
     schedule = Schedule(np.arange(3, dtype=np.int32)[:, None], np.zeros((3, 1)), np.ones((3, 1)), 0.0)
     header = RawHeader(
         10_000.0, 400, 100, (20.0, 500.0), schedule, POSITION_MM, np.zeros((3, 2)), 1.0, volts_per_count=(1e-3, 1e-3),
@@ -41,12 +39,12 @@ def a_raw_file(path: Path) -> None:
             writer.commit(position, volts[0], volts[1])
 
 
-def a_drive(path: Path) -> None:
+def a_drive(path):
     foci = np.arange(7)
     write_drive(path, Drive(RNG.normal(size=(3, 300)), 1e4, -0.01, "sampled", 0.5, 1e-6, foci, foci % 5, foci * 0))
 
 
-def a_field(path: Path) -> None:
+def a_field(path):
     write_field(path, Field(RNG.normal(size=(5, 400)), np.arange(5), 1e4, -0.01, "m/s"))
 
 
@@ -86,7 +84,7 @@ VALUES: list[object] = [
 ]  # fmt: skip
 
 
-def keys_of(path: Path) -> list[tuple[str, str]]:
+def keys_of(path):
     """All attributes of a file, and those that files of others may have."""
     found = []
     with h5py.File(path, "r") as file:
@@ -120,10 +118,10 @@ def test_a_hostile_attribute_then_never_ends_in_a_traceback(tmp_path, sound, cou
         assert "\n" not in told, cases[number]
 
 
-def declared(name: str, shape: tuple[int, ...], chunks: tuple[int, ...], **options: object) -> Callable[[Path], None]:
+def declared(name, shape, chunks, **options):
     """A file of a bank, drive or field that declares the shape of its largest dataset and holds nothing of it."""
 
-    def make(path: Path) -> None:
+    def make(path):
         with h5py.File(path, "w") as file:
             file.create_dataset(name, shape, "f4", chunks=chunks, **options)
             file.create_dataset("position_mm", (shape[0], 2), "f8", chunks=(1, 2))
@@ -135,7 +133,7 @@ def declared(name: str, shape: tuple[int, ...], chunks: tuple[int, ...], **optio
     return make
 
 
-def declared_raw(path: Path) -> None:
+def declared_raw(path):
     with h5py.File(path, "w") as file:
         file.attrs.update(format="wavefocus-raw", format_version=1, sample_rate_hz=1e4, taps=16, band_hz=[1.0, 9.0])
         for name in ("response", "reference"):

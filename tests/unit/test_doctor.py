@@ -1,7 +1,6 @@
 """The doctor: every instrument is examined, whatever the others do."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +15,7 @@ from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 
-def examined(
-    bench: VirtualRig, rig: dict[str, object] | None = None, *, play: bool = True, **openers: object
-) -> list[Finding]:
+def examined(bench, rig=None, *, play=True, **openers):
     """RigFindings about a bench; `rig` has tables of its rig file, `openers` other openers."""
     roles = bench.instruments
     sound = Openers(
@@ -34,20 +31,20 @@ def examined(
     return findings
 
 
-def reading(signal_level: float | None) -> VibrometerReading:
+def reading(signal_level):
     return VibrometerReading(0.125, "", 0.0, signal_level, "decoder")
 
 
-def verdicts(findings: list[Finding]) -> dict[tuple[str, str], str]:
+def verdicts(findings):
     return {(one.instrument, one.check): one.verdict for one in findings}
 
 
-def failed(findings: list[Finding]) -> set[tuple[str, str]]:
+def failed(findings):
     return {(one.instrument, one.check) for one in findings if one.verdict == "fail"}
 
 
-def absent(name: str) -> Callable[[], object]:
-    def refuse() -> object:
+def absent(name):
+    def refuse():
         raise InstrumentError(name, "opening", "it is not there", "plug it in")
 
     return refuse
@@ -75,13 +72,13 @@ def test_given_a_sound_rig_then_all_is_well_looked_at_and_released():
 class KnowsItsConverter:
     """A recorder that states its conversion clock, as NI's do."""
 
-    def __init__(self, recorder: object, delay_s: float | None) -> None:
+    def __init__(self, recorder, delay_s):
         self._recorder, self._delay_s = recorder, delay_s
 
-    def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
+    def sampling_delay_s(self, sample_rate_hz):
         return self._delay_s
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name):
         return getattr(self._recorder, name)
 
 
@@ -198,18 +195,18 @@ def test_given_a_beam_that_parks_on_the_surface_then_pickup_is_not_measured():
 class ReadingMirror:
     """A mirror that stands a little off where it is sent, and says so."""
 
-    def __init__(self, rig: VirtualRig, off_mrad: float | None) -> None:
+    def __init__(self, rig, off_mrad):
         self._mirror, self._off_mrad = rig.instruments.mirror, off_mrad
         self._at_mrad = (0.0, 0.0)
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name):
         return getattr(self._mirror, name)
 
-    def move_to(self, x_mrad: float, y_mrad: float) -> None:
+    def move_to(self, x_mrad, y_mrad):
         self._at_mrad = (x_mrad, y_mrad)
         self._mirror.move_to(x_mrad, y_mrad)
 
-    def where_mrad(self) -> tuple[float, float] | None:
+    def where_mrad(self):
         if self._off_mrad is None:
             return None
         return (self._at_mrad[0], self._at_mrad[1] - self._off_mrad)

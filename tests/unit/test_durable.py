@@ -12,14 +12,11 @@ from hypothesis import strategies as st
 from wavefocus.storage.durable import (
     PositionedFile,
     PosixFile,
-    is_network_mount,
     is_network_mount_in,
     open_file,
     publish_by_claim,
     publish_by_link,
     publish_new,
-    sync_folder,
-    sync_path,
 )
 from wavefocus.storage.output_files import replacement
 
@@ -91,29 +88,6 @@ def test_a_published_file_then_has_its_name_and_no_other_file_s(tmp_path, publis
     assert (tmp_path / "temporary").read_bytes() == b"new"
 
 
-def test_a_replacement_that_ends_well_then_takes_the_name(tmp_path):
-    (tmp_path / "file").write_bytes(b"old")
-    with replacement(tmp_path / "file") as temporary:
-        temporary.write_bytes(b"new")
-        assert (tmp_path / "file").read_bytes() == b"old"
-    assert (tmp_path / "file").read_bytes() == b"new"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
-
-
-def test_a_replacement_that_fails_then_leaves_the_old_file_and_nothing_else(tmp_path):
-    (tmp_path / "file").write_bytes(b"old")
-
-    def write_half() -> None:
-        with replacement(tmp_path / "file") as temporary:
-            temporary.write_bytes(b"ne")
-            raise RuntimeError("stopped")
-
-    with pytest.raises(RuntimeError, match="stopped"):
-        write_half()
-    assert (tmp_path / "file").read_bytes() == b"old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
-
-
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such permissions")
 def test_a_replacement_then_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "ordinary").write_bytes(b"")
@@ -121,15 +95,6 @@ def test_a_replacement_then_has_the_permissions_of_any_new_file(tmp_path):
         temporary.write_bytes(b"new")
     modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("file", "ordinary")]
     assert modes[0] == modes[1]
-
-
-def test_a_file_opened_by_the_platforms_best_then_can_be_synced_with_its_folder(tmp_path):
-    (tmp_path / "file").write_bytes(b"abc")
-    sync_path(tmp_path / "file")
-    sync_folder(tmp_path)
-    file = open_file(tmp_path / "file")
-    assert file.size() == 3
-    file.close()
 
 
 MOUNTS = """\
@@ -155,15 +120,11 @@ def test_a_path_then_counts_as_on_the_network_by_its_nearest_mount(path, network
     assert is_network_mount_in(MOUNTS, Path(path)) is network
 
 
-def test_a_local_temporary_folder_then_is_no_network_mount(tmp_path):
-    assert is_network_mount(tmp_path) is False
-
-
 @pytest.mark.may_skip("Windows has other calls for locks")
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other calls for locks")
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP])
 def test_a_drive_that_keeps_no_locks_then_the_file_and_the_remedy_are_named(tmp_path, monkeypatch, number):
-    def refused(descriptor: int, operation: int) -> None:
+    def refused(descriptor, operation):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("fcntl.flock", refused)  # as the system answers on such a mount

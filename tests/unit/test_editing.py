@@ -21,7 +21,7 @@ signal = { kind = "sine", frequency = 200, duration_s = 0.1 }
 """
 
 
-def words(text: str, kind: str = "scene") -> list[str]:
+def words(text, kind="scene"):
     return [one.text for one in completions(text, len(text), MODELS[kind])[1]]
 
 

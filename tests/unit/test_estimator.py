@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
-from wavefocus.calibration.estimator.estimate import Channels, Estimate
+from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.excitation import Excitation, PlayedExcitation, RecordedExcitation
+from wavefocus.calibration.excitation import PlayedExcitation, RecordedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.config.run import QualityLimits
 from wavefocus.storage.bank.ledger import Status
@@ -27,7 +27,7 @@ RANGE = (10.0, 200.0)
 Float64Array = NDArray[np.float64]
 
 
-def damped_modes(records: int, taps: int, excitation: PlayedExcitation, seed: int = 0) -> Float64Array:
+def damped_modes(records, taps, excitation, seed=0):
     draw = np.random.default_rng(seed)
     time_s = np.arange(taps) / excitation.sample_rate_hz
     slowest = 6 / time_s[-1]
@@ -39,11 +39,11 @@ def damped_modes(records: int, taps: int, excitation: PlayedExcitation, seed: in
     return green
 
 
-def random_filters(records: int, taps: int, seed: int = 1) -> Float64Array:
+def random_filters(records, taps, seed=1):
     return np.random.default_rng(seed).standard_normal((records, taps))
 
 
-def played(signal: Float64Array, samples: int, offset: float, ratio: float) -> Float64Array:
+def played(signal, samples, offset, ratio):
     """Recordings (records, samples) of playback-clock signals (records, n), silence around them."""
     length = scipy.fft.next_fast_len(signal.shape[1] + 4000, real=True)
     fine = 16 * scipy.fft.irfft(scipy.fft.rfft(signal, length), 16 * length)
@@ -68,21 +68,13 @@ class Records:
     response: Float64Array
     noise_v: Float64Array
 
-    def estimate(self, estimator: SequentialEstimator = ESTIMATOR) -> Estimate:
+    def estimate(self, estimator=ESTIMATOR):
         return estimator.estimate(self.reference.astype(np.float32), self.response.astype(np.float32), range_v=RANGE)
 
 
 def records_of(
-    green: Float64Array,
-    excitation: Excitation = SMALL,
-    *,
-    snr_db: float | None = 40.0,
-    offset: float = 100.4,
-    ppm: float = 0.0,
-    post_roll: int = 300,
-    seed: int = 5,
-    response_late: float = 0.0,
-) -> Records:
+    green, excitation=SMALL, *, snr_db=40.0, offset=100.4, ppm=0.0, post_roll=300, seed=5, response_late=0.0
+):
     """Records of a linear plate: drive convolved on the playback clock, both channels then on the DAQ's."""
     draw = np.random.default_rng(seed)
     signal = np.tile(excitation.base_v(), excitation.averages)
@@ -102,19 +94,19 @@ def records_of(
     return Records(x, y, noise_v)
 
 
-def band_spectrum(green: NDArray[Any], excitation: PlayedExcitation) -> NDArray[np.complex128]:
+def band_spectrum(green, excitation):
     period = excitation.period_samples
     hertz = np.arange(period // 2 + 1) * excitation.sample_rate_hz / period
     band = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
     return np.asarray(scipy.fft.rfft(np.asarray(green, dtype=np.float64), period)[:, band])
 
 
-def error_db(found: NDArray[Any], truth: Float64Array, excitation: PlayedExcitation = SMALL) -> Float64Array:
+def error_db(found, truth, excitation=SMALL):
     wrong, right = band_spectrum(found - truth, excitation), band_spectrum(truth, excitation)
     return np.asarray(10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1)))
 
 
-def limit_db(records: Records, truth: Float64Array, excitation: PlayedExcitation = SMALL) -> Float64Array:
+def limit_db(records, truth, excitation=SMALL):
     """In-band error that least squares for a causal FIR must have: its covariance, noise-free reference."""
     period, taps = excitation.period_samples, truth.shape[1]
     drive = scipy.fft.rfft(excitation.base_v())[:, None]
@@ -243,7 +235,7 @@ def test_a_record_cut_before_its_end_is_refused():
             Records(records.reference[:, kept], records.response[:, kept], records.noise_v).estimate()
 
 
-def repeated_signals() -> dict[str, Float64Array]:
+def repeated_signals():
     """One repeat of signals that fill the band of `SMALL` and are no sweeps; rising, noisy, sparse, all at once."""
     samples, rate_hz = round(SMALL.duration_s * SMALL.sample_rate_hz), SMALL.sample_rate_hz
     hertz = np.fft.rfftfreq(samples, 1 / rate_hz)

@@ -79,6 +79,7 @@ def test_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found
     assert not harmonics > -60
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("schedule", ["sequential", "staggered"])
 def test_given_a_multisine_in_the_run_then_a_campaign_ends_with_valid_rows(tmp_path, schedule):
     run = {"sweep": {"waveform": "multisine", "duration_s": 0.3}, "capture": {"averages": 1, "excitation": schedule}}

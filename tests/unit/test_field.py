@@ -111,18 +111,6 @@ def band_limited(rng, shape, share=0.25):
     return np.fft.irfft(spectrum / (1 + (frequency / (0.5 * share)) ** 8), shape[-1])
 
 
-def test_kept_spectra_give_the_positions_asked_for_in_any_order():
-    rng = np.random.default_rng(1)
-    bank = make_bank(rng.standard_normal((9, 2, 60)), status=np.array([1, 1, 0, 1, 1, 1, 1, 1, 1], np.uint8))
-    drive = make_drive(rng.standard_normal((2, 900)))
-    spectra = BankSpectra(bank, measured_positions(bank)[0])
-    found = Prediction(drive, spectra, [7, 0, 3]).field()
-    assert relative_error(found.field, convolved(bank, drive, [7, 0, 3])) < 2e-6
-    np.testing.assert_array_equal(found.position_index, [7, 0, 3])
-    with pytest.raises(InputError, match="position 2 were not kept"):
-        Prediction(drive, spectra, [1, 2]).field()
-
-
 @pytest.mark.parametrize("kept", [False, True])
 def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above(kept):
     rng = np.random.default_rng(3)

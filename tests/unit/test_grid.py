@@ -1,3 +1,5 @@
+"""Grids, lists of positions, and rows as people type them."""
+
 import math
 
 import numpy as np
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_grid
 from wavefocus.config.outline import Outline, Segment
+from wavefocus.input_files import parse_positions
 from wavefocus.storage.errors import InputError
 
 PLATE = Outline.stadium(250.0, 150.0)
@@ -68,7 +71,7 @@ def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stad
     assert np.all(near[inner] == 6)
 
 
-def _equal_arcs(outline: Outline, count: int) -> np.ndarray:
+def _equal_arcs(outline, count):
     return outline.at(np.arange(count) * outline.perimeter_mm / count)
 
 
@@ -157,3 +160,18 @@ def test_check_positions_lie_between_grid_inside_margin_and_are_always_same(outl
     assert count == 0 or (gap_mm.min() >= 1.0 and gap_mm.min(axis=1).max() <= 10.0)
     assert len(np.unique(found, axis=0)) == count
     np.testing.assert_array_equal(found, check_grid(outline, 14.3, 10.0, position_mm, count))
+
+
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [("3", [3]), ("3,5-7", [3, 5, 6, 7]), (" 0 , 9 ", [0, 9]), ("2,2,1-2", [2, 1]), ("0-9", list(range(10)))],
+)
+def test_given_numbers_and_ranges_then_each_row_once_in_order(text, rows):
+    assert parse_positions(text, 10) == rows
+
+
+@pytest.mark.parametrize("text", ["", "a", "1,,2", "-1", "10", "3-10", "7-3", "1.5", "1;2", "9" * 30])
+def test_given_anything_else_then_one_sentence_names_it(text):
+    with pytest.raises(InputError, match="--positions") as told:
+        parse_positions(text, 10)
+    assert "\n" not in str(told.value)

@@ -1,7 +1,5 @@
 """Frequency responses that no causal system has are named: conjugated or leading, aliased in time; others are not."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ RATE_HZ, POSITIONS, ACTUATORS = 2000.0, 6, 2
 NAMES = ("conjugated", "aliased")
 
 
-def modes(taps: int, decay_s: float, delay_s: float = 0.0, seed: int = 1) -> np.ndarray:
+def modes(taps, decay_s, delay_s=0.0, seed=1):
     """Responses of five decaying modes each, (positions, actuators, taps)."""
     random, time_s = np.random.default_rng(seed), np.arange(taps) / RATE_HZ - delay_s
     shape = (POSITIONS, ACTUATORS, 5, 1)
@@ -27,7 +25,7 @@ def found(tmp_path):
     places = tmp_path / "places.csv"
     places.write_text("x_m,y_m\n" + "".join(f"{0.004 * (i % 3)},{0.004 * (i // 3)}\n" for i in range(POSITIONS)))
 
-    def do(spectra: np.ndarray, step_hz: float, first: int = 0) -> tuple[list[str], dict[str, Any]]:
+    def do(spectra, step_hz, first=0):
         np.save(tmp_path / "a.npy", spectra)
         frequencies = (first * step_hz, step_hz)
         options = ImportOptions(places=places, unit="m/s/V", frequencies=frequencies, sample_rate_hz=RATE_HZ)

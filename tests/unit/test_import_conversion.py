@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from wavefocus.calibration.imports.bank import Imported, import_bank
+from wavefocus.calibration.imports.bank import import_bank
 from wavefocus.cli import parser
 from wavefocus.command_line import UsageError
 from wavefocus.options import ImportOptions
@@ -38,7 +37,7 @@ def imported(tmp_path):
     places = tmp_path / "places.csv"
     places.write_text("x_m,y_m\n" + "".join(f"{0.004 * (i % 3)},{0.004 * (i // 3)}\n" for i in range(POSITIONS)))
 
-    def do(values: np.ndarray, **options: Any) -> tuple[np.ndarray, Imported, Any]:
+    def do(values, **options):
         np.save(tmp_path / "a.npy", values)
         out = tmp_path / f"out-{len(list(tmp_path.iterdir()))}.h5"
         made = import_bank(tmp_path / "a.npy", out, ImportOptions(**{"places": places, "unit": "m/s/V", **options}))
@@ -48,13 +47,13 @@ def imported(tmp_path):
     return do
 
 
-def off_db(found: np.ndarray, expected: np.ndarray) -> float:
+def off_db(found, expected):
     """Relative difference over the taps or bins that both have."""
     length = min(found.shape[-1], expected.shape[-1])
     return float(20 * np.log10(np.linalg.norm(found[..., :length] - expected[..., :length]) / np.linalg.norm(expected)))
 
 
-def listed(tmp_path: Path, frequency_hz: np.ndarray) -> Path:
+def listed(tmp_path, frequency_hz):
     np.save(tmp_path / "f.npy", frequency_hz)
     return tmp_path / "f.npy"
 
@@ -161,15 +160,6 @@ def test_given_an_axis_that_no_transform_has_then_it_is_refused(green, imported,
 def test_given_an_option_out_of_range_then_it_is_named(green, imported, options, told):
     with pytest.raises(InputError, match=told):
         imported(np.fft.rfft(green, PERIOD), **{"frequencies": (0.0, STEP_HZ), **options})
-
-
-def test_given_the_bank_is_an_input_then_it_is_refused_even_with_force(tmp_path):
-    file = listed(tmp_path, STEP_HZ * np.arange(PERIOD // 2 + 1))
-    before = file.read_bytes()
-    options = ImportOptions(frequencies=file)
-    with pytest.raises(InputError, match=r"f\.npy"):
-        import_bank(tmp_path / "a.npy", file, options, force=True)
-    assert file.read_bytes() == before
 
 
 @pytest.mark.parametrize(

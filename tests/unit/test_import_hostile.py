@@ -5,9 +5,8 @@ import random
 import shutil
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -27,7 +26,7 @@ ARRAYS = {"green": GREEN, "position_mm": PLACES_MM, "sample_rate_hz": np.float64
 BOMB_BYTES = 100 << 20
 
 
-def exported(tmp_path: Path, kind: str, *options: str) -> Path:
+def exported(tmp_path, kind, *options):
     np.savez(tmp_path / "b.npz", **ARRAYS)
     if not (tmp_path / "bank.h5").exists():
         import_bank(tmp_path / "b.npz", tmp_path / "bank.h5", ImportOptions())
@@ -36,10 +35,10 @@ def exported(tmp_path: Path, kind: str, *options: str) -> Path:
     return out
 
 
-def hdf5(change: Callable[[h5py.File], None]) -> Callable[[Path], Path]:
+def hdf5(change):
     """A maker of a sound file with one change."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         with h5py.File(folder / "a.nc", "w") as file:
             for name, values in ARRAYS.items():
                 if name != "response_unit":
@@ -51,30 +50,30 @@ def hdf5(change: Callable[[h5py.File], None]) -> Callable[[Path], Path]:
     return make
 
 
-def dataset(**options: Any) -> Callable[[Path], Path]:
+def dataset(**options):
     """A maker of a file whose responses are stored in another way."""
 
-    def change(file: h5py.File) -> None:
+    def change(file):
         del file["green"]
         file.create_dataset("green", **options)
 
     return hdf5(change)
 
 
-def archive(**changes: object) -> Callable[[Path], Path]:
+def archive(**changes):
     """A maker of an archive with other arrays."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         np.savez(folder / "a.npz", **ARRAYS | changes)
         return folder / "a.npz"
 
     return make
 
 
-def zipped(values: np.ndarray, header: str = "", *, pickled: bool = False) -> Callable[[Path], Path]:
+def zipped(values, header="", *, pickled=False):
     """A maker of a compressed archive whose responses may declare another shape."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         content, shape = io.BytesIO(), str(values.shape).encode()
         np.lib.format.write_array(content, values, allow_pickle=pickled)
         np.savez(folder / "a.npz", **{name: values for name, values in ARRAYS.items() if name != "green"})
@@ -85,12 +84,12 @@ def zipped(values: np.ndarray, header: str = "", *, pickled: bool = False) -> Ca
     return make
 
 
-def pickled_array(tmp_path: Path) -> Path:
+def pickled_array(tmp_path):
     np.save(tmp_path / "a.npy", np.array([{"a": 1}], object), allow_pickle=True)
     return tmp_path / "a.npy"
 
 
-def unfolding_mat(tmp_path: Path) -> Path:
+def unfolding_mat(tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", {"green": GREEN})
     header = (tmp_path / "a.mat").read_bytes()[:128]
     piece = zlib.compress(bytes(BOMB_BYTES), 9)
@@ -99,25 +98,25 @@ def unfolding_mat(tmp_path: Path) -> Path:
     return tmp_path / "a.mat"
 
 
-def cells(tmp_path: Path) -> Path:
+def cells(tmp_path):
     green = np.empty((2, 1), object)
     green[:, 0] = [GREEN, "text"]
     scipy.io.savemat(tmp_path / "a.mat", ARRAYS | {"green": green})
     return tmp_path / "a.mat"
 
 
-def ascii_short(tmp_path: Path) -> Path:
+def ascii_short(tmp_path):
     file = exported(tmp_path, "uff")
     content = file.read_text(encoding="ascii")
     file.write_text(content.replace("        40         1", "  99999999         1", 1), encoding="ascii")
     return file
 
 
-def unfolding_zip(tmp_path: Path) -> Path:
+def unfolding_zip(tmp_path):
     return zipped(np.zeros((1, 1, BOMB_BYTES // 4), np.float32))(tmp_path)
 
 
-def unfolding_hdf5(tmp_path: Path) -> Path:
+def unfolding_hdf5(tmp_path):
     shape = (6, 2, BOMB_BYTES // 48)
     return dataset(data=np.zeros(shape, np.float32), chunks=(1, 2, shape[2]), compression=9)(tmp_path)
 
@@ -161,7 +160,7 @@ def test_given_a_hostile_file_then_one_sentence_says_why(tmp_path, capsys, make,
 FORMATS = ("sofa", "uff", "mat", "npz", "netcdf", "wav", "uff-binary", "npy")
 
 
-def mutated(content: bytes, source: random.Random) -> bytes:
+def mutated(content, source):
     changed = bytearray(content)
     at = source.randrange(min(len(changed), source.choice([256, 2048, len(changed)])))
     match source.choice(["flip", "byte", "zeros", "noise", "cut", "twice", "digit"]):
@@ -183,7 +182,7 @@ def mutated(content: bytes, source: random.Random) -> bytes:
     return bytes(changed)
 
 
-def mutations(tmp_path: Path, kind: str, count: int) -> Iterator[tuple[Path, str, ImportOptions]]:
+def mutations(tmp_path, kind, count):
     """Damaged copies of a small file, with its format and options."""
     form, options = kind.partition("-")[0], ImportOptions()
     if kind == "npy":

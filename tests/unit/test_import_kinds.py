@@ -2,8 +2,6 @@
 
 import io
 import struct
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -21,11 +19,11 @@ PLACES_MM = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]])
 NEEDED = {"green": GREEN, "position_mm": PLACES_MM, "sample_rate_hz": 1000.0}
 
 
-def element(kind: int, content: bytes) -> bytes:
+def element(kind, content):
     return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
 
 
-def string_object(name: str) -> bytes:
+def string_object(name):
     """A MATLAB string object: an array of class 17 without extents, as MATLAB writes it."""
     numbers = np.array([0xDD000000, 2, 1, 1, 1, 1], "<u4").tobytes()
     meta = element(14, element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
@@ -34,12 +32,12 @@ def string_object(name: str) -> bytes:
     return element(14, flags + element(1, name.encode()) + element(1, b"MCOS") + element(1, b"string") + meta)
 
 
-def imported(source: Path, **options: Any) -> np.ndarray:
+def imported(source, **options):
     with wf.import_bank(source, source.with_suffix(".bank.h5"), unit="m/s/V", **options) as bank:
         return np.stack([bank.green(row) for row in range(bank.positions)])
 
 
-def matlab(path: Path, variables: dict[str, Any], after: bytes = b"", *, compressed: bool = False) -> Path:
+def matlab(path, variables, after=b"", *, compressed=False):
     file = io.BytesIO()
     scipy.io.savemat(file, variables, do_compression=compressed)
     path.write_bytes(file.getvalue() + after)

@@ -1,8 +1,5 @@
 """Tables of places as spreadsheets write them, places stated twice, and actuators off the surface."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import sofar
@@ -15,7 +12,7 @@ from wavefocus.storage.exchange.places import coordinates, read_places
 WANTED_MM = [[0.5, 1.0, 0.0], [4.5, 1.25, 0.0], [-8.5, 1e3, 0.0]]
 
 
-def places_mm(tmp_path: Path, content: str | bytes) -> list[list[float]]:
+def places_mm(tmp_path, content):
     path = tmp_path / "places.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return (coordinates(read_places(path, ImportOptions())) * 1e3).round(9).tolist()
@@ -58,7 +55,7 @@ def test_a_table_that_can_be_read_in_two_ways_then_is_refused(tmp_path, content,
         places_mm(tmp_path, content)
 
 
-def archive(path: Path, **changes: Any) -> Path:
+def archive(path, **changes):
     green = np.random.default_rng(1).standard_normal((4, 2, 16))
     arrays = {"green": green, "sample_rate_hz": 1000.0, "response_unit": "m/s/V", "drive_unit": "V",
               "position_mm": [[0.0, 0.0], [40.0, 0.0], [0.0, 40.0], [40.0, 40.0]]}  # fmt: skip

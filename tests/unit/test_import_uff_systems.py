@@ -1,6 +1,5 @@
 """Coordinate systems, padded lines and function types of universal files that pyuff writes."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ RESPONSES = np.fft.rfft(
 """Responses of each node in the file's x, y and z."""
 
 
-def text_18(number: int, kind: int, reference: int, turn: Rotation, shift_m: np.ndarray) -> str:
+def text_18(number, kind, reference, turn, shift_m):
     """Set 18 by its three points (SDRL, dataset 18): origin, on +x, in the plane of +x and +z."""
     x, _, z = turn.as_matrix().T
     points = np.concatenate([shift_m, shift_m + 0.5 * x, shift_m + 0.3 * x + 0.4 * z])
@@ -37,14 +36,14 @@ def text_18(number: int, kind: int, reference: int, turn: Rotation, shift_m: np.
     return f"    -1\n    18\n{head}\nsystem\n{lines[0]}\n{lines[1]}\n    -1\n"
 
 
-def add_2420(path: Path, number: int, kind: int, turn: Rotation, shift_m: np.ndarray) -> None:
+def add_2420(path, number, kind, turn, shift_m):
     matrix = np.vstack([turn.as_matrix().T, shift_m])  # rows: unit vectors of x, y and z, then the origin
     pyuff.UFF(str(path)).write_sets(
         pyuff.prepare_2420(Part_UID=1, Part_Name="p", CS_sys_labels=[number], CS_types=[kind], CS_colors=[8],
                            CS_names=["system"], CS_matrices=[matrix], return_full_dict=True), "add")  # fmt: skip
 
 
-def add_nodes(path: Path, own: np.ndarray, definition: int = 0, displacement: int = 0, kind: int = 2411) -> None:
+def add_nodes(path, own, definition=0, displacement=0, kind=2411):
     """Nodes with their own coordinates; the driven one stands at (50, 0, 0) mm of the file."""
     count = len(own)
     numbers = {"node_nums": [*NODES[:count], DRIVEN], "x": [*own[:, 0], 0.05], "y": [*own[:, 1], 0.0],
@@ -54,7 +53,7 @@ def add_nodes(path: Path, own: np.ndarray, definition: int = 0, displacement: in
     pyuff.UFF(str(path)).write_sets(prepared, "add")
 
 
-def add_functions(path: Path, values: np.ndarray, axes: tuple[int, ...] = (3,), *, binary: bool = False) -> None:
+def add_functions(path, values, axes=(3,), *, binary=False):
     for node, row in zip(NODES, values, strict=False):
         for axis in axes:
             one: dict[str, Any] = {
@@ -66,20 +65,20 @@ def add_functions(path: Path, values: np.ndarray, axes: tuple[int, ...] = (3,), 
             pyuff.UFF(str(path)).write_sets(one, "add")
 
 
-def units(path: Path) -> None:
+def units(path):
     pyuff.UFF(str(path)).write_sets(
         pyuff.prepare_164(units_code=1, units_description="SI", temp_mode=1, length=1.0, force=1.0, temp=1.0,
                           temp_offset=0.0, return_full_dict=True), "overwrite")  # fmt: skip
 
 
-def imported(path: Path, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+def imported(path, **options):
     """Places in millimetres and the responses' spectra."""
     with wf.import_bank(path, path.with_suffix(".h5"), "uff", columns="x,y", **options) as bank:
         green = np.stack([bank.green(row)[0] for row in range(bank.positions)])
         return bank.position_mm, np.fft.rfft(green)
 
 
-def own_coordinates(kind: int, turn: Rotation, shift_m: np.ndarray) -> np.ndarray:
+def own_coordinates(kind, turn, shift_m):
     """Coordinates of the places in a system, by its definition."""
     x, y, z = turn.inv().apply(PLACES_M - shift_m).T
     if kind == 0:

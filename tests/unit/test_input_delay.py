@@ -7,7 +7,7 @@ import pytest
 
 from tests.unit.test_config_calibration import AT, measured
 from tests.unit.test_doctor import KnowsItsConverter
-from wavefocus.acquisition.setup import Setup, wired
+from wavefocus.acquisition.setup import wired
 from wavefocus.config.calibration import InputsMeasured
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.registry import VibrometerReading
@@ -22,7 +22,7 @@ RATE_HZ = 10_000.0
 VIRTUAL = VirtualRig(VirtualSettings(dropout_probability=0.0)).instruments
 
 
-def opened(device_s: float | None, calibrated_s: float | None = None) -> tuple[Setup, RigConfig]:
+def opened(device_s, calibrated_s=None):
     """A rig whose file states 5 us, or a calibration another delay, and whose recorder states `device_s`."""
     section: dict[str, object] = {"actuators": {"position_mm": [[0, 0], [10, 0]]}}
     if calibrated_s is not None:

@@ -1,7 +1,6 @@
 """Opening a rig: in order, and never half."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -9,13 +8,12 @@ import pytest
 from wavefocus.acquisition.setup import Openers
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.protocols import Mirror, Recorder
 from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.rig.instruments import open_instruments, openers_of
 
 
-def absent(name: str) -> Callable[[], Mirror]:
-    def refuse() -> Mirror:
+def absent(name):
+    def refuse():
         raise InstrumentError(name, "opening", "it is not there", "plug it in")
 
     return refuse
@@ -61,7 +59,7 @@ def test_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_release
 def test_a_driver_that_hangs_while_it_opens_is_named_and_nothing_more_is_opened():
     opened = []
 
-    def note() -> Recorder:
+    def note():
         opened.append("recorder")
         raise AssertionError
 

@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 from wavefocus.acquisition.drift_watch import DriftError
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import Session, StopRequest
-from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
+from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.rig.setup import open_setup
@@ -79,7 +78,7 @@ def blueprint(tmp_path):
 class TrialSession:
     """One session, in which something is done at one of the events that it publishes."""
 
-    def __init__(self, blueprint: Blueprint, bank: Path, at: int, act: Callable[["TrialSession"], object]) -> None:
+    def __init__(self, blueprint, bank, at, act):
         self.stop, self.events = StopRequest(), list[Event]()
         self._at, self._act = at, act
         create_bank(bank, blueprint.bank_header())
@@ -95,7 +94,7 @@ class TrialSession:
             finally:
                 self.measured = writer.status.copy()
 
-    def _publish(self, event: Event) -> None:
+    def _publish(self, event):
         self.events.append(event)
         if isinstance(event, StateChanged) and event.state is State.PAUSED:
             self.stop.go_on()
@@ -103,16 +102,16 @@ class TrialSession:
             self._act(self)
 
 
-def at_once(_session: TrialSession) -> None:
+def at_once(_session):
     raise KeyboardInterrupt
 
 
-def pause_and_stop(session: TrialSession) -> None:
+def pause_and_stop(session):
     session.stop.pause()
     session.stop.finish_position()
 
 
-def pause_and_go_on(session: TrialSession) -> None:
+def pause_and_go_on(session):
     session.stop.pause()
     session.stop.go_on()
 
@@ -127,7 +126,7 @@ ACTS: dict[str, tuple[Callable[[TrialSession], object], int]] = {
 }
 
 
-def moments(events: list[Event]) -> list[int]:
+def moments(events):
     """Where events are that differ from all before them in their kind or state; the last two tell of the end."""
     seen: dict[tuple[object, ...], int] = {}
     course = State.IDLE
@@ -139,7 +138,13 @@ def moments(events: list[Event]) -> list[int]:
 
 @pytest.mark.parametrize(
     ("act", "every"),
-    [*ACTS.values(), *(pytest.param(act, 1, marks=pytest.mark.nightly) for act, _ in ACTS.values())],
+    [
+        *(
+            pytest.param(*one, marks=() if name in ("stop", "at once") else pytest.mark.long)
+            for name, one in ACTS.items()
+        ),
+        *(pytest.param(act, 1, marks=pytest.mark.nightly) for act, _ in ACTS.values()),
+    ],
     ids=[*ACTS, *(f"{name}, each" for name in ACTS)],
 )
 def test_a_request_at_any_event_changes_states_by_the_table_and_ends(blueprint, tmp_path, act, every):

@@ -13,7 +13,7 @@ RATE_HZ = 1000.0
 FULL_SCALE_V = np.array([2.0, 1.5, 1.0])
 
 
-def limited(drive_v: np.ndarray, limits: DriveLimits, look_ahead: int, sizes: list[int]) -> tuple[np.ndarray, float]:
+def limited(drive_v, limits, look_ahead, sizes):
     """What comes out for blocks of these sizes, again and again, without the delay; and the least gain in dB."""
     limiter = LiveLimiter(limits, FULL_SCALE_V, RATE_HZ, look_ahead)
     pieces, least, at = [], 0.0, 0

@@ -1,7 +1,5 @@
 """Records of live sessions: scenes that render to the drives of the engine, at every moment of the session."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -21,14 +19,14 @@ SINGLE = 2e-6
 HELD = Regularisation(saturation=0.8)
 
 
-def engine_of() -> LiveEngine:
+def engine_of():
     return LiveEngine(
         BANK, block_samples=BLOCK, look_ahead_samples=100, regularisation=HELD, interpolation="nearest",
         signal=Noise((50.0, 400.0), 0.1, 1), record=True,
     )  # fmt: skip
 
 
-def recording_into(folder: Path) -> SessionRecording:
+def recording_into(folder):
     return SessionRecording(
         folder, rate_hz=RATE_HZ, regularisation=HELD, interpolation="nearest", about="session\nof a test"
     )

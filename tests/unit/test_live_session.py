@@ -1,10 +1,8 @@
 """The loop of a live session on a player that keeps no time and follows a script; its orders, pace and messages."""
 
 import math
-import os
-import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 
 import numpy as np
@@ -18,7 +16,7 @@ from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentErr
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.live_session.orders import MAX_WAITING, Inbox, UseSignal, order_of
-from wavefocus.live_session.pace import Pace, raise_priority
+from wavefocus.live_session.pace import Pace
 from wavefocus.live_session.session import LiveSession
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.drive.rendering import render_with_report
@@ -29,6 +27,7 @@ from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.signals import Sine
 from wavefocus.storage.errors import InputError
 
+INTERFACE_HZ = round(RATE_HZ)
 BLOCK = 20
 BANK = plate_bank()
 CHANNELS = tuple(range(BANK.actuators))
@@ -42,32 +41,32 @@ class ScriptedPlayer:
     channels, full_scale_v, latency_s = len(CHANNELS), 5.0, 0.0
     identity = DeviceIdentity("", "scripted player")
 
-    def __init__(self, script: Callable[[int], object]) -> None:
+    def __init__(self, script):
         self.pieces: list[np.ndarray] = []
         self.written_s = -math.inf
         self.begun = self.reconnected = 0
         self.ended = False
         self._script = script
 
-    def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
+    def begin_pieces(self, channels, sample_rate_hz, ahead_s):
         self.begun += 1
 
-    def add_piece(self, volts: np.ndarray) -> float:
+    def add_piece(self, volts):
         self.written_s = time.monotonic()
         self.pieces.append(volts)
         self._script(len(self.pieces) - 1)
         return AHEAD_S
 
-    def end_pieces(self) -> None:
+    def end_pieces(self):
         self.ended = True
 
-    def reconnect(self) -> None:
+    def reconnect(self):
         self.reconnected += 1
 
-    def identify(self) -> str:
+    def identify(self):
         return str(self.identity)
 
-    def play(self, signals_v: Mapping[int, np.ndarray], sample_rate_hz: float) -> None:
+    def play(self, signals_v, sample_rate_hz):
         raise NotImplementedError
 
     def wait(self, timeout_s: float) -> None: ...
@@ -80,16 +79,7 @@ class ScriptedPlayer:
 class Bench:
     """A session with its player; orders are given by a script of the piece's number."""
 
-    def __init__(
-        self,
-        script: Mapping[int, Callable[[LiveSession], object]],
-        *,
-        look_ahead: int = 0,
-        limits: DriveLimits | None = None,
-        interface_hz: int = round(RATE_HZ),
-        recording: SessionRecording | None = None,
-        gain: float = 1.0,
-    ) -> None:
+    def __init__(self, script, *, look_ahead=0, limits=None, interface_hz=INTERFACE_HZ, recording=None, gain=1.0):
         engine = LiveEngine(
             BANK, block_samples=BLOCK, look_ahead_samples=look_ahead, record=recording is not None,
             regularisation=Regularisation(saturation=0.5), frame_rate_hz=float(interface_hz),
@@ -104,15 +94,15 @@ class Bench:
         self.session.run()
         self.frames = np.concatenate(self.tape.pieces, axis=1)
 
-    def notices(self) -> list[str]:
+    def notices(self):
         return [one.code for one in self.messages if isinstance(one, LiveNotice) and one.code != "degraded"]
 
 
-def move(name: str, x_mm: float, y_mm: float = 0.0, amplitude: float | None = AMPLITUDE) -> Callable:
+def move(name, x_mm, y_mm=0.0, amplitude=AMPLITUDE):
     return lambda session: session.order(MoveSource(name, (x_mm, y_mm), amplitude), time.monotonic())
 
 
-def end(session: LiveSession) -> None:
+def end(session):
     session.order(EndLive(), time.monotonic())
 
 
@@ -152,10 +142,10 @@ def test_given_limits_then_no_frame_is_beyond_them_and_it_is_said():
 
 
 def test_a_player_that_runs_dry_or_is_lost_begins_again_and_counts_sources():
-    def dry(session: LiveSession) -> None:
+    def dry(session):
         raise TransientInstrumentError("player", "playing", "underflow", "")
 
-    def lost(session: LiveSession) -> None:
+    def lost(session):
         raise InstrumentLostError("player", "playing", "it is gone", "")
 
     script: dict[int, Callable] = {piece: move("a", 0.0) for piece in range(60)}
@@ -204,13 +194,6 @@ def test_in_a_flood_of_positions_the_newest_waits_and_the_first_arrival_counts()
     assert [type(one.order) for one in inbox.take()][-1] is EndLive
 
 
-def test_given_an_end_between_positions_then_their_order_stays():
-    inbox = Inbox()
-    for order in (MoveSource("a", (1.0, 0.0)), EndSource("a"), MoveSource("a", (2.0, 0.0))):
-        inbox.put(order, 0.0)
-    assert [type(one.order) for one in inbox.take()] == [MoveSource, EndSource, MoveSource]
-
-
 @pytest.mark.parametrize(
     "order",
     [
@@ -243,32 +226,3 @@ def test_given_slow_blocks_then_the_latest_sources_are_left_out_and_taken_back()
         if pace.add(0.001, 0.015, sources=3):
             back.append(pace.most_sources)
     assert back == [2, None]
-
-
-def test_given_one_stall_of_the_machine_then_the_effort_stays():
-    pace = Pace(0.005, 0.02)
-    assert not any(
-        pace.add(0.1 if block == 50 else 0.002, 0.001 if 50 <= block < 80 else 0.015, sources=1) for block in range(200)
-    )
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="Linux has real-time priorities")
-def test_threads_that_hold_pythons_lock_have_the_priority_of_the_session():
-    over, policies = threading.Event(), list[int]()
-    other = threading.Thread(target=over.wait)
-
-    def raised() -> None:
-        raise_priority(other)
-        policies.extend(os.sched_getscheduler(thread.native_id or 0) for thread in (threading.current_thread(), other))
-
-    other.start()
-    try:
-        session = threading.Thread(target=raised)
-        session.start()
-        session.join()
-    finally:
-        over.set()
-        other.join()
-    if os.SCHED_RR not in policies:
-        pytest.skip("no real-time priority is allowed here")
-    assert policies == [os.SCHED_RR] * 2

@@ -4,7 +4,6 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,11 +21,11 @@ VOLTS = np.full((1, 64), 0.5, np.float32)
 Writer = BankWriter | RawWriter
 
 
-def green_of(position: int) -> np.ndarray:
+def green_of(position):
     return np.random.default_rng(position).normal(size=(2, 16)).astype(np.float32)
 
 
-def a_writer(path: Path) -> Any:
+def a_writer(path):
     """A new file, of raw recordings where its name says so."""
     if ".raw" in path.name:
         create_raw(
@@ -43,7 +42,7 @@ def a_writer(path: Path) -> Any:
     return BankWriter.open(path)
 
 
-def commit(writer: Writer, position: int) -> None:
+def commit(writer, position):
     if isinstance(writer, RawWriter):
         writer.commit(position, VOLTS, VOLTS)
     else:
@@ -51,7 +50,7 @@ def commit(writer: Writer, position: int) -> None:
         writer.commit(position, green_of(position), PointRecord(1, 1, figures, figures, figures, figures))
 
 
-def kept_in(path: Path) -> set[int]:
+def kept_in(path):
     """Positions that a file holds, as they were committed."""
     if ".raw" in path.name:
         with open_raw(path) as raw:
@@ -60,26 +59,26 @@ def kept_in(path: Path) -> set[int]:
         return {row for row in np.flatnonzero(bank.status).tolist() if np.array_equal(bank.green(row), green_of(row))}
 
 
-def delete(path: Path) -> None:
+def delete(path):
     path.unlink()
 
 
-def replace(path: Path) -> None:
+def replace(path):
     other = path.with_name("other.h5")
     shutil.copy(path, other)
     other.replace(path)
 
 
-def empty(path: Path) -> None:
+def empty(path):
     path.write_bytes(b"")
 
 
-def overwrite(path: Path) -> None:
+def overwrite(path):
     with path.open("r+b") as file:
         file.write(bytes(8192))
 
 
-def delete_folder(path: Path) -> None:
+def delete_folder(path):
     shutil.rmtree(path.parent)
     path.parent.mkdir()
 

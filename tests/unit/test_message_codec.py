@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from wavefocus.config.messages import (
     EventMessage,
     Instant,
-    Message,
     MessageError,
     Number,
     OrderMessage,
@@ -49,7 +48,7 @@ def test_given_a_message_then_it_is_read_as_it_was_written(family, kind):
             kind, **{name: STRATEGIES[hint] if hint in STRATEGIES else st.from_type(hint) for name, hint in hints}
         )
     )
-    def check(message: Message) -> None:
+    def check(message):
         found = message_of(json.loads(to_line(message)), family)
         assert type(found) is kind
         assert to_record(found) == to_record(message)

@@ -16,12 +16,12 @@ GRID_MM = np.stack(np.meshgrid(AXIS_MM, AXIS_MM), axis=-1).reshape(-1, 2)
 offsets_mm = st.floats(-2.0, 2.0)
 
 
-def gaussian(centre_mm: tuple[float, float], fwhm_mm: float) -> np.ndarray:
+def gaussian(centre_mm, fwhm_mm):
     distance = np.hypot(*(GRID_MM - centre_mm).T)
     return np.asarray(np.exp(-4.0 * math.log(2.0) * (distance / fwhm_mm) ** 2))
 
 
-def jinc(centre_mm: tuple[float, float], fwhm_mm: float) -> np.ndarray:
+def jinc(centre_mm, fwhm_mm):
     # 2 J1(z) / z is one half at z = 2.21509.
     z = np.hypot(*(GRID_MM - centre_mm).T) * 2.0 * 2.21509 / fwhm_mm + 1e-12
     return np.asarray(2.0 * j1(z) / z)

@@ -14,11 +14,11 @@ MAP = MirrorMap(((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 
 small = st.floats(-1, 1)
 
 
-def angles(mirror_map: MirrorMap, marks: np.ndarray) -> np.ndarray:
+def angles(mirror_map, marks):
     return np.column_stack(mirror_map.angles_mrad(*marks.T))
 
 
-def error_mm(found: MirrorMap, true: MirrorMap, marks: np.ndarray = MARKS) -> np.ndarray:
+def error_mm(found, true, marks=MARKS):
     """Where the beam falls that the found map sends to each mark, from the mark."""
     return np.hypot(*(np.column_stack(true.surface_mm(*found.angles_mrad(*marks.T))) - marks).T)
 

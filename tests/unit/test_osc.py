@@ -24,14 +24,14 @@ def test_given_any_bytes_then_osc_refuses_or_reads_them():
             assert all(isinstance(one, Mapping | InputError) for one in messages.read(datagram))
 
 
-def osc(address: str, *values: object) -> bytes:
+def osc(address, *values):
     builder = OscMessageBuilder(address)
     for value in values:
         builder.add_arg(value)
     return builder.build().dgram
 
 
-def bundle(*messages: bytes) -> bytes:
+def bundle(*messages):
     return b"#bundle\0" + bytes(7) + b"\1" + b"".join(len(one).to_bytes(4, "big") + one for one in messages)
 
 
@@ -66,7 +66,7 @@ def test_given_a_receiver_whose_order_hangs_then_closing_comes_to_its_end():
     hangs, entered = threading.Event(), threading.Event()
     receiver = OscInput("127.0.0.1", 0)
 
-    def receive(order: object, arrived_s: float) -> None:
+    def receive(order, arrived_s):
         entered.set()
         hangs.wait(60)
 

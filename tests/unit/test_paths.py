@@ -67,9 +67,6 @@ def test_a_path_that_makes_no_sense_is_refused(make):
         make()
 
 
-# --- SVG ---------------------------------------------------------------------------------------------------
-
-
 def svg(tmp_path, body, head=""):
     file = tmp_path / "drawing.svg"
     file.write_text(f'<?xml version="1.0"?>{head}<svg xmlns="http://www.w3.org/2000/svg">{body}</svg>')
@@ -130,17 +127,6 @@ def test_an_svg_file_with_a_document_type_is_refused(tmp_path, head):
 def test_an_svg_file_without_that_path_names_those_it_has(tmp_path):
     with pytest.raises(InputError, match="'heart'"):
         SvgPath(svg(tmp_path, '<path id="heart" d="M0 0h1"/>'), "star")
-
-
-@pytest.mark.parametrize("body", ["<path d='M0 0h1'", '<path transform="spin(3)" d="M0 0h1"/>', "<rect/>"])
-def test_a_broken_svg_file_is_refused(tmp_path, body):
-    with pytest.raises(InputError, match=r"drawing\.svg"):
-        SvgPath(svg(tmp_path, body))
-    with pytest.raises(InputError, match="cannot be read"):
-        SvgPath(tmp_path / "none.svg")
-
-
-# --- text --------------------------------------------------------------------------------------------------
 
 
 def test_text_fills_its_height_around_its_centre():

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 import wavefocus as wf
 from wavefocus.config.emulation import Emulation
-from wavefocus.config.fields import DERIVED, FREE, KEPT, Positive, Table, plan_mark
+from wavefocus.config.fields import DERIVED, FREE, KEPT, Positive, plan_mark
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig, Sweep
 from wavefocus.configuration import Configuration, plan_differences, plan_sha256
@@ -35,7 +35,7 @@ def test_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_h
         sweep: Sweep = LaterSweep()
         burst: LaterSweep = LaterSweep()
 
-    def hashed(**tables: Table) -> str:
+    def hashed(**tables):
         return plan_sha256(RigConfig.model_validate({}), LaterRun(**tables), POSITION_MM)
 
     before = GOLDEN["cases"][0]["plan_sha256"]
@@ -100,7 +100,7 @@ def test_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_va
         other.measure(tmp_path / "bank.h5")
 
 
-def _tables(model: type[BaseModel]) -> set[type[BaseModel]]:
+def _tables(model):
     """A table and those that count in its plan: not those beneath a key that is free as a whole."""
     found = {model}
     for field in model.model_fields.values():

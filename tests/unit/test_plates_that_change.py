@@ -15,7 +15,6 @@ from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.synthesis import SignalStore, Spot, Synthesis, VirtualPlay, chain_response
-from wavefocus.mocks.wire.emulated_rig import WireBench
 from wavefocus.rig.virtual_bench import virtual_settings
 
 ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0]])
@@ -26,7 +25,7 @@ PLATES: list[tuple[str, dict[str, Any]]] = [
 ]  # fmt: skip
 
 
-def _response(name: str, keys: dict[str, Any], warmer_k: float = 0.0, place: tuple[float, float] = (12.0, -7.0)) -> Any:
+def _response(name, keys, warmer_k=0.0, place=(12.0, -7.0)):
     plate = make_plate(name, ACTUATOR_MM, RECTANGLE, chain_response, keys, warmer_k)
     return plate.response(place, 50.0, 11, single=False)[:, 1:]
 
@@ -53,7 +52,7 @@ def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_the
 
 @pytest.mark.parametrize(("name", "keys"), PLATES)
 def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothing(name, keys):
-    def covered(damping: float | None) -> Any:
+    def covered(damping):
         finger = {"finger": {"place_mm": (-5.0, 4.0), "mass_kg": 0.0, "damping_n_s_m": damping, "stiffness_n_m": 0.0}}
         places = np.array([-5.0, 4.0]) + DISK_MM
         each = [_response(name, keys if damping is None else keys | finger, place=tuple(place)) for place in places]
@@ -73,7 +72,7 @@ def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_
 
 
 def test_course_of_room_then_plate_follows_it_and_without_key_it_does_not():
-    def recorded(keys: tuple[tuple[str, Any], ...], seconds: float) -> np.ndarray:
+    def recorded(keys, seconds):
         synthesis = Synthesis(VirtualSettings(plate_keys=keys, room_c=((0.0, 21.0), (100.0, 25.0))))
         start_ns, click = round(1e9 * seconds), SignalStore(5.0).find(np.ones(20))
         play = VirtualPlay(start_ns, 10_000.0, {0: click}, 20, 0.0)
@@ -96,14 +95,3 @@ def test_the_plate_of_the_rig_file_is_emulated_unless_the_run_file_names_one():
     assert plain.is_flawless
     assert "plate" not in plain.plan_values()
     assert not rig.emulation.is_flawless
-
-
-def test_emulated_wires_of_an_impossible_plate_are_refused_before_playing():
-    settings = VirtualSettings(plate="thin")  # on the default stadium
-    with pytest.raises(ValueError, match="rectangle"):
-        WireBench(settings, None, None, full_scale_v=(1.0,))  # type: ignore[arg-type]
-
-
-def test_given_a_plate_that_would_be_too_hot_then_it_is_refused():
-    with pytest.raises(ValueError, match="choose smaller speed_per_k"):
-        _response("soft", {"speed_per_k": -0.1}, 10.0)

@@ -41,12 +41,12 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def _mean_over_disk(k: complex) -> complex:
+def _mean_over_disk(k):
     argument = k * MAGNET_RADIUS_MM / 1e3
     return complex(2 * jv(1, argument) / argument)
 
 
-def _disk_response(k: complex, place_mm: np.ndarray, source_mm: np.ndarray, rim: complex) -> complex:
+def _disk_response(k, place_mm, source_mm, rim):
     """The field of a small disk in a round plate with dy/dn = -rim y: a series over angle (Graf's theorem)."""
     (place, source), radius = (np.hypot(*point) / 1e3 for point in (place_mm, source_mm)), DISK_MM / 1e3
     angle = np.arctan2(place_mm[1], place_mm[0]) - np.arctan2(source_mm[1], source_mm[0])

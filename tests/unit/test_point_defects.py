@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import setup_of
-from wavefocus.acquisition.judgement import Cure, Judgement, judge
+from wavefocus.acquisition.judgement import Cure, judge
 from wavefocus.acquisition.setup import point_at, take_record
 from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
@@ -29,16 +29,16 @@ Spoil = Callable[[np.ndarray, np.ndarray], Volts]
 
 
 @cache
-def estimator(averages: int, taps: int) -> SequentialEstimator:
+def estimator(averages, taps):
     return SequentialEstimator(excitation(averages), taps, Channels(inter_channel_delay_s=5e-6))
 
 
-def excitation(averages: int) -> PlayedExcitation:
+def excitation(averages):
     return PlayedExcitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, averages)
 
 
 @cache
-def quiet_records(averages: int) -> Volts:
+def quiet_records(averages):
     """Both channels of a record per actuator, without the vibrometer's noise and hardly rounded."""
     settings = VirtualSettings(seed=5, noise_v=0.0, dropout_probability=0.0, actuator_mm=ACTUATORS, gain_spread_db=0.0)
     rig = VirtualRig(settings)
@@ -53,7 +53,7 @@ def quiet_records(averages: int) -> Volts:
     return volts[:, 0], volts[:, 1]
 
 
-def judged(spoil: Spoil | None, record: int, *, snr_db: float = 40.0, averages: int = 3, taps: int = 2000) -> Judgement:
+def judged(spoil, record, *, snr_db=40.0, averages=3, taps=2000):
     """All records with the noise that gives one of them this ratio; that one spoilt before the noise is added."""
     reference, response = (channel.copy() for channel in quiet_records(averages))
     level_v = float(response[record].std()) * 10 ** (-snr_db / 20)
@@ -64,29 +64,29 @@ def judged(spoil: Spoil | None, record: int, *, snr_db: float = 40.0, averages: 
     return judge(estimate, False, QualityLimits(), DISTANCE_MM)
 
 
-def clipped(reference: np.ndarray, response: np.ndarray) -> Volts:
+def clipped(reference, response):
     end_v = 0.95 * np.abs(response).max()
     return reference, np.clip(response, -end_v, end_v)
 
 
-def one_less(samples: np.ndarray) -> np.ndarray:
+def one_less(samples):
     return np.concatenate([samples[:13_000], samples[13_001:], samples[-1:]])
 
 
-def one_more(samples: np.ndarray) -> np.ndarray:
+def one_more(samples):
     return np.concatenate([samples[:13_000], samples[12_999:-1]])
 
 
-def dropped_out(reference: np.ndarray, response: np.ndarray) -> Volts:
+def dropped_out(reference, response):
     spoilt = response.copy()
     spoilt[13_000:13_050] = 0.0
     return reference, spoilt
 
 
-def fainter(level_db: float) -> Spoil:
+def fainter(level_db):
     """The second sweep of a record at another level."""
 
-    def stepped(reference: np.ndarray, response: np.ndarray) -> Volts:
+    def stepped(reference, response):
         spoilt = response.copy()
         spoilt[12_300:24_300] *= 10 ** (level_db / 20)
         return reference, spoilt
@@ -94,18 +94,18 @@ def fainter(level_db: float) -> Spoil:
     return stepped
 
 
-def early(spoil: Spoil) -> Spoil:
+def early(spoil):
     """The same in the first sweep of a record."""
 
-    def moved(reference: np.ndarray, response: np.ndarray) -> Volts:
+    def moved(reference, response):
         spoilt = spoil(np.roll(reference, 12_000), np.roll(response, 12_000))
         return np.roll(spoilt[0], -12_000), np.roll(spoilt[1], -12_000)
 
     return moved
 
 
-def humming(line_hz: float) -> Spoil:
-    def hum(reference: np.ndarray, response: np.ndarray) -> Volts:
+def humming(line_hz):
+    def hum(reference, response):
         tone = np.sin(2 * np.pi * line_hz / RATE_HZ * np.arange(response.size) + 1.0)
         return reference, response + np.sqrt(2) * 0.01 * response.std() * tone
 
@@ -150,7 +150,7 @@ def test_given_clean_records_then_valid_and_nothing_is_named(averages, snr_db):
 SECONDS = np.arange(36_000) / RATE_HZ
 
 
-def all_judged(spoil: Callable[[np.ndarray], np.ndarray]) -> Judgement:
+def all_judged(spoil):
     """All records spoilt alike, at 70 dB signal-to-noise ratio before that."""
     reference, response = quiet_records(3)
     noise = 3e-4 * response.std(axis=1, keepdims=True) * np.random.default_rng(1).normal(size=response.shape)
@@ -158,7 +158,7 @@ def all_judged(spoil: Callable[[np.ndarray], np.ndarray]) -> Judgement:
     return judge(estimator(3, 2000).estimate(reference, spoilt, range_v=RANGE_V), False, QualityLimits())
 
 
-def peak(response: np.ndarray) -> float:
+def peak(response):
     return float(np.abs(response).max())
 
 
@@ -179,11 +179,11 @@ def test_given_what_looks_cut_then_only_what_is_cut_is_over_range(spoil, name, o
     assert not judgement.good
 
 
-def louder(gain_db: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def louder(gain_db):
     return lambda response: response * 10 ** (np.interp(np.arange(response.shape[1]), np.arange(36_000), gain_db) / 20)
 
 
-def later_each_sweep(response: np.ndarray) -> np.ndarray:
+def later_each_sweep(response):
     """Each sweep 0.3 samples later than the one before, as where a plate gets warmer."""
     turns = np.fft.rfftfreq(12_000)[:, None] * 0.3 * np.arange(3)
     sweeps = np.fft.rfft(response[:, :36_000].reshape(-1, 3, 12_000)) * np.exp(-2j * np.pi * turns.T)

@@ -22,11 +22,11 @@ SETTINGS = VirtualSettings(actuator_mm=((60.0, 0.0), (-60.0, 0.0), (0.0, 40.0)),
 STIMULUS = Sound(np.vstack([np.sin(np.arange(4000) / 8.0), np.zeros(4000), np.cos(np.arange(4000) / 8.0)]), 1500, 2)
 
 
-def presenter(*faults: RigFault, masking: Masking | None = None) -> RigPresenter:
+def presenter(*faults, masking=None):
     return presenter_on(VirtualRig(replace(SETTINGS, fault_plan=faults)), masking)
 
 
-def presenter_on(rig: VirtualRig, masking: Masking | None = None) -> RigPresenter:
+def presenter_on(rig, masking=None):
     setup = Setup(
         instruments=rig.instruments,
         mirror_map=MirrorMap.straight(1000.0),
@@ -38,7 +38,7 @@ def presenter_on(rig: VirtualRig, masking: Masking | None = None) -> RigPresente
     return RigPresenter(setup, lambda name: STIMULUS, RATE_HZ, 0.3, masking)
 
 
-def true_error_ms(label: RecordLabel) -> float:
+def true_error_ms(label):
     """How much earlier than by the longest latency, which the virtual player states, it began."""
     shortest_s, longest_s = SETTINGS.latency_s
     return 1e3 * (shortest_s - longest_s) * (1 - label_share(SETTINGS.seed, label))

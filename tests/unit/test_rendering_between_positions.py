@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from tests.unit.plate_banks import ANGLES, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
+from tests.unit.plate_banks import ANGLES, RATE_HZ, TAPS, plate_bank, plate_greens
 from tests.unit.test_drive import emitted
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
@@ -72,17 +72,6 @@ def test_a_long_path_with_close_points_is_interpolated_between_nodes():
     assert difference < 0.01 * np.linalg.norm(drives[1])
 
 
-def test_foci_and_regularisation_name_measured_rows():
-    scene = Scene("s", (MOVING,), Regularisation(saturation=0.5), Output(interpolation="kernel"))
-    drive, report = render_with_report(scene, bank(), method="exact")
-    nearest, _ = render_with_report(
-        Scene("s", (MOVING,), Regularisation(saturation=0.5), output=NEAREST), bank(), method="exact"
-    )
-    np.testing.assert_array_equal(drive.focus_position, nearest.focus_position)
-    np.testing.assert_array_equal(drive.focus_sample, nearest.focus_sample)
-    assert max(report.rows) < bank().positions
-
-
 def test_an_error_of_waves_that_are_long_is_not_warned_of():
     low = Source(MOVING.path, Sine(62.5, 0.4), 0.0, 180.0, 3.0)
     _, report = render_with_report(Scene("s", (low,), PLAIN, Output(interpolation="bilinear")), bank())
@@ -98,13 +87,6 @@ def test_a_path_on_the_positions_has_no_error_to_report():
     _, report = render_with_report(Scene("s", (still,), output=NEAREST), bank())
     assert report.interpolation_errors is None
     assert not report.warnings
-
-
-def test_a_path_on_one_position_alone_needs_no_more():
-    one = GreenArray(bank().values[:1], SQUARE_MM[:1], RATE_HZ, band_hz=BAND_HZ)
-    source = Source(Point((-24.0, -24.0)), Impulse())
-    _, report = render_with_report(Scene("s", (source,), output=NEAREST), one)
-    assert report.interpolation_errors is None
 
 
 WIDE_RATE_HZ, WIDE_TAPS = 48_000.0, 480

@@ -6,7 +6,6 @@ import io
 import math
 import re
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,34 +13,22 @@ from PIL import Image
 
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
 from wavefocus.acquisition.limits import DriftPoint
-from wavefocus.config.scene import Output
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.page import build_report, remarks
-from wavefocus.rendering.report.waves import wave_figures, waves_of, waves_picture
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Line, Point
-from wavefocus.rendering.scene.signals import Impulse
-from wavefocus.rendering.verify.comparison import FieldComparison
-from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.verdict import compare
 from wavefocus.storage.field_file import Field
-
-NEAREST = Output(interpolation="nearest")
 
 NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
 
 
-def louder_scan(gain: float = 1.0, noise: float = 1e-3) -> Scan:
+def louder_scan(gain=1.0, noise=0.001):
     _, prediction = rendered()
     noise_rms = noise * float(np.sqrt(np.mean(prediction.field**2)))
     field = gain * prediction.field + noise_rms * np.random.default_rng(1).standard_normal(prediction.field.shape)
     return scan_of(field, prediction.start_s, RATE_HZ, noise_rms, playback_gain=np.full(len(field), gain))
 
 
-def report_of(
-    out_dir: Path, scan: Scan | Field, source: GreenArray, name: str, foci: int | None = None, **options
-) -> Path:
+def report_of(out_dir, scan, source, name, foci=None, **options):
     drive, prediction = rendered()
     kept = {key: getattr(drive, key)[:foci] for key in ("focus_sample", "focus_position", "focus_source")}
     places = None if drive.focus_mm is None else drive.focus_mm[:foci]
@@ -72,7 +59,7 @@ def good_report(tmp_path_factory):
     )
 
 
-def images_of(html: str) -> list[Image.Image]:
+def images_of(html):
     coded = re.findall(r'src="data:image/png;base64,([A-Za-z0-9+/=]+)"', html)
     return [Image.open(io.BytesIO(base64.b64decode(one))) for one in coded]
 
@@ -118,6 +105,7 @@ def flawed_report(tmp_path_factory):
     return report_of(folder, scan, flawed, "flawed", foci=1, campaign={}, drift=points, save_pictures=True)
 
 
+@pytest.mark.long
 def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(flawed_report):
     html = flawed_report.read_text(encoding="utf-8")
     assert "✗ Failed" in html
@@ -128,7 +116,7 @@ def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_t
     assert flawed_report.with_name("drift.png").read_bytes().startswith(b"\x89PNG")
 
 
-def few_positions() -> Field:
+def few_positions():
     _, prediction = rendered()
     return Field(prediction.field[80:90], np.arange(80, 90), RATE_HZ, prediction.start_s, "m/s")
 
@@ -163,34 +151,3 @@ def test_given_a_scan_then_the_remarks_say_what_to_check(scan, remark, not_remar
 )
 def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves(value, unit, text):
     assert number(value, unit) == text
-
-
-NO_FOCI = {
-    "instant": (),
-    "waveform_index": np.zeros(0, np.int64),
-    "predicted_waveform": np.zeros((0, 5), np.float32),
-    "scanned_waveform": np.zeros((0, 5), np.float32),
-}
-
-
-def comparison(**known) -> FieldComparison:
-    values = dict.fromkeys(FieldComparison.__dataclass_fields__) | {"sample_rate_hz": 1000.0, "start_s": -0.1}
-    return FieldComparison(**(values | NO_FOCI | known))
-
-
-def grid(columns, rows):
-    return np.array([(4.0 * x, 4.0 * y) for y in range(rows) for x in range(columns)])
-
-
-@pytest.mark.parametrize("path", [Line((0, 0), (20, 0)), Point((4, 4))])
-def test_a_bank_without_most_figures_still_gives_lines_and_a_picture(path):
-    position_mm = grid(3, 2)
-    bank = GreenArray(np.random.default_rng(1).standard_normal((6, 2, 30)), position_mm, 1000.0)
-    scene = Scene("s", (Source(path, Impulse(), 0.0, 80.0, 4.0),), output=NEAREST)
-    waves = waves_of(scene, bank, comparison(), 4.0)
-    assert (waves.travel, waves.crosstalk, waves.scanned) == (None, None, None)
-    lines = {name: figure for name, *figure in wave_figures(waves, scene, None)}
-    assert lines["Group velocity"][0] == lines["Attenuation"][0] == "-"
-    assert "Not found" in lines["Attenuation"][1]
-    assert "Correlation of neighbours" in lines
-    assert waves_picture(waves, None).png.startswith(b"\x89PNG")

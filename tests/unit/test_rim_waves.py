@@ -14,7 +14,7 @@ RADIUS_MM = 55.0
 RNG = np.random.default_rng(4)
 ANGLE = 2 * np.pi * np.arange(5) / 5
 ACTUATOR_MM = 50.0 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], axis=1)
-FREQUENCY_HZ = np.array([150.0, 300.0, 450.0])
+FREQUENCY_HZ = np.array([300.0, 450.0])
 LAW = Dispersion(250.0, 4750.0, 420.0)
 
 
@@ -57,7 +57,7 @@ def test_waves_of_a_disk_are_found_beyond_the_spatial_nyquist_limit(coarse, rand
     check = np.stack([disk_response(k, checks_mm, ACTUATOR_MM) for k in wavenumber])
     model = RimWaves.fit(FREQUENCY_HZ, position_mm, ACTUATOR_MM, transfer, checks_mm, check, workers=1)
     points_mm = random_mm[12:]
-    values, bounds = model.values(points_mm), model.bound_scale[:, None, None] * model.deviations(points_mm, range(3))
+    values, bounds = model.values(points_mm), model.bound_scale[:, None, None] * model.deviations(points_mm, range(2))
     assert abs(model.wavenumber[-1]) * model.spacing_mm > 1.9 * np.pi
     assert model.stated == 0.9
     assert np.allclose(model.wavenumber, wavenumber, rtol=2e-3)
@@ -79,16 +79,17 @@ def plate_noise(rng, *shape):
 def unchecked(coarse):
     """A model that no check position judges."""
     position_mm, transfer = coarse
-    model = RimWaves.fit(FREQUENCY_HZ[2:], position_mm, ACTUATOR_MM, transfer[2:], workers=1)
+    model = RimWaves.fit(FREQUENCY_HZ[1:], position_mm, ACTUATOR_MM, transfer[1:], workers=1)
     assert (model.stated, model.judged_by, np.isnan(model.bound_scale).all()) == (0.0, "left-out positions", True)
     return model
 
 
+@pytest.mark.long
 def test_too_few_check_positions_then_no_bound_is_stated(coarse, random_mm):
     position_mm, transfer = coarse
     checks_mm = random_mm[:11]
-    check = disk_response(LAW.wavenumber(FREQUENCY_HZ)[2], checks_mm, ACTUATOR_MM)[None]
-    model = RimWaves.fit(FREQUENCY_HZ[2:], position_mm, ACTUATOR_MM, transfer[2:], checks_mm, check, workers=1)
+    check = disk_response(LAW.wavenumber(FREQUENCY_HZ)[1], checks_mm, ACTUATOR_MM)[None]
+    model = RimWaves.fit(FREQUENCY_HZ[1:], position_mm, ACTUATOR_MM, transfer[1:], checks_mm, check, workers=1)
     assert np.isnan(model.bound_scale).all()
 
 
@@ -122,12 +123,6 @@ def test_sizes_and_too_few_positions_are_refused(coarse):
         RimWaves.fit(FREQUENCY_HZ, position_mm[:8], ACTUATOR_MM, transfer[:, :8])
 
 
-def hexagonal(spacing_mm, radius_mm=45.0):
-    rows = np.arange(-8, 9)
-    points = np.array([((i + (j % 2) / 2) * spacing_mm, j * spacing_mm * np.sqrt(0.75)) for i in rows for j in rows])
-    return points[np.hypot(*points.T) < radius_mm]
-
-
 def scattered(count, radius_mm=45.0):
     rng = np.random.default_rng(11)
     points = rng.uniform(-radius_mm, radius_mm, (2000, 2))
@@ -152,7 +147,13 @@ STIFF = {
 STIFF_HZ = np.array([350.0])
 
 
-LONG = ("one actuator", "10 % of the positions missing", "random positions", "a wave speed that depends on direction")
+LONG = (
+    "one actuator",
+    "noise of 20 dB",
+    "10 % of the positions missing",
+    "random positions",
+    "a wave speed that depends on direction",
+)
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in STIFF])
@@ -193,14 +194,7 @@ def test_the_expected_error_tells_the_true_one_in_stiff_cases(name, random_mm):
     assert within.mean() > 0.75
 
 
-def test_positions_that_are_one_line_of_a_strip_are_modelled_along_it_only():
-    """A strip one position wide: the ring and the waves still fit; the interpolation above refuses it by name."""
-    strip_mm = np.stack([np.linspace(-40, 40, 20), np.zeros(20)], axis=1)
-    k = LAW.wavenumber(STIFF_HZ)[0]
-    model = RimWaves.fit(STIFF_HZ, strip_mm, ACTUATOR_MM, disk_response(k, strip_mm, ACTUATOR_MM)[None], workers=1)
-    assert np.isfinite(model.values(strip_mm)).all()
-
-
+@pytest.mark.long
 def test_a_plate_of_glass_measured_at_few_frequencies_gets_waves_of_the_plate_s_size():
     hz = np.array([25.0, 60.0, 100.0, 105.0, 110.0, 180.0, 250.0, 255.0, 270.0, 380.0, 450.0, 455.0, 495.0])
     size_mm, number = np.array([220.0, 140.0]), np.arange(1, 40)

@@ -1,7 +1,5 @@
 """The journal of a scan: what was kept is there again, what is not whole does not count."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 SAMPLES = 40
 
 
-def scanned(row: int) -> ScannedPosition:
+def scanned(row):
     response = np.random.default_rng(row).standard_normal(SAMPLES).astype(np.float32)
     return ScannedPosition(row, 1, 2, 1e-4 * row, 1.00003, 0.99, response)
 
@@ -25,7 +23,7 @@ def path(tmp_path):
     return tmp_path / "scan.unfinished"
 
 
-def rows(path: Path) -> list[int]:
+def rows(path):
     with ScanJournal(path, "one", SAMPLES) as journal:
         return [one.row for one in journal.entries()]
 

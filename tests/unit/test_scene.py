@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output
@@ -63,7 +63,7 @@ paths = st.one_of(
 )
 
 
-def bank(rows: np.ndarray | slice = slice(None)) -> GreenArray:
+def bank(rows=slice(None)):
     """Some rows of a bank; all are doubtful: to judge what lies between them takes longer than a render."""
     status = np.zeros(len(GRID_MM), dtype=np.uint8)
     status[rows] = 4
@@ -71,14 +71,15 @@ def bank(rows: np.ndarray | slice = slice(None)) -> GreenArray:
     return GreenArray(values, GRID_MM, RATE_HZ, status=status)
 
 
-def scene_of(*sources: Source, kind: str = "nearest") -> Scene:
+def scene_of(*sources, kind="nearest"):
     return Scene("one", sources, output=Output(interpolation=kind))
 
 
-def moving(path, **changes) -> Source:
+def moving(path, **changes):
     return Source(path, Sine(100.0, 0.2), speed_mm_s=150.0, step_mm=3.3, **changes)
 
 
+@settings(max_examples=8)
 @given(path=paths, kind=st.sampled_from(["nearest", "bilinear"]), method=st.sampled_from(["sampled", "exact"]))
 def test_a_bank_of_the_path_s_rows_alone_renders_as_the_whole_bank_does(path, kind, method):
     scene = scene_of(moving(path), kind=kind)

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from tests.unit import analytic_plates
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
 from wavefocus.config.run import DriftLimits
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.rendering.verify.mirror_error import sentinel_shift_mm
+from wavefocus.rendering.verify.results import Sentinel
 
 
-def _responses(seed: int = 1) -> np.ndarray:
+def _responses(seed=1):
     random = np.random.default_rng(seed)
     envelope = np.exp(-np.arange(400) / 60.0) * (np.arange(400) > 20)
     noise = random.standard_normal((4, 400))
@@ -86,7 +89,7 @@ def test_given_known_noise_then_it_is_no_drift_and_a_gain_is_still_seen(snr_db):
     response[1:] *= 0.3  # far actuators: their noise is as loud as the clear one's, and little of it is response
     scale = np.linalg.norm(response, axis=1, keepdims=True) * 10 ** (-ratios_db[:, None] / 20) / np.sqrt(400)
 
-    def measured(gain: float) -> np.ndarray:
+    def measured(gain):
         return (gain * response + scale * chance.standard_normal(response.shape)).astype(np.float32)
 
     steady = [compare_sentinel(measured(1.0), measured(1.0), ratios_db, ratios_db) for _ in range(200)]
@@ -101,13 +104,13 @@ CORNER, MIDDLE = (-70.0, -40.0), (10.0, 5.0)
 NOISE_SHARE = 10**-5.5
 
 
-def _truth(place_mm: tuple[float, float], warmer_k: float = 0.0) -> np.ndarray:
+def _truth(place_mm, warmer_k=0.0):
     """Green's functions of the soft plate, whose waves slow down and fade by half a percent and 2 % per kelvin."""
     keys = (("speed_per_k", -0.005), ("loss_per_k", 0.02))
     return VirtualRig(VirtualSettings(seed=3, plate_keys=keys, room_c=((0.0, 21.0 + warmer_k),))).truth(*place_mm, TAPS)
 
 
-def _step(then: np.ndarray, now: np.ndarray, place_mm: tuple[float, float], chance: np.random.Generator) -> float:
+def _step(then, now, place_mm, chance):
     """The figure of a change, with the noise of both looks."""
     rows = []
     for green in (then, now):
@@ -143,3 +146,24 @@ def test_given_figures_with_a_step_then_it_decides_and_the_limits_of_a_stop_stay
     assert (stepped.verdict(DriftLimits()), stepped.speaks_against(DriftLimits())) == ("warn", True)
     assert stepped.cause(DriftLimits()) == "timing changed"
     assert DriftFigures(3.5, 0.0, 0.99, step=0.4).verdict(DriftLimits()) == "stop"
+
+
+SNR_DB = 50.0
+ROWS = (14, 31, 48)
+WAYS_MM = ((1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.7, 0.7), (-0.4, 0.3), (0.0, 0.0))
+
+
+@pytest.mark.parametrize("plate", ["mirrors", "disk"])
+def test_a_mirror_off_by_half_a_millimetre_or_one_is_found_in_every_direction(plate):
+    rng, (bank, _) = np.random.default_rng(3), analytic_plates.lab(plate)
+    for row in ROWS:
+        places_mm = analytic_plates.places_mm(plate)[row] + np.array(WAYS_MM)
+        for way_mm, green in zip(WAYS_MM, analytic_plates.green(plate, place_mm=places_mm), strict=True):
+            level = 10 ** (-SNR_DB / 20) * np.linalg.norm(green, axis=1, keepdims=True) / np.sqrt(green.shape[1])
+            seen = (green + level * rng.standard_normal(green.shape)).astype(np.float32)
+            shift_mm = sentinel_shift_mm(Sentinel(row, seen, np.full(len(green), SNR_DB, np.float32)), bank)
+            if not any(way_mm):
+                assert shift_mm is None
+            else:
+                assert shift_mm is not None
+                assert np.hypot(*(shift_mm - way_mm)) < 0.1

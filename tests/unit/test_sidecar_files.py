@@ -6,10 +6,8 @@ import os
 import pytest
 
 from wavefocus.campaign.sidecar_files import EventLog, VerifyLog, drift_path, log_path, write_whole
-from wavefocus.config.calibration import name_calibration
 from wavefocus.config.messages.campaign import Drift
 from wavefocus.storage.ledger.owner import owner_path, remove_owner, write_owner
-from wavefocus.storage.sidecar_files import Log
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
 PRECIOUS = b"precious\n"
@@ -42,14 +40,6 @@ def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(victim, 
     with EventLog(path_of(bank), Drift) as written:
         written(drift)
     assert victim.read_bytes() == PRECIOUS
-
-
-def test_given_a_log_then_lines_are_appended(tmp_path):
-    for line in ('{"a": 1}\n', '{"a": 2}\n'):
-        log = Log(log_path(tmp_path / "plate.h5"))
-        log.write(line)
-        log.close()
-    assert log_path(tmp_path / "plate.h5").read_bytes() == b'{"a": 1}\n{"a": 2}\n'
 
 
 def test_given_a_link_then_the_owner_is_named_beside_the_bank_alone(victim):
@@ -97,15 +87,6 @@ def test_given_a_link_then_the_log_of_a_verification_is_written_beside_it(victim
     with VerifyLog(victim.parent) as log:
         log.done(0, "done")
     assert victim.read_bytes() == PRECIOUS
-
-
-def test_given_a_file_called_new_then_naming_a_calibration_leaves_it(victim):
-    rig = victim.with_name("rig.toml")
-    rig.write_text('[rig]\nname = "a"\n', encoding="utf-8")
-    rig.with_name("rig.toml.new").write_bytes(PRECIOUS)
-    name_calibration(rig, "calibration.toml")
-    assert rig.with_name("rig.toml.new").read_bytes() == PRECIOUS
-    assert "calibration.toml" in rig.read_text(encoding="utf-8")
 
 
 def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_removed(tmp_path):

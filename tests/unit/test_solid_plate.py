@@ -21,11 +21,11 @@ def elements():
     return Elements(triangulate(DISK, 0.4 * spacing_mm(DampedWave(5.0, 2500.0), 450.0)))
 
 
-def _solved(elements: Elements, frequency_hz: float) -> np.ndarray:
+def _solved(elements, frequency_hz):
     """Velocity (places, oscillation, force) from the weak form of the paper's eq. (3) in units of rho c_s^2."""
     import skfem
 
-    def gradients(of_u: int, of_v: int) -> object:
+    def gradients(of_u, of_v):
         return skfem.BilinearForm(lambda u, v, _: u.grad[of_u] * v.grad[of_v]).assemble(elements.basis)
 
     angular, shear, pressure = 2 * np.pi * frequency_hz, KEYS["shear_speed_m_s"], KEYS["pressure_speed_m_s"]
@@ -48,7 +48,7 @@ def _solved(elements: Elements, frequency_hz: float) -> np.ndarray:
     return 1j * angular * np.stack(parts, axis=1)
 
 
-def _plate(force_deg: float, oscillation_deg: float, source_mm: np.ndarray = SOURCE_MM) -> SolidPlate:
+def _plate(force_deg, oscillation_deg, source_mm=SOURCE_MM):
     return SolidPlate(source_mm, DISK, np.ones_like, **KEYS, force_deg=force_deg, oscillation_deg=oscillation_deg)
 
 

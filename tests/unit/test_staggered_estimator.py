@@ -8,7 +8,7 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavefocus.calibration.estimator.estimate import Channels, Estimate, Records
+from wavefocus.calibration.estimator.estimate import Channels, Records
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.calibration.known_signal import ReferenceMissingError
@@ -22,9 +22,7 @@ SWEEP = PlayedExcitation(RATE_HZ, *BAND_HZ, 0.5, 0.05, 1.0, 1)
 SIGNAL = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120)
 
 
-def played(
-    base_v: np.ndarray, delays: list[int], green: np.ndarray, ppm: float, start: float, samples: int
-) -> tuple[np.ndarray, np.ndarray]:
+def played(base_v, delays, green, ppm, start, samples):
     """Both channels at the DAQ's instants: a periodic signal is a Fourier series, which knows any instant."""
     period = base_v.size
     ring = np.zeros(period)
@@ -37,17 +35,17 @@ def played(
     return reference, (turns @ (series * scipy.fft.rfft(ring))[:-1]).real
 
 
-def in_band(green: np.ndarray) -> np.ndarray:
+def in_band(green):
     hertz = np.fft.rfftfreq(4 * TAPS, 1 / RATE_HZ)
     return np.fft.rfft(green, 4 * TAPS)[:, (hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])]
 
 
-def error_db(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+def error_db(found, true):
     wrong, right = in_band(found - true), in_band(true)
     return 10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1))
 
 
-def random_firs(seed: int) -> np.ndarray:
+def random_firs(seed):
     draw = np.random.default_rng(seed)
     return draw.standard_normal((5, TAPS)) * np.exp(-np.arange(TAPS) / 30)
 
@@ -56,14 +54,14 @@ RECORDS = Records(RATE_HZ, BAND_HZ, TAPS, SIGNAL.schedule(), Channels(response_p
 ESTIMATOR = StaggeredEstimator(SIGNAL.base_v(), RECORDS)
 
 
-def estimated(reference: np.ndarray, response: np.ndarray) -> Estimate:
+def estimated(reference, response):
     """Of one record."""
     channels = (one[None].astype(np.float32) for one in (reference, response))
     return ESTIMATOR.estimate(*channels, range_v=(1e3, 1e3))
 
 
 @cache
-def least_noise() -> float:
+def least_noise():
     """Energy in band that noise of 1 V leaves in each FIR by least squares with the true drives, in expectation."""
     base_v, samples = SIGNAL.base_v(), SIGNAL.used_samples
     columns = [np.roll(base_v, 120 * slot + tap) for slot in range(5) for tap in range(TAPS)]
@@ -74,7 +72,7 @@ def least_noise() -> float:
     return float(np.sum((fourier @ covariance) * fourier.conj()).real)
 
 
-def limit_db(true: np.ndarray, noise_v: float) -> np.ndarray:
+def limit_db(true, noise_v):
     """The error that noise alone must leave."""
     return 10 * np.log10(noise_v**2 * least_noise() / (np.abs(in_band(true)) ** 2).sum(axis=1))
 

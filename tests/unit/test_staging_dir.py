@@ -1,14 +1,13 @@
 """The hidden folder where a file is made: gone afterwards, and what a killed maker left of it."""
 
 import os
-from pathlib import Path
 
 import pytest
 
 from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
 
 
-def leftover(path: Path, name: str = "dead", **files: bytes) -> Path:
+def leftover(path, name="dead", **files):
     """What a maker that was killed left beside `path`."""
     folder = path.with_name(f".{path.name}.{name}.partial")
     folder.mkdir()
@@ -17,19 +16,8 @@ def leftover(path: Path, name: str = "dead", **files: bytes) -> Path:
     return folder
 
 
-def names(folder: Path) -> list[str]:
+def names(folder):
     return sorted(entry.name for entry in folder.iterdir())
-
-
-def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path):
-    def fail() -> None:
-        with staging_dir(tmp_path / "bank.h5") as place:
-            place.temporary.write_bytes(b"half")
-            raise RuntimeError("stopped")
-
-    with pytest.raises(RuntimeError, match="stopped"):
-        fail()
-    assert names(tmp_path) == []
 
 
 def test_another_process_that_removes_empty_folder_first_then_what_was_made_stands(tmp_path):

@@ -1,13 +1,17 @@
-"""How signals become a stop."""
+"""How signals and a file become a stop of a command."""
 
+import os
 import signal
 import subprocess
 import sys
+import threading
+from types import SimpleNamespace
 
 import pytest
 
+from wavefocus.__main__ import raise_at_interrupt
 from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.ending import stop_on_signals
+from wavefocus.ending import TERMINAL_GONE, EndingSignals, ended_by_file, ending_at_once, stop_on_signals
 
 
 def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed():
@@ -36,3 +40,109 @@ def test_given_a_process_that_waits_then_sigterm_ends_it_through_its_cleanup():
         child.terminate()
         assert lines.readline().strip() == b"muted"
     assert child.wait(timeout=10) != 0
+
+
+def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing():
+    windows = SimpleNamespace(SIGINT=2, SIGTERM=15, SIGBREAK=21)
+    signals = EndingSignals.here(windows)
+    assert (signals.finish, signals.terminal_gone, signals.at_once) == ((2,), (), (15, 21))
+    assert signals.all == (2, 15, 21)
+
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
+
+
+@POSIX
+@pytest.mark.may_skip("Windows has no SIGHUP")
+def test_terminal_that_is_gone_then_position_is_finished_and_twice_changes_nothing():
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup the tests inherit that it is ignored
+    try:
+        stop = StopRequest()
+        with stop_on_signals(stop):
+            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(signal.SIGHUP)
+            assert stop.requested
+        assert stop.reason == TERMINAL_GONE
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@POSIX
+@pytest.mark.may_skip("Windows has no SIGHUP")
+def test_given_nohup_then_a_terminal_that_is_gone_stays_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        stop = StopRequest()
+        with stop_on_signals(stop):
+            signal.raise_signal(signal.SIGHUP)
+        assert not stop.requested
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_given_two_who_stop_it_then_the_first_is_named():
+    stop = StopRequest()
+    stop.finish_position(TERMINAL_GONE)
+    stop.finish_position()
+    assert stop.reason == TERMINAL_GONE
+
+
+LONG_S = 60.0
+
+
+@pytest.fixture
+def interruptible():
+    """Where the tests run in a shell's background, SIGINT is ignored from the start."""
+    former, hook = signal.signal(signal.SIGINT, signal.default_int_handler), sys.unraisablehook
+    yield
+    signal.signal(signal.SIGINT, former)
+    sys.unraisablehook = hook
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_given_the_file_then_the_block_is_interrupted_and_the_file_taken_away(tmp_path):
+    order = tmp_path / "verify.stop"
+
+    def work():
+        with ended_by_file(order):
+            order.touch()
+            threading.Event().wait(LONG_S)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert not order.exists()
+
+
+def test_given_a_file_of_before_then_it_is_no_order(tmp_path):
+    order = tmp_path / "verify.stop"
+    order.touch()
+    with ended_by_file(order):
+        assert not order.exists()
+    assert not [thread for thread in threading.enumerate() if thread.name == "order to end"]
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_order_that_falls_into_a_finaliser_then_it_is_given_again(tmp_path):
+    order = tmp_path / "verify.stop"
+    fallen = []
+
+    class Finalised:
+        def __del__(self):
+            order.touch()
+            try:
+                threading.Event().wait(LONG_S)
+            except KeyboardInterrupt:
+                fallen.append(order)
+                raise
+
+    def work():
+        with ending_at_once(), ended_by_file(order):
+            Finalised()
+            threading.Event().wait(LONG_S)
+
+    raise_at_interrupt()
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert fallen
+    assert not order.exists()

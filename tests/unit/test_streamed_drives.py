@@ -130,11 +130,6 @@ def test_a_written_drive_stays_within_full_scale_between_its_samples(tmp_path):
     assert "between samples" in str(told.limiting)
 
 
-def test_a_method_that_is_not_known_is_refused():
-    with pytest.raises(InputError):
-        SceneRenderer(Scene("s", (MOVING,), output=NEAREST), noise_bank(), method="fast")
-
-
 def test_memory_does_not_grow_with_the_drives():
     """A scene 16 times as long takes 16 times as much for its signal (8 bytes a sample), and no more for its drives."""
     most = {}

@@ -7,19 +7,17 @@ from tests.unit import analytic_plates as plates
 from tests.unit.analytic_plates import ACTUATORS, Case, Medium, driven, green, verified
 from tests.unit.line_verification import rendered, scan_of
 from wavefocus.rendering.verify.extra_measurements import QUIETER_DB, linearity
-from wavefocus.rendering.verify.scan import Scan
-from wavefocus.rendering.verify.verdict import Verification
 
 
-def chance() -> np.random.Generator:
+def chance():
     return np.random.default_rng([7, 1])
 
 
-def certain(found: Verification) -> set[tuple[str, tuple[int, ...]]]:
+def certain(found):
     return {(symptom.code, symptom.actuators) for symptom in found.symptoms if symptom.certain}
 
 
-def later(*case: object) -> object:
+def later(*case):
     """A case of `make test-all`."""
     return pytest.param(*case, marks=pytest.mark.long)
 
@@ -28,11 +26,11 @@ def later(*case: object) -> object:
     ("plate", "code", "actuators", "value"),
     [
         ("gel", "polarity", (4, 6), 0.0),
-        ("bending", "silent", (7,), 0.0),
-        ("disk", "level", (0, 1, 2, 5, 6, 7, 9, 11), 5.48),
-        ("mirrors", "delay", (1, 10), 0.377),
+        later("bending", "silent", (7,), 0.0),
+        later("disk", "level", (0, 1, 2, 5, 6, 7, 9, 11), 5.48),
+        later("mirrors", "delay", (1, 10), 0.377),
         later("gel", "delay", (), -0.74),
-        ("disk", "swapped", (0, 7), 0.0),
+        later("disk", "swapped", (0, 7), 0.0),
     ],
 )
 def test_given_an_electric_cause_then_just_its_actuators_are_named(plate, code, actuators, value):
@@ -58,7 +56,7 @@ TURN = np.radians(4.34)
     [
         ("disk", np.eye(2), (-3.09, -3.09)),
         later("mirrors", np.array([[np.cos(TURN), -np.sin(TURN)], [np.sin(TURN), np.cos(TURN)]]), (0.0, 0.0)),
-        ("gel", np.diag([1.18, 1.0]), (0.0, 0.0)),
+        later("gel", np.diag([1.18, 1.0]), (0.0, 0.0)),
     ],
     ids=["shift", "rotation", "scale of x"],
 )
@@ -87,6 +85,7 @@ def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_ma
     assert [symptom.code for symptom in found.symptoms] in ([], ["unexplained"])
 
 
+@pytest.mark.long
 def test_given_four_causes_at_once_then_none_is_named():
     levels = np.ones(ACTUATORS)
     levels[:4] = 1.3, 0.75, 1.4, 0.8
@@ -100,13 +99,14 @@ def test_given_a_scene_played_quieter_then_distortion_is_named_by_it_alone():
     assert certain(verified("gel", cubic, chance(), quiet_db=QUIETER_DB)) == {("nonlinear", ())}
 
 
+@pytest.mark.long
 def test_given_the_bank_of_another_plate_then_it_is_called_wrong():
     other = green("disk") * np.linalg.norm(green("gel")) / np.linalg.norm(green("disk"))
     (symptom,) = verified("gel", Case(other), chance()).symptoms
     assert (symptom.code, symptom.certain) == ("wrong_bank", False)  # a heavy finger on a stiff plate looks the same
 
 
-@pytest.mark.parametrize("plate", [later("gel"), "mirrors", later("disk"), "bending"])
+@pytest.mark.parametrize("plate", [later("gel"), "mirrors", later("disk"), later("bending")])
 def test_given_a_sound_rig_then_nothing_is_named(plate):
     found = verified(plate, Case(green(plate)), chance())
     assert found.symptoms == ()
@@ -119,7 +119,7 @@ def test_scene_played_quieter_then_it_shows_how_much_of_difference_is_distortion
     _, prediction = rendered()
     loudest = float(np.abs(prediction.field).max())
 
-    def played(factor: float) -> Scan:
+    def played(factor):
         field = prediction.field / factor
         field = field + 0.5 * loudest * (field / loudest) ** exponent
         return scan_of(field, prediction.start_s, prediction.sample_rate_hz, 0.0)

@@ -141,19 +141,6 @@ def test_file_that_is_there_is_never_overwritten(tmp_path, name):
     assert (tmp_path / name).read_text() == "mine"
 
 
-def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path):
-    assert [path.name for path in write_templates(tmp_path / "a" / "b", "virtual")] == [
-        "rig.toml",
-        "run.toml",
-        "scene.toml",
-        "trials.toml",
-        "fingers.toml",
-    ]
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file"):
-        write_templates(tmp_path / "file", "virtual")
-
-
 TABLES = {
     (RunConfig, "run"): ("grid", "sweep", "capture", "quality", "drift", "tolerance", "publication",
                          "virtual"),

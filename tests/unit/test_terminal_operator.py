@@ -9,7 +9,7 @@ from wavefocus.mocks.virtual.laboratory import PatchBay
 from wavefocus.rig.calibration_session import Cables
 
 
-def typing(text: str) -> TerminalOperator:
+def typing(text):
     return TerminalOperator(io.StringIO(text).readline)
 
 

@@ -24,7 +24,7 @@ def interruptible():
 def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible):
     thread, release, done = CallThread("test"), threading.Event(), []
 
-    def hold() -> None:
+    def hold():
         # What Ctrl-C does: the main thread stops waiting while the call goes on.
         _thread.interrupt_main()
         release.wait()
@@ -41,7 +41,7 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(int
 def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it(interruptible):
     thread, release, done = CallThread("test"), threading.Event(), []
 
-    def hold() -> None:
+    def hold():
         _thread.interrupt_main()
         release.wait()
 

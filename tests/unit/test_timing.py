@@ -6,7 +6,6 @@ import scipy.fft
 import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from tests.unit.test_estimator import played as played_signals
 from wavefocus.calibration.excitation import PlayedExcitation
@@ -19,7 +18,7 @@ SAMPLES = 37_200
 KNOWN = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()
 
 
-def played(signal: NDArray[np.float64], samples: int, offset: float, ratio: float) -> NDArray[np.float64]:
+def played(signal, samples, offset, ratio):
     """The recording of a signal that is silent at its ends."""
     return played_signals(signal[None], samples, offset, ratio)[0]
 
@@ -57,7 +56,7 @@ def test_a_signal_of_a_minute_is_found_at_a_large_skew():
     assert fit.residual_db == pytest.approx(-60, abs=1)
 
 
-@pytest.mark.parametrize("factor", [44_100 / 48_000, 1 - 900e-6, 2.0])
+@pytest.mark.parametrize("factor", [44_100 / 48_000, 2.0])
 def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor):
     recorded = played(KNOWN, SAMPLES + KNOWN.size, 300.0, 1 / factor)
     recorded += 1e-3 * np.random.default_rng(1).standard_normal(recorded.size)
@@ -96,7 +95,7 @@ def test_a_tone_is_resampled_to_100_db(share, offset, ppm, first, delay):
     assert np.abs(found - expected).max() < 1e-5
 
 
-def sweep(samples: int, stop_hz: float) -> NDArray[np.float64]:
+def sweep(samples, stop_hz):
     time_s = np.arange(samples) / 10_000
     wave = np.sin(2 * np.pi * (20 + 0.5 * (stop_hz - 20) / time_s[-1] * time_s) * time_s)
     return wave * np.sin(0.5 * np.pi * np.clip(np.minimum(time_s, time_s[::-1]) / 0.02, 0, 1)) ** 2

@@ -28,14 +28,14 @@ NOISE = Noise((50.0, 400.0), 0.07, 3)
 GREEN = np.random.default_rng(0).standard_normal((len(GRID_MM), 3, 60))
 
 
-def bank(rows: np.ndarray | slice = slice(None)) -> GreenArray:
+def bank(rows=slice(None)):
     """Some rows of a bank; all are doubtful: to judge what lies between them takes longer than a render."""
     status = np.zeros(len(GRID_MM), np.uint8)
     status[rows] = 4
     return GreenArray(GREEN, GRID_MM, RATE_HZ, status=status)
 
 
-def scene_of(*sources: Source, interpolation: str = "nearest") -> Scene:
+def scene_of(*sources, interpolation="nearest"):
     return Scene("t", sources, Regularisation(normalise=False), Output(interpolation=interpolation))
 
 
@@ -171,7 +171,7 @@ PLACES = st.floats(-1e3, 1e3)
 KNOTS = st.lists(st.tuples(st.integers(1, 400), PLACES, PLACES, PLACES), min_size=2, max_size=8)
 
 
-def through(knots: list[tuple[int, float, float, float]]) -> Trajectory:
+def through(knots):
     """Knots whose first number is the time since the one before."""
     table = np.array(knots, dtype=np.float64)
     return Trajectory(np.cumsum(table[:, 0]).astype(np.int64), table[:, 1:3], table[:, 3])

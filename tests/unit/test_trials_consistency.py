@@ -8,11 +8,9 @@ import pytest
 
 from tests.simulated_people import CONSTANT, QUEST, UP_DOWN, Observer, designs, simulate
 from wavefocus.trials.analysis.consistency import stored_design, unfit_rows
-from wavefocus.trials.answers import Row
-from wavefocus.trials.design import TrialsDesign
 
 
-def facts_of(design: TrialsDesign, rows: tuple[Row, ...]) -> dict:
+def facts_of(design, rows):
     """What ``trials.json`` says, as it is read from the file."""
     stimuli = {
         name: {
@@ -37,7 +35,7 @@ def experiment(request, tmp_path_factory):
     return stored_design(facts, Path("trials.json")), facts, rows
 
 
-def named(experiment, rows) -> list[tuple[int, str]]:
+def named(experiment, rows):
     design, facts, _ = experiment
     return [(one.line, one.reason) for one in unfit_rows(rows, design, facts)]
 

@@ -3,8 +3,6 @@
 import hashlib
 import itertools
 from collections import Counter
-from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import assume, given, settings
@@ -14,7 +12,7 @@ from wavefocus.rendering.scene.model import Source
 from wavefocus.rendering.scene.paths import Line, Point
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
-from wavefocus.trials.design import TrialsDesign, load_trials
+from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import Draws, FixedOrder, order_of, ordered
 
 TRIALS = """
@@ -48,7 +46,7 @@ ADAPTIVE = '\n[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\n'
 ONE = '\n[[stimuli]]\npath = ["left", "right"]\nsignal = "tap"\nspeed_mm_s = 40\nstep_mm = 24\n'
 
 
-def design_of(folder: Path, text: str) -> TrialsDesign:
+def design_of(folder, text):
     file = folder / "trials.toml"
     file.write_text(text, encoding="utf-8")
     return load_trials(file)
@@ -145,7 +143,7 @@ def test_given_no_ladder_then_an_adaptive_design_is_refused(tmp_path, stimuli, m
         design_of(tmp_path, text + second + ADAPTIVE + more)
 
 
-def longest_run(levels: list[Any]) -> int:
+def longest_run(levels):
     return max(len(list(same)) for _, same in itertools.groupby(levels))
 
 
@@ -184,13 +182,3 @@ def test_each_participant_has_order_of_their_own_that_no_version_of_python_chang
     assert " ".join(one.stimulus.removesuffix("mm_s-burst") for one in first.trials[:6]) == (
         "right-100 right-40 left-100 right-100 left-100 right-100"
     )
-
-
-def test_order_is_followed_answer_by_answer_to_its_end(tmp_path):
-    order = order_of(design_of(tmp_path, TRIALS + STIMULI), "P01")
-    for number in range(1, 25):
-        trial = order.next_trial()
-        assert trial is not None
-        assert (trial.number, order.next_trial()) == (number, trial)
-        order.answered("left")
-    assert order.next_trial() is None

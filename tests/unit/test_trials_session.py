@@ -2,8 +2,6 @@
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +12,6 @@ from wavefocus.config.messages.trials import (
     AnswerStored,
     EndTrials,
     GoOn,
-    Presented,
     Replay,
     TrialsState,
     Welcome,
@@ -42,35 +39,35 @@ replays = 1
 class InMemory:
     """Presents nothing; each onset lies so long before its end."""
 
-    def __init__(self, attempts: Sequence[int] = (1,), lost: int = 0) -> None:
+    def __init__(self, attempts=(1,), lost=0):
         self.presented: list[tuple[str, int]] = []
         self.muted = 0
         self._attempts, self._lost = itertools.cycle(attempts), lost
 
-    def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
+    def present(self, stimulus, trial, note):
         self.presented.append((stimulus, trial))
         if len(self.presented) == self._lost:
             raise InstrumentLostError("player", "playing", "it is gone", "plug it in")
         return Onset(time.monotonic() - 1.0, 0.25, 0.01, next(self._attempts))
 
-    def mute(self) -> None:
+    def mute(self):
         self.muted += 1
 
 
 class Program:
     """Goes on and answers as the states ask for; `instead` gives other orders for some states of some trials."""
 
-    def __init__(self, instead: dict[tuple[int, str], list[Message | None]] | None = None) -> None:
+    def __init__(self, instead=None):
         self.events: list[Message] = []
         self._instead = instead or {}
         self._state: TrialsState | None = None
 
-    def __call__(self, event: Message) -> None:
+    def __call__(self, event):
         self.events.append(event)
         if isinstance(event, TrialsState):
             self._state = event
 
-    def next(self, timeout_s: float | None) -> Message | None:
+    def next(self, timeout_s):
         state = self._state
         assert state is not None
         trial = state.trial if state.phase in ("trial", "break") else 0
@@ -80,10 +77,10 @@ class Program:
             raise TimeoutError
         return GoOn() if state.waiting == "go_on" else Answer("right", time.monotonic(), "keyboard")
 
-    def states(self) -> list[tuple[str, str]]:
+    def states(self):
         return [(one.phase, one.waiting) for one in self.events if isinstance(one, TrialsState)]
 
-    def those(self, kind: type[Message]) -> list[Message]:
+    def those(self, kind):
         return [one for one in self.events if isinstance(one, kind)]
 
 
@@ -92,15 +89,13 @@ def experiment(tmp_path):
     return made(tmp_path, TRIALS)
 
 
-def made(folder: Path, text: str) -> Experiment:
+def made(folder, text):
     (folder / "trials.toml").write_text(text, encoding="utf-8")
     design = load_trials(folder / "trials.toml")
     return Experiment(design, dict.fromkeys(design.stimuli, "a" * 64), "b" * 64)
 
 
-def run(
-    experiment: Experiment, folder: Path, program: Program, presenter: InMemory, participant: str = "P1"
-) -> tuple[bool, TrialsSession]:
+def run(experiment, folder, program, presenter, participant="P1"):
     with AnswersFile(folder) as answers:
         session = TrialsSession(experiment, participant, answers, presenter, program, program, hurried=True)
         return session.run(), session
@@ -211,11 +206,3 @@ def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(tmp_pat
             break
     assert [(row.stimulus, row.track) for row in read_answers(tmp_path / "parts")] == whole
     assert len(set(whole)) > 2
-
-
-def test_given_presentations_then_each_is_reported_with_its_onset(experiment, tmp_path):
-    program = Program()
-    run(experiment, tmp_path, program, InMemory())
-    presented = [one for one in program.those(Presented) if isinstance(one, Presented)]
-    assert [one.trial for one in presented] == [0, 0, *range(1, 9)]
-    assert all(one.onset_s < time.monotonic() and one.onset_error_ms == 0.25 for one in presented)

@@ -18,7 +18,7 @@ from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.verify.extra_measurements import linearity as linearity_of
 from wavefocus.rendering.verify.extra_measurements import linearity_rows, quieter
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
-from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
+from wavefocus.rendering.verify.verdict import Tolerances, compare
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, LowPass
@@ -37,14 +37,14 @@ SETTINGS = VirtualSettings(
 
 
 @cache
-def bank() -> GreenArray:
+def bank():
     rig = VirtualRig(SETTINGS)
     green = np.stack([rig.truth(x, y, TAPS) for x, y in GRID_MM])
     return GreenArray(green, GRID_MM, RATE_HZ, band_hz=(20.0, 500.0))
 
 
 @cache
-def impulse_drive() -> Drive:
+def impulse_drive():
     """Time-reversed Green's functions of the centre: an impulse source at rest there."""
     reversed_v = bank().green(CENTRE)[:, ::-1]
     one = np.ones(1, np.int64)
@@ -52,7 +52,7 @@ def impulse_drive() -> Drive:
     return Drive(drive_v, RATE_HZ, start_s, "sampled", 1.0, 0.0, 0 * one, CENTRE * one, 0 * one)
 
 
-def setup_of(rig: VirtualRig) -> Setup:
+def setup_of(rig):
     settings = rig.settings
     return Setup(
         instruments=rig.instruments,
@@ -65,21 +65,21 @@ def setup_of(rig: VirtualRig) -> Setup:
     )
 
 
-def scanned(plan: ScanPlan, *faults: RigFault, **changes: object) -> Scan:
+def scanned(plan, *faults, **changes):
     rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=faults, **changes))
     return scan(plan, setup_of(rig), impulse_drive(), bank())
 
 
-def as_scan(field: np.ndarray, noise_rms: float = math.nan, **changes: object) -> Scan:
+def as_scan(field, noise_rms=math.nan, **changes):
     return dataclasses.replace(scan_of(field, impulse_drive().start_s, RATE_HZ, noise_rms), **changes)
 
 
 @cache
-def prediction() -> Field:
+def prediction():
     return predict(impulse_drive(), bank())
 
 
-def compared(found: Scan | np.ndarray, *, of: Field | None = None, **options: object) -> Verification:
+def compared(found, *, of=None, **options):
     """The comparison of a scan, or of a field as if it were scanned, with the prediction."""
     measured = found if isinstance(found, Scan) else as_scan(found)
     return compare(of or prediction(), measured, impulse_drive(), options.pop("source", bank()), **options)
@@ -261,5 +261,5 @@ def test_given_a_surface_that_compresses_then_the_linearity_says_by_how_much():
     assert abs(sound[1].value) < 0.01
 
 
-def scanned_at(plan: ScanPlan, drive: Drive) -> Scan:
+def scanned_at(plan, drive):
     return scan(plan, setup_of(VirtualRig(SETTINGS)), drive, bank())

@@ -27,7 +27,7 @@ from wavefocus.storage.drive_file import read_drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import wave_file, write_wave_file
 
-RATE_HZ, TAPS, BAND_HZ = 2000.0, 120, (150.0, 400.0)
+RATE_HZ, TAPS, BAND_HZ = 2000.0, 80, (150.0, 400.0)
 RADIUS_MM, SPEED_MM_S, LOSS_PER_S = 50.0, 4750.0, 420.0
 RNG = np.random.default_rng(4)
 ANGLE = 2 * np.pi * np.arange(3) / 3 + 0.2

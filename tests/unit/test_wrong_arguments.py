@@ -4,7 +4,6 @@ import inspect
 import math
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -78,7 +77,7 @@ class Stranger:
     """An object that fits nothing."""
 
 
-def parameters(name: str) -> list[str]:
+def parameters(name):
     made: Any = wf
     for part in name.split("."):
         made = getattr(made, part)
@@ -195,7 +194,7 @@ def test_given_lists_and_arrays_in_place_of_tuples_then_they_are_the_same():
     assert all(is_dataclass(one) for one in (SCENE, SOURCE))
 
 
-def _write_bank(path: Path) -> None:
+def _write_bank(path):
     import h5py
 
     with h5py.File(path, "w") as file:

@@ -1,13 +1,12 @@
 """Positions that are wrong, on plates that no constant was chosen on: all are found, and nothing else is."""
 
-from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
 import pytest
 
 from tests.unit.independent_plates import MAKERS, places, responses
-from wavefocus.calibration.neighbour_judge import NeighbourResult, RowsAtFrequencies, judge_rows
+from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
 
 RATE_HZ, BAND_HZ, TAPS, SPACING_MM = 2000.0, (50.0, 450.0), 128, 4.0
 KINDS = {
@@ -21,17 +20,17 @@ KINDS = {
 
 
 @cache
-def _plate(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _plate(name):
     grid, actuator_mm = places(name, SPACING_MM)
     return grid, actuator_mm, responses(name, grid, actuator_mm, RATE_HZ, TAPS, BAND_HZ)
 
 
-def _noisy(green: np.ndarray, snr_db: float, seed: int) -> np.ndarray:
+def _noisy(green, snr_db, seed):
     noise = np.random.default_rng(seed).standard_normal(green.shape)
     return green + 10 ** (-snr_db / 20) * np.sqrt(np.mean(green**2)) * noise
 
 
-def _judged(name: str, greens: np.ndarray) -> NeighbourResult:
+def _judged(name, greens):
     grid, actuator_mm, _ = _plate(name)
     spectra = RowsAtFrequencies(*greens.shape, RATE_HZ, BAND_HZ)
     for position, green in enumerate(greens):
@@ -39,7 +38,7 @@ def _judged(name: str, greens: np.ndarray) -> NeighbourResult:
     return judge_rows(grid, actuator_mm, spectra, np.ones(len(grid), dtype=bool))
 
 
-def _spoilt(name: str, kind: str, greens: np.ndarray, position: int, rng: np.random.Generator) -> None:
+def _spoilt(name, kind, greens, position, rng):
     if kind == "reversed":
         greens[position] *= -1
     elif kind == "swapped":
@@ -56,11 +55,11 @@ def _spoilt(name: str, kind: str, greens: np.ndarray, position: int, rng: np.ran
         greens[position] *= 10 ** ((-3 if "fainter" in kind else 3) / 20)
 
 
-def some_of(values: Iterable[object]) -> list[object]:
-    """Each plate with each value; each value at once on one plate, the rest with `make test-all`."""
+def some_of(values):
+    """Each plate with each value; one plate at once, the rest and finite elements with `make test-all`."""
     plates = list(MAKERS)
     return [
-        pytest.param(name, value, marks=() if name == plates[number % len(plates)] else pytest.mark.long)
+        pytest.param(name, value, marks=() if name == plates[number % len(plates)] != "elements" else pytest.mark.long)
         for number, value in enumerate(values)
         for name in plates
     ]

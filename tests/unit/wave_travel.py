@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.special
 
-from wavefocus.mocks.plates.soft import DampedWave, SpringpotWave
+from wavefocus.mocks.plates.soft import DampedWave
 
 
 class WaveTravel(NamedTuple):
@@ -13,7 +13,7 @@ class WaveTravel(NamedTuple):
     attenuation_db_per_cm: float
 
 
-def impulse_travel(wave: DampedWave | SpringpotWave, band_hz=(50.0, 450.0), span_mm=(10.0, 50.0)) -> WaveTravel:
+def impulse_travel(wave, band_hz=(50.0, 450.0), span_mm=(10.0, 50.0)):
     """Of an impulse with a flat spectrum in the band, its spreading removed: exp(-j k r).
 
     The velocity is the distance over the delay between the centroids of energy at the two ends of the span; the

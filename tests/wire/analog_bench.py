@@ -1,9 +1,6 @@
 """A rig whose mirror follows two outputs of the recorder's emulated box."""
 
-from pathlib import Path
-
 from tests.wire.emulated import rig_text
-from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 
 MIRROR = """
@@ -17,7 +14,7 @@ park_mrad = [-190.0, -190.0]
 """
 
 
-def analog_rig(folder: Path, address: str, **text: object) -> RigConfig:
+def analog_rig(folder, address, **text):
     """The rig, with a server at an address, from a file in a folder."""
     rig_file = folder / "rig.toml"
     whole = rig_text(folder, address, **text)

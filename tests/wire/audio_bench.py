@@ -4,8 +4,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +33,7 @@ class AlsaFile:
 
     host_api, device = "ALSA", "filed"
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         description = folder / "asound.conf"
         description.write_text(
             f'pcm.{self.device} {{ type file file "{folder / "frames.raw"}" format "raw" slave.pcm "null" }}\n',
@@ -52,15 +50,15 @@ class AudioBench:
     other programs take of the processors needs a long one.
     """
 
-    def __init__(self, stack: ExitStack, period_frames: int = 1024) -> None:
+    def __init__(self, stack, period_frames=1024):
         self._stack = stack
         self._period_frames = period_frames
 
-    def serve(self, **settings) -> JackServer:
+    def serve(self, **settings):
         """An interface."""
         return self._stack.enter_context(JackServer(**{"period_frames": self._period_frames, **settings}))
 
-    def player(self, interface, **settings) -> StreamPlayer:
+    def player(self, interface, **settings):
         opened = StreamPlayer(
             settings.pop("host_api", interface.host_api),
             settings.pop("device", interface.device),
@@ -76,7 +74,7 @@ class AudioBench:
         return opened
 
 
-def undisturbed(player: StreamPlayer, take: Callable[[], object]):
+def undisturbed(player, take):
     """Do it again, as the engine does, where the machine was too busy to keep the sound going."""
     for _ in range(20):
         try:

@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
@@ -101,7 +100,7 @@ class DaqBench:
 
 
 @contextmanager
-def daq_bench(source=None, product="USB-6211", **settings) -> Iterator[DaqBench]:
+def daq_bench(source=None, product="USB-6211", **settings):
     server = NiServer(source or Tone(), product, **settings)
     server.start()
     with ExitStack() as opened:

@@ -1,9 +1,8 @@
 """A rig file whose instruments stand at the other ends of emulated wires, and the emulated instruments themselves."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import contextmanager
-from pathlib import Path
 
 from tests.system.lines import Lines
 from tests.wire.audio_bench import wait_until
@@ -44,9 +43,7 @@ period_frames = {period_frames}
 """
 
 
-def rig_text(
-    folder: Path, recorder: str, *, dialect: str = "asi-tiger", mirror: str = "", period_frames: int = 4096
-) -> str:
+def rig_text(folder, recorder, *, dialect="asi-tiger", mirror="", period_frames=4096):
     """A rig file's text: its mirror behind a link in `folder`, unless another port is named."""
     return RIG.format(
         actuators=ACTUATORS,
@@ -64,21 +61,21 @@ class EmulatedInstruments(Lines):
     rig_file: What it stands in for.
     """
 
-    def __init__(self, rig_file: Path) -> None:
+    def __init__(self, rig_file):
         super().__init__("emulate", rig_file, "--json")
         first = self.told()
         assert first is not None, self.said
         wait_until(lambda: any("and here:" in line for line in self.said), "the emulated instruments")
         self.environment: Mapping[str, str] = {**os.environ, **first["environment"]}
 
-    def say(self, line: str) -> str:
+    def say(self, line):
         """Type a line; what the emulated instruments answer."""
         before = len(self.said)
         self.send_text(line)
         wait_until(lambda: len(self.said) > before, f"an answer to {line}")
         return self.said[before]
 
-    def close(self) -> int:
+    def close(self):
         """Say quit, and wait for the end."""
         if self.process.poll() is None:
             self.send_text("quit")
@@ -86,7 +83,7 @@ class EmulatedInstruments(Lines):
 
 
 @contextmanager
-def emulated_instruments(rig_file: Path) -> Iterator[EmulatedInstruments]:
+def emulated_instruments(rig_file):
     """Emulated devices for the length of a block."""
     with EmulatedInstruments(rig_file) as sides:
         try:
@@ -95,7 +92,7 @@ def emulated_instruments(rig_file: Path) -> Iterator[EmulatedInstruments]:
             sides.close()
 
 
-def free_port() -> int:
+def free_port():
     """A TCP port that nobody listens at."""
     import socket
 

@@ -2,19 +2,17 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import Any
 
 from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MIRRORS
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire, garble
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
-from wavefocus.mocks.wire.mirrors import MirrorDevice, mirror_device
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, garble
+from wavefocus.mocks.wire.faults import WireFaultPlan
+from wavefocus.mocks.wire.mirrors import mirror_device
 
 
 @dataclass(frozen=True)
@@ -50,14 +48,14 @@ ROUNDING_MRAD = 0.07
 class ImpatientClock(WallClock):
     """Passes little time where a driver gives a device time: the emulated ones need none."""
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         super().sleep(min(seconds, 0.005))
 
 
 class HurriedClock(ImpatientClock):
     """Runs eight times as fast: what never gets an answer gives up soon."""
 
-    def now_s(self) -> float:
+    def now_s(self):
         return 8 * super().now_s()
 
 
@@ -71,7 +69,7 @@ class MirrorBench:
     device: SerialDevice
     opened: list[SerialMirror] = field(default_factory=list)
 
-    def mirror(self, **changes: Any) -> SerialMirror:
+    def mirror(self, **changes):
         settings: dict[str, Any] = {
             "settle_s": 0.02,
             "limit_mrad": LIMIT_MRAD,
@@ -88,22 +86,22 @@ class MirrorBench:
         self.opened.append(SerialMirror(driver(**keys), port, **{**settings, **changes}))
         return self.opened[-1]
 
-    def stands_at(self, x_mrad: float, y_mrad: float) -> bool:
+    def stands_at(self, x_mrad, y_mrad):
         x, y = self.motion.where_mrad()
         return not self.motion.busy() and max(abs(x - x_mrad), abs(y - y_mrad)) <= ROUNDING_MRAD
 
-    def check_move(self, mirror: SerialMirror, x_mrad: float = 40.0, y_mrad: float = -25.0) -> None:
+    def check_move(self, mirror, x_mrad=40.0, y_mrad=-25.0):
         """A move ends with the beam standing where it was sent."""
         mirror.move_to(x_mrad, y_mrad)
         mirror.wait_settled(10.0)
         assert self.stands_at(x_mrad, y_mrad)
 
 
-def answering(kind: type[MirrorDevice], prefix: str, answer: str) -> type[MirrorDevice]:
+def answering(kind, prefix, answer):
     """A device that gives this answer to all commands that begin so; ``{axis}`` is the command's fourth letter."""
 
     class Answering(kind):  # type: ignore[misc, valid-type]
-        def answer(self, command: str) -> str:
+        def answer(self, command):
             if command.startswith(prefix):
                 return answer.format(axis=command[3:4]) + "\r\n"
             return str(super().answer(command))
@@ -111,21 +109,12 @@ def answering(kind: type[MirrorDevice], prefix: str, answer: str) -> type[Mirror
     return Answering
 
 
-def wire(kind: str, folder: Path) -> Wire:
+def wire(kind, folder):
     return PtyWire(folder / "port") if kind == "pty" else TcpWire()
 
 
 @contextmanager
-def mirror_bench(
-    dialect: str,
-    kind: str,
-    folder: Path,
-    *faults: WireFault,
-    garbler: Callable[[bytes], bytes] = garble,
-    device: Callable[[MirrorMotion], SerialDevice] | None = None,
-    settle_s: float = 0.01,
-    slew_mrad_s: float = math.inf,
-) -> Iterator[MirrorBench]:
+def mirror_bench(dialect, kind, folder, *faults, garbler=garble, device=None, settle_s=0.01, slew_mrad_s=math.inf):
     motion = MirrorMotion(PARK_MRAD, settle_s, slew_mrad_s, LIMIT_MRAD)
     one = device(motion) if device is not None else mirror_device(dialect, motion, LIMIT_MRAD)
     far = EmulatedSerial(one, wire(kind, folder), WireFaultPlan("mirror", faults), garbler)

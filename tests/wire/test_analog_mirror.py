@@ -2,14 +2,12 @@
 
 import math
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.wire.analog_bench import analog_rig
 from tests.wire.daq_bench import Tone, check_tone, take_one
-from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
 from wavefocus.drivers.protocols import WallClock
@@ -26,7 +24,7 @@ PARK_MRAD = (-190.0, -190.0)
 class Scanner:
     """An emulated box with a mirror on its outputs, and what the outputs went through."""
 
-    def __init__(self, opened: ExitStack, product: str = "USB-6211") -> None:
+    def __init__(self, opened, product="USB-6211"):
         self.server = NiServer(Tone(), product)
         self.server.start()
         opened.callback(self.server.stop)
@@ -49,10 +47,10 @@ class Scanner:
         return mirror
 
     @property
-    def volts(self) -> tuple[float, float]:
+    def volts(self):
         return self.server.level("ao0"), self.server.level("ao1")
 
-    def resets(self) -> int:
+    def resets(self):
         return sum(call.name == "ResetDevice" for call in self.server.log)
 
 
@@ -118,7 +116,7 @@ def test_given_a_box_without_outputs_then_it_says_so():
         Scanner(opened, "USB-6356").mirror()
 
 
-def rig(tmp_path: Path, scanner: Scanner) -> RigConfig:
+def rig(tmp_path, scanner):
     return analog_rig(tmp_path, scanner.server.address)
 
 

@@ -1,10 +1,7 @@
 """Which output is meant, and a sentence for each way of not getting it."""
 
 import sys
-import venv
 from contextlib import ExitStack
-from importlib.util import find_spec
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -174,23 +171,6 @@ def test_given_a_portaudio_that_cannot_be_loaded_then_it_says_what_to_install(tm
     code, output, errors = run_python(OPENING, {"LD_LIBRARY_PATH": str(tmp_path)})
     assert code == 0, errors
     check_missing(output, "the PortAudio library is missing or broken", "apt install libportaudio2")
-
-
-def test_given_no_sounddevice_then_it_says_how_to_install_it(tmp_path):
-    # An environment of its own that has what the suite needs, and nothing more.
-    packages = tmp_path / "packages"
-    packages.mkdir()
-    numpy = Path(find_spec("numpy").origin).parent
-    for part in (numpy, numpy.with_name("numpy.libs")):
-        if part.exists():
-            (packages / part.name).symlink_to(part, target_is_directory=True)
-    venv.create(tmp_path / "bare", with_pip=False, symlinks=sys.platform != "win32")
-    python = next((tmp_path / "bare").glob("[bS]*/python*"))
-    site = next((tmp_path / "bare").rglob("site-packages"))
-    (site / "packages.pth").write_text(f"{packages}\n")
-    code, output, errors = run_python(OPENING, {}, executable=python)
-    assert code == 0, errors
-    check_missing(output, "the Python package sounddevice is missing", "install it: pip install sounddevice")
 
 
 def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loaded():

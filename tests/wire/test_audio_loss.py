@@ -110,7 +110,7 @@ def test_a_server_that_is_killed_while_nothing_plays_then_the_next_play_says_los
     server.kill()
     wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
 
-    def play() -> None:
+    def play():
         player.play({0: np.full(9, 0.5)}, RATE_HZ)
         player.wait(5.0)  # its end may only be noticed after the play was handed over
 

@@ -3,14 +3,13 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import POSITIONS, write_positions
-from tests.wire.emulated import ACTUATORS, EmulatedInstruments, emulated_instruments, free_port, rig_text
+from tests.wire.emulated import ACTUATORS, emulated_instruments, free_port, rig_text
 from wavefocus.configuration import load_rig
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rig.virtual_bench import virtual_settings
@@ -57,11 +56,11 @@ def lab(tmp_path):
     return tmp_path
 
 
-def write_run(folder: Path, name: str, rig: str, averages: int = 2) -> None:
+def write_run(folder, name, rig, averages=2):
     (folder / name).write_text(RUN.format(rig=rig, averages=averages), encoding="utf-8")
 
 
-def wavefocus(*arguments: object, sides: EmulatedInstruments | None = None) -> str:
+def wavefocus(*arguments, sides=None):
     """Run a command to its good end; its standard output."""
     done = subprocess.run(
         [sys.executable, "-m", "wavefocus", *map(str, arguments)],
@@ -74,20 +73,20 @@ def wavefocus(*arguments: object, sides: EmulatedInstruments | None = None) -> s
     return done.stdout
 
 
-def errors_db(bank: Path, rig_file: Path) -> np.ndarray:
+def errors_db(bank, rig_file):
     """In-band relative L2 error of every Green's function against the plate's own, in dB."""
     plate = VirtualRig(virtual_settings(load_rig(rig_file)))
     green, position_mm = green_of(bank)
     return in_band_db(green, np.array([plate.truth(x_mm, y_mm, green.shape[2]) for x_mm, y_mm in position_mm]))
 
 
-def green_of(bank: Path) -> tuple[np.ndarray, np.ndarray]:
+def green_of(bank):
     """Green's functions and where they were measured."""
     with h5py.File(bank) as file:
         return file["green"][:].astype(np.float64), file["position_mm"][:]
 
 
-def in_band_db(green: np.ndarray, reference: np.ndarray) -> np.ndarray:
+def in_band_db(green, reference):
     """Relative L2 distance in band of Green's functions from others, in dB."""
     length = 8192
     frequency_hz = np.fft.rfftfreq(length, 1 / RATE_HZ)
@@ -96,7 +95,7 @@ def in_band_db(green: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return 20 * np.log10(np.linalg.norm(ours - theirs, axis=-1) / np.linalg.norm(theirs, axis=-1))
 
 
-def add_to(folder: Path, names: tuple[str, str], keys: str) -> None:
+def add_to(folder, names, keys):
     for name in names:
         (folder / name).write_text((folder / name).read_text(encoding="utf-8") + keys, encoding="utf-8")
 

@@ -49,19 +49,6 @@ def test_a_device_then_it_tells_product_serial_number_driver_address_and_inputs(
         assert part in name
 
 
-def test_given_records_of_one_kind_then_a_start_is_one_call(bench):
-    recorder = bench.recorder()
-    check_tone(take_one(recorder))
-    for record in range(3):
-        before = len(bench.server.log)
-        recorder.start(ask())
-        assert [call.name for call in bench.server.log[before:]] == ["StartTask"], record
-        check_tone(recorder.read(10.0))
-        names = [call.name for call in bench.server.log[before:]]
-        assert names == ["StartTask", "WaitUntilTaskDone", "ReadAnalogF64", "StopTask"]
-    assert bench.calls("CreateTask") == 1
-
-
 @pytest.mark.parametrize("change", [{"samples": 400}, {"range_v": (5.0, 10.0)}])
 def test_given_a_record_of_another_kind_then_it_gets_a_task_of_its_own(bench, change):
     recorder = bench.recorder()

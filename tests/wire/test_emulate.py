@@ -9,7 +9,7 @@ from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.serial_device import SerialMirror
 
 
-def told(capsys: pytest.CaptureFixture[str]) -> str:
+def told(capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     return error

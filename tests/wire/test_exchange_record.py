@@ -39,7 +39,7 @@ def test_emulated_rig_then_doctors_record_has_what_every_instrument_was_asked(tm
     vibrometer = f'[vibrometer]\ndriver = "polytec-ofv3001"\nport = "{tmp_path / "vibrometer"}"\n'
     rig.write_text(rig_text(tmp_path, f"localhost:{free_port()}") + vibrometer, encoding="utf-8")
 
-    def findings(*options: str) -> dict[tuple[str, str], tuple[str, str]]:
+    def findings(*options):
         capsys.readouterr()
         run(["doctor", str(rig), "--json", "--no-play", *options])
         found = json.loads(capsys.readouterr().out)["findings"]

@@ -34,7 +34,7 @@ def lab(tmp_path):
     return tmp_path
 
 
-def move_until(running: Lines, event: str, code: str = "") -> dict:
+def move_until(running, event, code=""):
     """Send positions until an event comes."""
     for count in range(3000):
         running.send(order="move", name="a", at_mm=[count % 9, 0.0], amplitude=0.5)

@@ -4,10 +4,8 @@ import math
 
 import pytest
 
-from tests.wire.serial_bench import DIALECTS, EACH, LIMIT_MRAD, LOCAL, PARK_MRAD, answering, mirror_bench
+from tests.wire.serial_bench import DIALECTS, EACH, LIMIT_MRAD, LOCAL, answering, mirror_bench
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.mirror.generic import GenericMirror
-from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS
 from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
 from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorcleDevice, OptotuneDevice
@@ -23,24 +21,6 @@ def bench(request, tmp_path):
 def test_every_dialect_is_in_the_table_and_has_an_emulated_device():
     # "analog" follows outputs of the emulated NI box.
     assert set(MIRRORS.all()) - {"analog"} == set(MIRROR_DEVICES) == set(DIALECTS)
-
-
-def test_given_a_move_then_the_beam_stands_there_when_the_driver_says_so(bench):
-    mirror = bench.mirror()
-    for target in ((40.0, -25.0), (-249.9, 0.0), (0.0, LIMIT_MRAD)):
-        mirror.move_to(*target)
-        mirror.wait_settled(10.0)
-        assert bench.stands_at(*target)
-
-
-def test_given_the_way_out_then_the_beam_is_parked_and_stays_so_after_closing(bench):
-    mirror = bench.mirror()
-    mirror.move_to(10.0, 20.0)
-    mirror.park()
-    mirror.wait_settled(10.0)
-    mirror.close()
-    mirror.park()
-    assert bench.stands_at(*PARK_MRAD)
 
 
 def test_given_a_mirror_in_use_then_reconnecting_goes_on_with_the_same_device(bench):
@@ -62,12 +42,6 @@ def test_given_another_limit_then_the_device_is_the_same_one(bench):
     second = bench.mirror(limit_mrad=LIMIT_MRAD / 2, park_mrad=(0.0, 0.0))
     assert second.identify() != named
     assert second.identity == identity
-
-
-def test_given_a_generic_mirror_of_another_firmware_then_it_is_the_same_device():
-    wanted = DeviceIdentity("wavefocus", "generic mirror", "0001")
-    for version in ("1.0", "1.1"):
-        assert GenericMirror().device(f"wavefocus,generic mirror,0001,{version}") == wanted
 
 
 def test_given_another_identity_in_the_rig_file_then_the_device_is_refused_by_name(bench):
@@ -99,9 +73,6 @@ def test_given_a_mirror_that_is_held_elsewhere_then_waiting_says_where_it_stands
         bench.motion.start(50.0, 10.0)
         with pytest.raises(TransientInstrumentError, match=r"standing at \(50\.0.*not at \(10\.0"):
             mirror.wait_settled(0.3)
-
-
-# -- what each family says on the line -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -267,9 +238,6 @@ def test_a_controller_that_restarted_unnoticed_is_lost_and_enabled_again(tmp_pat
         bench.check_move(mirror, 75.0, 0.0)
 
 
-# -- wrong settings ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("dialect", "wrong", "refusal"),
     [
@@ -280,11 +248,3 @@ def test_a_controller_that_restarted_unnoticed_is_lost_and_enabled_again(tmp_pat
 def test_given_a_park_direction_out_of_reach_then_it_is_refused_before_it_is_needed(dialect, wrong, refusal, tmp_path):
     with mirror_bench(dialect, LOCAL, tmp_path) as bench, pytest.raises(InstrumentError, match=refusal):
         bench.mirror(**wrong)
-
-
-@pytest.mark.parametrize("target", [(math.nan, 0.0), (0.0, math.inf)])
-def test_given_an_angle_that_is_none_then_it_is_refused(target, tmp_path):
-    with mirror_bench("generic", LOCAL, tmp_path) as bench:
-        mirror = bench.mirror()
-        with pytest.raises(InstrumentError, match="beyond the limit"):
-            mirror.move_to(*target)

@@ -2,24 +2,22 @@
 
 import signal
 import time
-from typing import Any
 
 import pytest
 
 from tests.lab_files import change_text
 from tests.system.lines import Lines
-from tests.wire.emulated import EmulatedInstruments
 from wavefocus.drivers.process import SILENT_S
 
 pytestmark = pytest.mark.long
 
 
-def spot_of(sides: EmulatedInstruments) -> str:
+def spot_of(sides):
     """Where the emulated beam falls on its plate."""
     return sides.say("spot")
 
 
-def swept(lines: Lines, actuator: int) -> dict[str, Any]:
+def swept(lines, actuator):
     """A sweep, ordered again where the machine was too busy to keep the sound going."""
     for _ in range(10):
         lines.send(order="sweep", actuator=actuator, level_v=1.0)

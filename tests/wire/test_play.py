@@ -5,15 +5,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
-from wavefocus.mocks.wire.jack_server import JackServer
 from wavefocus.storage.drive_file import Drive, write_drive
 
 pytestmark = [pytest.mark.long, *needs_audio_server]
@@ -55,22 +52,22 @@ def lab(tmp_path):
     return tmp_path
 
 
-def write(lab: Path, drive_v: np.ndarray) -> None:
+def write(lab, drive_v):
     none = np.zeros(0, np.int64)
     write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none))
 
 
-def playing(lab: Path, *options: str) -> list[str]:
+def playing(lab, *options):
     command = [sys.executable, "-m", "wavefocus", "play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml")]
     return [*command, *options]
 
 
-def cut_short(code: int, told: str) -> bool:
+def cut_short(code, told):
     """Whether a machine that is too busy made an underflow, which ends in 3 and says so."""
     return code == 3 and "underflow" in told
 
 
-def play_whole(server: JackServer, command: list[str]) -> tuple[int, str]:
+def play_whole(server, command):
     """Play to the end, again where it was cut short; the frame before it began, and what was put out."""
     environment = {**os.environ, **server.environment}
     for _ in range(10):
@@ -83,7 +80,7 @@ def play_whole(server: JackServer, command: list[str]) -> tuple[int, str]:
 
 
 @contextmanager
-def sounding_play(lab: Path, server: JackServer) -> Iterator[subprocess.Popen[str]]:
+def sounding_play(lab, server):
     """A play under way, begun again where it was cut short before it sounded."""
     environment = {**os.environ, **server.environment}
     for _ in range(10):
@@ -97,7 +94,7 @@ def sounding_play(lab: Path, server: JackServer) -> Iterator[subprocess.Popen[st
     raise AssertionError(told)
 
 
-def heard_now(server: JackServer, seconds: float = 0.1) -> np.ndarray:
+def heard_now(server, seconds=0.1):
     now = int(server.played.frame_at(time.monotonic_ns()))
     return server.played.read(now - round(seconds * RATE_HZ), now)
 

@@ -45,7 +45,7 @@ def garbled_mirror(dialect, folder):
         yield bench, mirror, garbler
 
 
-def where(mirror: SerialMirror):
+def where(mirror):
     """Where it says that it points, asked until it answers: no fault is left behind for the next example."""
     for _ in range(50):
         try:
@@ -122,9 +122,6 @@ def test_answers_changed_at_will_then_waiting_ends_well_only_where_the_beam_stan
     where(garbled[1])
 
 
-# -- lines out of bytes ----------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def wired():
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -187,9 +184,6 @@ def test_given_a_peer_that_does_not_read_then_sending_ends(kind, tmp_path):
             line.send("*IDN?")
             with pytest.raises(NoAnswerError, match=r"did not take the command within 0\.3 s"):
                 flood()
-
-
-# -- the checksum of the generic mirror --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("text", "sum_"), [("*IDN?", "56"), ("BUSY?", "22"), ("XY=40.0000,-25.0000", "3E")])

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy
 import pytest
 
 import wavefocus
@@ -26,10 +25,6 @@ PRESENT = (
 
 def line(port):
     return SerialLine("mirror", port, LineSettings(115200, "\n", 0.5))
-
-
-def test_given_a_serial_number_then_its_port_is_found():
-    assert find_port("serial-number:A1", "mirror", PRESENT) == "/dev/ttyUSB0"
 
 
 FTDI_PAIR = (SerialPort("COM10", "FT3BNM1OB"), SerialPort("COM9", "FT3BNM1OA"))
@@ -162,26 +157,3 @@ def test_given_a_port_that_this_user_may_not_open_then_the_group_is_named(tmp_pa
 )
 def test_given_an_error_of_windows_posix_or_the_network_then_it_has_its_sentence(address, failure, sentence):
     assert sentence in open_failure(address, OSError(*failure))[0]
-
-
-def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_install(tmp_path):
-    # A Python that has numpy and this project, and nothing else.
-    packages = Path(numpy.__file__).parents[1]
-    for name in ("numpy", "numpy.libs"):
-        if (packages / name).exists():
-            (tmp_path / name).symlink_to(packages / name, target_is_directory=True)
-    program = (
-        "from wavefocus.drivers.protocols import WallClock\n"
-        "from wavefocus.drivers.serial_device import SerialMirror\n"
-        "from wavefocus.drivers.mirror.generic import GenericMirror\n"
-        "SerialMirror(GenericMirror(), '/dev/ttyUSB0', settle_s=0, limit_mrad=1, park_mrad=(0, 0), clock=WallClock())\n"
-    )
-    run = subprocess.run(
-        [sys.executable, "-S", "-c", program],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGES), str(tmp_path)])},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert "MissingPackageError: mirror (generic at /dev/ttyUSB0): opening /dev/ttyUSB0" in run.stderr
-    assert "the package pyserial is not installed; pip install pyserial" in run.stderr

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
@@ -36,14 +35,14 @@ def opened():
         yield stack
 
 
-def server(opened: ExitStack, *faults: WireFault) -> NiServer:
+def server(opened, *faults):
     one = NiServer(Tone(), "USB-6211", faults=faults)
     one.start()
     opened.callback(one.stop)
     return one
 
 
-def rig(folder: Path, address: str, **keys: object) -> RigConfig:
+def rig(folder, address, **keys):
     """A rig with an analog mirror and a shutter on one box."""
     analog_rig(folder, address)
     lines = "".join(f"{key} = {str(value).lower()}\n" for key, value in keys.items())
@@ -53,7 +52,7 @@ def rig(folder: Path, address: str, **keys: object) -> RigConfig:
     return load_rig(folder / "rig.toml")
 
 
-def mirror_of(opened: ExitStack, config: RigConfig) -> BoundedMirror:
+def mirror_of(opened, config):
     mirror = BoundedMirror(openers_of(config).mirror(), 20.0)
     opened.callback(mirror.close)
     return mirror
@@ -63,7 +62,7 @@ def mirror_of(opened: ExitStack, config: RigConfig) -> BoundedMirror:
 def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(opened, tmp_path, opens_when_high):
     box = server(opened)
 
-    def is_open() -> bool:
+    def is_open():
         return bool(box.level(LINE)) is opens_when_high
 
     mirror = mirror_of(opened, rig(tmp_path, box.address, opens_when_high=opens_when_high))
@@ -92,7 +91,7 @@ def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(
     assert not is_open()
 
 
-def bounded_until_closed(opened: ExitStack, instruments: Instruments) -> Instruments:
+def bounded_until_closed(opened, instruments):
     one = bounded(instruments, 20.0)
     for instrument in (one.mirror, one.recorder, one.player):
         opened.callback(instrument.close)

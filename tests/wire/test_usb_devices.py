@@ -14,7 +14,7 @@ from usb.backend import IBackend
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.serial_line import RULES
-from wavefocus.drivers.usb import UsbDevice, find_device, list_devices, permit, reset_device
+from wavefocus.drivers.usb import find_device, list_devices, permit, reset_device
 
 DESCRIPTOR = {"bLength": 18, "bDescriptorType": 1, "bcdUSB": 0x0200, "bDeviceClass": 0, "bDeviceSubClass": 0,
               "bDeviceProtocol": 0, "bMaxPacketSize0": 64, "bcdDevice": 0x0100, "bNumConfigurations": 0, "speed": 3,
@@ -36,7 +36,7 @@ class Plugged:
 class Bus(IBackend):
     """What pyusb asks of a backend; a reset ends with `reset_failure`, and the device comes back after `away_s`."""
 
-    def __init__(self, *devices: Plugged, reset_failure: Exception | None = None, away_s: float = 0.0):
+    def __init__(self, *devices, reset_failure=None, away_s=0.0):
         self.devices, self.reset_failure, self.away_s = devices, reset_failure, away_s
         self.back_s = 0.0
         self.open_handles = 0
@@ -85,7 +85,7 @@ CLOSED_DAQ = replace(DAQ, failure=DENIED)
 RECORDER = ("recorder", 0x3923, 0x7179)
 
 
-def find(bus: Bus, device: Plugged, serial_number: str | None = None) -> UsbDevice:
+def find(bus, device, serial_number=None):
     return find_device(list_devices(bus), "recorder", device.vendor_id, device.product_id, serial_number)
 
 

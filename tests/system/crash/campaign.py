@@ -2,16 +2,14 @@
 
 import json
 import shutil
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-from tests.system.crash.power_cuts import Image
-from tests.system.crash.processes import Ended, HungError, Order, Processes
-from wavefocus.storage.bank.reading import Bank, open_bank
+from tests.system.crash.processes import HungError, Processes
+from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.writer import open_raw
 
@@ -77,17 +75,17 @@ class Verdict:
     notes: list[str] = field(default_factory=list)
 
     @property
-    def clean(self) -> bool:
+    def clean(self):
         """Whether nothing was wrong."""
         return not (self.unreadable or self.lost or self.wrong or self.different or self.badly_told)
 
-    def note(self, kind: str, message: str) -> None:
+    def note(self, kind, message):
         """Count one of a kind."""
         setattr(self, kind, getattr(self, kind) + 1)
         self.notes.append(f"{kind}: {message}")
 
 
-def write_lab(folder: Path, *, keep_raw: bool = False, poor: int = POOR_ATTEMPTS[0]) -> Path:
+def write_lab(folder, *, keep_raw=False, poor=POOR_ATTEMPTS[0]):
     """Write the campaign's files; return the run file."""
     folder.mkdir(parents=True, exist_ok=True)
     run = RUN.replace("{poor}", str(poor)).replace("[capture]", f"[capture]\nkeep_raw = {str(keep_raw).lower()}")
@@ -97,7 +95,7 @@ def write_lab(folder: Path, *, keep_raw: bool = False, poor: int = POOR_ATTEMPTS
     return folder / "run.toml"
 
 
-def acknowledged(text: str) -> set[int]:
+def acknowledged(text):
     """Positions that event lines tell to be in; a last line may be torn."""
     found = set()
     for line in text.splitlines():
@@ -116,7 +114,7 @@ class Campaign:
     keep_raw: Whether it keeps its recordings; then their file is held to the same.
     """
 
-    def __init__(self, folder: Path, *, keep_raw: bool = False) -> None:
+    def __init__(self, folder, *, keep_raw=False):
         self.lab = folder / "lab"
         self.run_file = write_lab(self.lab, keep_raw=keep_raw)
         self.bank = self.lab / BANK
@@ -134,7 +132,7 @@ class Campaign:
             self.close()
             raise
 
-    def _prepare(self, keep_raw: bool) -> None:
+    def _prepare(self, keep_raw):
         """Let everything be imported, and learn what an uninterrupted campaign ends as."""
         warm = self.folder / "warm"
         run_file, bank = write_lab(warm, keep_raw=keep_raw), warm / BANK
@@ -152,7 +150,7 @@ class Campaign:
                 return
         raise AssertionError("no number of poor attempts leaves a session something to measure again")
 
-    def _uninterrupted(self, command: Iterable[object]) -> dict[str, bytes]:
+    def _uninterrupted(self, command):
         """Carry out a command to its end; note what may be in the files from then on, and return their bytes."""
         ended = self.processes.run(*command)
         assert ended.code == 0, ended.err
@@ -167,26 +165,26 @@ class Campaign:
                     recordings.append((one.reference_v, one.response_v))
         return self.content()
 
-    def content(self) -> dict[str, bytes]:
+    def content(self):
         """The bytes of the bank, and of the recordings where they are kept, by name."""
         return {path.name: path.read_bytes() for path in (self.bank, self.raw) if path and path.exists()}
 
-    def lying_there(self) -> list[Path]:
+    def lying_there(self):
         """The bank and all that lies beside it."""
         return [found for found in sorted(self.lab.rglob("*")) if "plate" in str(found.relative_to(self.lab))]
 
-    def clear(self) -> None:
+    def clear(self):
         """Take away the bank and all that lies beside it."""
         for found in self.lying_there():
             shutil.rmtree(found, ignore_errors=True) if found.is_dir() else found.unlink(missing_ok=True)
 
-    def restore(self, content: dict[str, bytes]) -> None:
+    def restore(self, content):
         """Have nothing but these files."""
         self.clear()
         for name, one in content.items():
             (self.lab / name).write_bytes(one)
 
-    def put(self, image: Image) -> None:
+    def put(self, image):
         """Have what a power cut left."""
         self.clear()
         for folder in sorted(image.folders):
@@ -194,7 +192,7 @@ class Campaign:
         for name, content in image.files.items():
             Path(name).write_bytes(content)
 
-    def judge(self, promised: set[int]) -> Verdict:
+    def judge(self, promised):
         """Compare the bank with what was told, as it is after a fault and before anything repairs it."""
         verdict = Verdict()
         if not self.bank.exists():
@@ -218,7 +216,7 @@ class Campaign:
                     verdict.note("wrong", f"position {position} as other programs see it")
         return verdict
 
-    def _judge_recordings(self, verdict: Verdict, status: np.ndarray) -> None:
+    def _judge_recordings(self, verdict, status):
         """No position of the bank is without its recordings, and none are wrong."""
         assert self.raw
         if not self.raw.exists():
@@ -243,7 +241,7 @@ class Campaign:
                 ):
                     verdict.note("wrong", f"the recordings of position {position}")
 
-    def _judge_rows(self, verdict: Verdict, bank: Bank, promised: set[int]) -> None:
+    def _judge_rows(self, verdict, bank, promised):
         for position, status in enumerate(bank.status):
             if status:
                 try:
@@ -257,10 +255,10 @@ class Campaign:
             elif position in promised:
                 verdict.note("lost", f"position {position} is not in")
 
-    def _holds(self, green: np.ndarray, position: int) -> bool:
+    def _holds(self, green, position):
         return any(np.array_equal(green, row) for row in self.rows[position])
 
-    def finish(self, verdict: Verdict, *, remeasure: bool = False) -> None:
+    def finish(self, verdict, *, remeasure=False):
         """Go on to the end, and compare it with that of the uninterrupted run."""
         try:
             ended = self.processes.run(*(self.resume if self.bank.exists() else self.capture))
@@ -276,20 +274,18 @@ class Campaign:
         if left:
             verdict.note("badly_told", f"left behind: {', '.join(left)}")
 
-    def interrupted(
-        self, command: tuple[object, ...], order: Order | None = None, lifetime_s: float | None = None
-    ) -> Ended:
+    def interrupted(self, command, order=None, lifetime_s=None):
         """Run a command that is killed, or fails, on its way."""
         if lifetime_s is not None:
             return self.processes.run_for(lifetime_s, *command)
         return self.processes.run(*command, order=order)
 
-    def close(self) -> None:
+    def close(self):
         """End the processes."""
         self.processes.close()
 
 
-def require_well_told(verdict: Verdict, ended: Ended, allowed: set[int]) -> None:
+def require_well_told(verdict, ended, allowed):
     """Note an exit code that is not allowed, and a traceback."""
     if "Traceback" in ended.err or (not ended.killed and ended.code not in allowed):
         last = " ".join(ended.err.split()[-60:])

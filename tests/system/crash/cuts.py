@@ -1,12 +1,9 @@
 """Power cuts in a capture, in the repair of a crash and in the replacement of a position."""
 
-import random
-from collections.abc import Generator, Iterator
-
 import numpy as np
 
-from tests.system.crash.campaign import Campaign, Verdict, acknowledged
-from tests.system.crash.power_cuts import Call, Disk, Image, Kind, evenly, images, read_log
+from tests.system.crash.campaign import acknowledged
+from tests.system.crash.power_cuts import Disk, Kind, evenly, images, read_log
 from tests.system.crash.processes import How, Order
 
 # Random subsets of what was not synced, for each call: as few as give the cuts that are wanted.
@@ -15,13 +12,13 @@ SUBSETS = (0, 8, 16, 32, 64, 128)
 PER_STATE = 40
 
 
-def in_capture(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def in_capture(campaign, chance, count):
     """Cut the power in a capture, from the making of the bank on."""
     campaign.clear()
     yield from _cut(campaign, campaign.capture, chance, set(), count)
 
 
-def in_repair(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def in_repair(campaign, chance, count):
     """Cut the power in a resume, after a kill within any commit."""
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
@@ -33,22 +30,14 @@ def in_repair(campaign: Campaign, chance: random.Random, count: int) -> Generato
             yield from _cut(campaign, campaign.resume, chance, acknowledged(ended.out), PER_STATE)
 
 
-def in_remeasure(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def in_remeasure(campaign, chance, count):
     """Cut the power while a position is replaced."""
     campaign.restore(campaign.captured)
     everything = set(range(len(campaign.rows)))
     yield from _cut(campaign, campaign.remeasure, chance, everything, count, remeasure=True)
 
 
-def _cut(
-    campaign: Campaign,
-    command: tuple[object, ...],
-    chance: random.Random,
-    promised: set[int],
-    count: int,
-    *,
-    remeasure: bool = False,
-) -> Generator[Verdict, None, None]:
+def _cut(campaign, command, chance, promised, count, *, remeasure=False):
     log_path = campaign.folder / "calls.log"
     before = {path: path.read_bytes() if path.is_file() else None for path in campaign.lying_there()}
     inodes = {path: path.stat().st_ino for path in before}
@@ -60,7 +49,7 @@ def _cut(
     # Until the bank has its name there is nothing in it to lose: torn writes alone are tried.
     named = next((step for step, call in enumerate(log) if call.kind is Kind.LINK), 0)
 
-    def found(subsets: int) -> Iterator[Image]:
+    def found(subsets):
         return images(Disk(before, inodes), log, np.random.default_rng(seed), subsets, named)
 
     for subsets in SUBSETS:
@@ -72,7 +61,7 @@ def _cut(
         yield replayed(campaign, image, so_far, remeasure=remeasure)
 
 
-def replayed(campaign: Campaign, image: Image, promised: set[int], *, remeasure: bool = False) -> Verdict:
+def replayed(campaign, image, promised, *, remeasure=False):
     """Look at what a power cut left, go on to the end and look again."""
     campaign.put(image)
     verdict = campaign.judge(promised)
@@ -80,7 +69,7 @@ def replayed(campaign: Campaign, image: Image, promised: set[int], *, remeasure:
     return verdict
 
 
-def _told(log: list[Call]) -> Iterator[tuple[int, set[int]]]:
+def _told(log):
     """After how many calls which positions were told to be in; the log of events says so before anyone else."""
     for step, call in enumerate(log, 1):
         if call.kind is Kind.WRITE and call.path.endswith(".events.jsonl"):

@@ -1,20 +1,18 @@
 """Kills: at random moments, and at every call that changes a file, also while a crash is being repaired."""
 
 import itertools
-import random
 import time
-from collections.abc import Generator, Iterator
 from pathlib import Path
 
-from tests.system.crash.campaign import Campaign, Verdict, acknowledged, require_well_told
+from tests.system.crash.campaign import acknowledged, require_well_told
 from tests.system.crash.power_cuts import evenly
-from tests.system.crash.processes import Ended, How, Order
+from tests.system.crash.processes import How, Order
 
 # Of a resume's calls these are repair; then it measures as any capture does.
 REPAIR_CALLS, SECONDS = 14, 5
 
 
-def at_random(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def at_random(campaign, chance, count):
     """Kill a capture at any moment; one in three resumes is killed as well."""
     campaign.clear()
     start_s = time.monotonic()
@@ -31,7 +29,7 @@ def at_random(campaign: Campaign, chance: random.Random, count: int) -> Generato
             yield judged(campaign, ended, promised, killed)
 
 
-def at_calls(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def at_calls(campaign, chance, count):
     """Kill a capture before and within each of its calls, from the bank's creation on."""
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
@@ -41,7 +39,7 @@ def at_calls(campaign: Campaign, chance: random.Random, count: int) -> Generator
         yield judged(campaign, ended, acknowledged(ended.out), int(ended.killed))
 
 
-def in_repair(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def in_repair(campaign, chance, count):
     """Kill a capture at some call and then, at each of the first calls of the resume, that too."""
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
@@ -62,7 +60,7 @@ def in_repair(campaign: Campaign, chance: random.Random, count: int) -> Generato
             yield judged(campaign, again, acknowledged(ended.out) | acknowledged(again.out), int(again.killed))
 
 
-def in_remeasure(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def in_remeasure(campaign, chance, count):
     """Kill the replacement of a position, before and within each call."""
     campaign.restore(campaign.captured)
     calls = campaign.processes.run(*campaign.remeasure).calls or 0
@@ -73,7 +71,7 @@ def in_remeasure(campaign: Campaign, chance: random.Random, count: int) -> Gener
         yield judged(campaign, ended, everything, int(ended.killed), remeasure=True)
 
 
-def judged(campaign: Campaign, ended: Ended, promised: set[int], faults: int, *, remeasure: bool = False) -> Verdict:
+def judged(campaign, ended, promised, faults, *, remeasure=False):
     """Look at what a fault left, go on to the end and look again."""
     verdict = campaign.judge(promised)
     verdict.faults = faults
@@ -82,10 +80,10 @@ def judged(campaign: Campaign, ended: Ended, promised: set[int], faults: int, *,
     return verdict
 
 
-def _orders(calls: int, chance: random.Random) -> Iterator[Order]:
+def _orders(calls, chance):
     for call, how in itertools.product(range(1, calls + 1), (How.KILL_BEFORE, How.KILL_WITHIN)):
         yield Order(how, call, _part(chance))
 
 
-def _part(chance: random.Random) -> int:
+def _part(chance):
     return chance.choice((0, 1, 512, 1000, 4096, 4608, 100_000))

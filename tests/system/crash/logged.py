@@ -1,6 +1,5 @@
 """Files that note what is written and synced, without a library that is loaded before the program."""
 
-from pathlib import Path
 from typing import ClassVar
 
 from tests.system.crash.power_cuts import Call, Kind
@@ -14,26 +13,26 @@ class LoggedFile(PosixFile):
 
     log: ClassVar[list[Call]] = []
 
-    def __init__(self, path: Path, *, write: bool = False) -> None:
+    def __init__(self, path, *, write=False):
         super().__init__(path, write=write)
         self._name = str(path)
 
-    def write(self, offset: int, data: bytes | memoryview) -> None:
+    def write(self, offset, data):
         LoggedFile.log.append(Call(Kind.WRITE, self._name, "", offset, INODE, bytes(data)))
         super().write(offset, data)
 
-    def sync(self) -> None:
+    def sync(self):
         LoggedFile.log.append(Call(Kind.SYNC, self._name, "", 0, INODE, b""))
 
 
 class WithoutSecondBarrier(LoggedFile):
     """Leaves out every second barrier: that after a ledger row."""
 
-    def __init__(self, path: Path, *, write: bool = False) -> None:
+    def __init__(self, path, *, write=False):
         super().__init__(path, write=write)
         self._syncs = 0
 
-    def sync(self) -> None:
+    def sync(self):
         self._syncs += 1
         if self._syncs % 2:
             super().sync()
@@ -42,6 +41,6 @@ class WithoutSecondBarrier(LoggedFile):
 class WithoutFirstBarrier(WithoutSecondBarrier):
     """Leaves out the barrier between Green's functions and ledger row."""
 
-    def __init__(self, path: Path, *, write: bool = False) -> None:
+    def __init__(self, path, *, write=False):
         super().__init__(path, write=write)
         self._syncs = 1

@@ -2,16 +2,14 @@
 
 import errno
 import os
-import random
 import signal
 import time
-from collections.abc import Generator
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-from tests.system.crash.campaign import Campaign, Verdict, acknowledged, require_well_told
+from tests.system.crash.campaign import Verdict, acknowledged, require_well_told
 from tests.system.crash.kills import judged
 from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import How, HungError, Order, Processes
@@ -19,22 +17,22 @@ from tests.system.crash.processes import How, HungError, Order, Processes
 WRONG_INPUT, FAILED, BUSY = 2, 3, 75
 
 
-def full_disk(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def full_disk(campaign, chance, count):
     """Let each call, and all after it that need space, find the disk full; then there is space again."""
     yield from _failing(campaign, How.FAIL_ON, errno.ENOSPC, count)
 
 
-def failing_disk(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def failing_disk(campaign, chance, count):
     """Let each call fail once."""
     yield from _failing(campaign, How.FAIL_ONCE, errno.EIO, count)
 
 
-def dead_disk(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def dead_disk(campaign, chance, count):
     """Let each call, and all after it, fail."""
     yield from _failing(campaign, How.FAIL_ON, errno.EIO, count)
 
 
-def _failing(campaign: Campaign, how: How, error: int, count: int) -> Generator[Verdict, None, None]:
+def _failing(campaign, how, error, count):
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
     for call in evenly(range(1, calls + 1), calls, count):
@@ -46,7 +44,7 @@ def _failing(campaign: Campaign, how: How, error: int, count: int) -> Generator[
         yield verdict
 
 
-def flipped_bytes(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def flipped_bytes(campaign, chance, count):
     """Flip bits of a byte anywhere in a bank: it is harmless, repaired or named, and no more is lost."""
     campaign.clear()
     half = campaign.interrupted(campaign.capture, Order(How.KILL_BEFORE, _calls(campaign) * 3 // 5))
@@ -66,7 +64,7 @@ def flipped_bytes(campaign: Campaign, chance: random.Random, count: int) -> Gene
         yield _flipped(campaign, content, at, f"byte {at} of {kind}, {name}, xor {bits:#x}")
 
 
-def _flipped(campaign: Campaign, content: bytearray, at: int, what: str) -> Verdict:
+def _flipped(campaign, content, at, what):
     verdict = Verdict()
     try:
         for command in (("check", campaign.bank), ("status", campaign.bank), campaign.resume):
@@ -93,20 +91,20 @@ def _flipped(campaign: Campaign, content: bytearray, at: int, what: str) -> Verd
     return verdict
 
 
-def _calls(campaign: Campaign) -> int:
+def _calls(campaign):
     campaign.clear()
     calls = campaign.processes.run(*campaign.capture).calls or 0
     campaign.clear()
     return calls
 
 
-def _places(campaign: Campaign) -> dict[str, list[tuple[int, int]]]:
+def _places(campaign):
     """Where a bank keeps what: runs of bytes by kind; what HDF5 itself keeps is everything else that is not zero."""
     places: dict[str, list[tuple[int, int]]] = {}
     campaign.restore(campaign.captured)
     with h5py.File(campaign.bank, "r") as file:
 
-        def note(name: str, item: object) -> None:
+        def note(name, item):
             if not isinstance(item, h5py.Dataset):
                 return
             if item.chunks:
@@ -126,7 +124,7 @@ def _places(campaign: Campaign) -> dict[str, list[tuple[int, int]]]:
     return places | {f"metadata{turn}": metadata for turn in range(len(places))}
 
 
-def second_process(campaign: Campaign, chance: random.Random, count: int) -> Generator[Verdict, None, None]:
+def second_process(campaign, chance, count):
     """Start a second process while the first is stopped at a call; then let that go on, or kill it meanwhile."""
     rivals_folder = campaign.folder / "rival"
     rivals_folder.mkdir(exist_ok=True)
@@ -163,13 +161,13 @@ def second_process(campaign: Campaign, chance: random.Random, count: int) -> Gen
             yield verdict
 
 
-def _both(campaign: Campaign, promised: set[int]) -> Verdict:
+def _both(campaign, promised):
     verdict = campaign.judge(promised)
     campaign.finish(verdict)
     return verdict
 
 
-def _stopped(pid: int) -> bool:
+def _stopped(pid):
     stat = Path(f"/proc/{pid}/stat")
     deadline_s = time.monotonic() + 20.0
     while time.monotonic() < deadline_s:

@@ -6,13 +6,10 @@ where it was just being written, as garbage; each name of a file made, moved or 
 
 import hashlib
 import struct
-from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 from typing import TypeVar
-
-import numpy as np
 
 T = TypeVar("T")
 SECTOR, PAGE = 512, 4096
@@ -46,7 +43,7 @@ class Call:
     data: bytes
 
 
-def read_log(path: Path) -> list[Call]:
+def read_log(path):
     """Read the log that a process was told to keep; a process killed while logging leaves a torn end."""
     content, at, calls = path.read_bytes(), 0, []
     while at + _ENTRY.size <= len(content):
@@ -75,7 +72,7 @@ class Image:
     files: dict[str, bytes]
     folders: frozenset[str]
 
-    def digest(self) -> bytes:
+    def digest(self):
         """Tell images apart."""
         found = hashlib.sha256(repr(sorted(self.folders)).encode())
         for name, content in sorted(self.files.items()):
@@ -90,12 +87,12 @@ class Disk:
     inodes: The number that the log has for each of them.
     """
 
-    def __init__(self, before: Mapping[Path, bytes | None], inodes: Mapping[Path, int]) -> None:
+    def __init__(self, before, inodes):
         self._files = {inodes[path]: _File(bytearray(one)) for path, one in before.items() if one is not None}
         self._names = {str(path): None if one is None else inodes[path] for path, one in before.items()}
         self._flying_names: list[Call] = []
 
-    def take(self, call: Call) -> None:
+    def take(self, call):
         """Let a call happen."""
         if call.kind is Kind.SYNC:
             self._sync(call)
@@ -106,16 +103,16 @@ class Disk:
                 self._create(call)
             self._flying_names.append(call)
 
-    def _create(self, call: Call) -> None:
+    def _create(self, call):
         if call.path not in _named(self._names, self._flying_names):
             self._files[call.inode] = _File()  # numbers of removed files are given to new ones
         elif call.offset:  # it was opened to be written anew
             self._file(call).flying.append(Call(Kind.RESIZE, call.path, "", 0, call.inode, b""))
 
-    def _file(self, call: Call) -> _File:
+    def _file(self, call):
         return self._files.setdefault(call.inode, _File())
 
-    def _sync(self, call: Call) -> None:
+    def _sync(self, call):
         if call.inode in self._files:
             file = self._files[call.inode]
             for one in file.flying:
@@ -126,7 +123,7 @@ class Disk:
         self._names = _named(self._names, here)
         self._flying_names = [one for one in self._flying_names if one not in here]
 
-    def cut(self, step: int, chance: np.random.Generator, last: Call | None, torn: int, subset: str) -> Image:
+    def cut(self, step, chance, last, torn, subset):
         """Lose power while `last` is on its way, `torn` bytes of it done.
 
         step: Calls that have returned.
@@ -143,7 +140,7 @@ class Disk:
         files = {name: bytes(contents[inode]) for name, inode in found.items() if inode is not None}
         return Image(step, files, frozenset(name for name, inode in found.items() if inode is None))
 
-    def _content(self, file: _File, chance: np.random.Generator, subset: str) -> bytearray:
+    def _content(self, file, chance, subset):
         content = bytearray(file.synced)
         if subset == "none":
             return content
@@ -159,9 +156,7 @@ class Disk:
         return content
 
 
-def images(
-    disk: Disk, log: list[Call], chance: np.random.Generator, subsets: int, drawn_from: int = 0
-) -> Iterator[Image]:
+def images(disk, log, chance, subsets, drawn_from=0):
     """Every cut that is worth a look, each image once.
 
     disk: As it was before the first call.
@@ -172,7 +167,7 @@ def images(
     """
     seen = set()
 
-    def new(image: Image) -> Iterator[Image]:
+    def new(image):
         digest = image.digest()
         if digest not in seen:
             seen.add(digest)
@@ -195,27 +190,27 @@ def images(
         yield from new(disk.cut(len(log), chance, None, 0, subset))
 
 
-def evenly(found: Iterable[T], total: int, count: int) -> Iterator[T]:
+def evenly(found, total, count):
     """Choose about `count` of `total` things, evenly from the first to the last."""
     for place, one in enumerate(found):
         if not place or count >= total or place * count // total != (place - 1) * count // total:
             yield one
 
 
-def _tear(content: bytearray, call: Call, torn: int, chance: np.random.Generator) -> None:
+def _tear(content, call, torn, chance):
     kept = -torn - 1 if torn < 0 else torn
     _put(content, call.offset, call.data[:kept])
     if torn < 0:
         _put(content, call.offset + kept, chance.bytes(min(SECTOR, len(call.data) - kept)))
 
 
-def _put(content: bytearray, offset: int, data: bytes) -> None:
+def _put(content, offset, data):
     if len(content) < offset + len(data):
         content.extend(bytes(offset + len(data) - len(content)))
     content[offset : offset + len(data)] = data
 
 
-def _apply(content: bytearray, call: Call) -> None:
+def _apply(content, call):
     if call.kind is Kind.WRITE:
         _put(content, call.offset, call.data)
     elif len(content) < call.offset:
@@ -224,7 +219,7 @@ def _apply(content: bytearray, call: Call) -> None:
         del content[call.offset :]
 
 
-def _named(names: dict[str, int | None], calls: list[Call]) -> dict[str, int | None]:
+def _named(names, calls):
     """Names after some calls; what had no ground to happen on did not happen."""
     found = dict(names)
     for call in calls:
@@ -244,6 +239,6 @@ def _named(names: dict[str, int | None], calls: list[Call]) -> dict[str, int | N
     return {name: inode for name, inode in found.items() if _placed(name, folders, names)}
 
 
-def _placed(name: str, folders: set[str], before: dict[str, int | None]) -> bool:
+def _placed(name, folders, before):
     parent = Path(name).parent
     return not parent.name.endswith(".partial") or str(parent) in folders

@@ -15,7 +15,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 
-def serve() -> None:
+def serve():
     """Read one order a line until there are no more; tell each process's number and how it ended."""
     for line in sys.stdin:
         order = json.loads(line)
@@ -32,7 +32,7 @@ def serve() -> None:
         tell("end", os.waitstatus_to_exitcode(status))
 
 
-def warm_up(commands: list[list[str]]) -> None:
+def warm_up(commands):
     """Run commands here, so that whoever is forked finds everything imported and every cache filled."""
     from wavefocus.__main__ import run
 
@@ -44,11 +44,11 @@ def warm_up(commands: list[list[str]]) -> None:
     gc.freeze()
 
 
-def tell(word: str, number: int) -> None:
+def tell(word, number):
     os.write(1, f"{word} {number}\n".encode())
 
 
-def become(order: dict[str, object]) -> None:
+def become(order):
     """Be the process that was ordered."""
     for number, name in ((0, order["stdin"]), (1, order["stdout"]), (2, order["stderr"])):
         fd = os.open(str(name), os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
@@ -86,7 +86,7 @@ def become(order: dict[str, object]) -> None:
     os._exit(code)
 
 
-def note_end(path: str) -> None:
+def note_end(path):
     """Note how many calls there were."""
     Path(path).write_text(str(ctypes.CDLL(None).crash_calls()), encoding="utf-8")
 

@@ -9,12 +9,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
@@ -60,7 +57,7 @@ class Ended:
     calls: int | None
 
     @property
-    def killed(self) -> bool:
+    def killed(self):
         """Whether it was killed."""
         return self.code == -signal.SIGKILL
 
@@ -76,7 +73,7 @@ class Processes:
     watched: Calls on files in this folder are counted.
     """
 
-    def __init__(self, folder: Path, watched: Path) -> None:
+    def __init__(self, folder, watched):
         self.folder = folder
         self.watched = watched.resolve()
         library = folder / "calls.so"
@@ -92,18 +89,12 @@ class Processes:
         self._said = b""
         self.pid = 0
 
-    def warm_up(self, *commands: list[object]) -> None:
+    def warm_up(self, *commands):
         """Let commands run once in the process that the others are forked from."""
         self._order({"warm": [[str(word) for word in command] for command in commands]})
         self._answer("ready")
 
-    def start(
-        self,
-        *arguments: object,
-        order: Order | None = None,
-        log: Path | None = None,
-        stdin: Path | str = os.devnull,
-    ) -> int:
+    def start(self, *arguments, order=None, log=None, stdin=os.devnull):
         """Start a process; return its number."""
         order = order or Order()
         for name in ("calls.txt", "out.txt", "err.txt"):  # it may be killed before it makes its own
@@ -118,7 +109,7 @@ class Processes:
         self.pid = self._answer("pid")
         return self.pid
 
-    def wait(self) -> Ended:
+    def wait(self):
         """Wait for the end of the process that was started.
 
         Raises HungError: when it did not end in a minute; it was killed.
@@ -132,12 +123,12 @@ class Processes:
         out, err, calls = (self._said_in(name) for name in ("out.txt", "err.txt", "calls.txt"))
         return Ended(code, out, err, int(calls) if calls else None)
 
-    def run(self, *arguments: object, order: Order | None = None, log: Path | None = None) -> Ended:
+    def run(self, *arguments, order=None, log=None):
         """Start a process and wait for its end."""
         self.start(*arguments, order=order, log=log)
         return self.wait()
 
-    def run_for(self, lifetime_s: float, *arguments: object) -> Ended:
+    def run_for(self, lifetime_s, *arguments):
         """Start a process and kill it after so many seconds, unless it has ended."""
         self.start(*arguments)
         deadline_s = time.monotonic() + lifetime_s
@@ -148,9 +139,7 @@ class Processes:
             os.kill(self.pid, signal.SIGKILL)
         return self.wait()
 
-    def converse(
-        self, answers: Callable[[str], str], *arguments: object, order: Order | None = None, lifetime_s: float = 1e9
-    ) -> Ended:
+    def converse(self, answers, *arguments, order=None, lifetime_s=1000000000.0):
         """Start a process, write the answer to each line that it prints to its input, and wait for its end.
 
         It is killed after so many seconds, or when it becomes silent for a minute.
@@ -180,7 +169,7 @@ class Processes:
         finally:
             os.close(descriptor)
 
-    def close(self) -> None:
+    def close(self):
         """End the server."""
         assert self._server.stdin is not None
         assert self._server.stdout is not None
@@ -188,28 +177,26 @@ class Processes:
         self._server.wait(timeout=PATIENCE_S)
         self._server.stdout.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind, error, trace):
         self.close()
 
-    def _said_in(self, name: str) -> str:
+    def _said_in(self, name):
         said = self.folder / name
         return said.read_text(encoding="utf-8", errors="replace") if said.exists() else ""
 
-    def _order(self, order: dict[str, object]) -> None:
+    def _order(self, order):
         assert self._server.stdin is not None
         self._server.stdin.write(json.dumps(order).encode() + b"\n")
         self._server.stdin.flush()
 
-    def _has_answer(self) -> bool:
+    def _has_answer(self):
         assert self._server.stdout is not None
         return bool(select.select([self._server.stdout], [], [], 0)[0])
 
-    def _answer(self, expected: str) -> int:
+    def _answer(self, expected):
         assert self._server.stdout is not None
         deadline_s = time.monotonic() + PATIENCE_S
         while b"\n" not in self._said:

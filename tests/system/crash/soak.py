@@ -36,12 +36,12 @@ _TOTALS = {
 Trials = Callable[[Campaign, random.Random, int], Generator[Verdict, None, None]]
 
 
-def size(name: str, default: int) -> int:
+def size(name, default):
     """One size from the environment."""
     return int(os.environ.get(f"WAVEFOCUS_SOAK_{name}", default))
 
 
-def classes() -> list[tuple[str, str, Trials, int]]:
+def classes():
     """Name, kind, trials and how many of each class; the recordings are kept in those of kind "raw"."""
     of_kills, of_cuts, of_calls, of_raw = size("KILLS", 1200), size("CUTS", 4400), size("CALLS", 150), size("RAW", 400)
     return [
@@ -65,7 +65,7 @@ def classes() -> list[tuple[str, str, Trials, int]]:
     ]  # fmt: skip
 
 
-def tried(number: int, folder: Path) -> dict[str, Any]:
+def tried(number, folder):
     """Go through the trials of a class; what became of them."""
     name, kind, trials, count = classes()[number]
     row: dict[str, Any] = {"name": name, "kind": kind, **dict.fromkeys(_COLUMNS, 0), "notes": []}
@@ -86,7 +86,7 @@ def tried(number: int, folder: Path) -> dict[str, Any]:
     return row
 
 
-def in_a_process(number: int, folder: Path) -> dict[str, Any] | None:
+def in_a_process(number, folder):
     """The same in a process of its own; None where that failed."""
     place = folder / str(number)
     place.mkdir()
@@ -95,7 +95,7 @@ def in_a_process(number: int, folder: Path) -> dict[str, Any] | None:
     return None if done.returncode else dict(json.loads(done.stdout))
 
 
-def table(result: dict[str, Any]) -> str:
+def table(result):
     """The table of a soak's result, with the totals of each kind, as Markdown."""
     lines = [
         f"{result['date']}, `{result['command']}`, {result['minutes']:g} minutes; {result['machine']}.",
@@ -112,7 +112,7 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join([*lines, ""])
 
 
-def main() -> int:
+def main():
     """Let all classes of trials run, some at a time; add up, tell."""
     words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("--out", type=Path, default=Path("soak-out"), help="folder for soak.json and soak.md")
@@ -146,19 +146,19 @@ def main() -> int:
     return 1 if len(rows) < len(found) or any(row[column] for row in rows for column in COUNTS) else 0
 
 
-def _command() -> str:
+def _command():
     sizes = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith("WAVEFOCUS_SOAK_")]
     return " ".join([*sizes, "make soak"])
 
 
-def _machine() -> str:
+def _machine():
     return (
         f"{platform.system()} on {platform.machine()}, {os.cpu_count()} processors, "
         f"Python {platform.python_version()}, h5py {version('h5py')} with HDF5 {h5py.version.hdf5_version}"
     )
 
 
-def _say(line: str) -> None:
+def _say(line):
     sys.stderr.write(f"soak {line}\n")
 
 

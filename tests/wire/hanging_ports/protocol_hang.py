@@ -9,7 +9,7 @@ released = threading.Event()
 hung = threading.Semaphore(0)
 
 
-def hang() -> None:
+def hang():
     """Return at once, or once `released` is set where `hangs` is."""
     if hangs.is_set():
         hung.release()
