@@ -206,7 +206,7 @@ def test_given_a_closed_umask_then_the_lock_of_a_name_stays_open_to_other_users(
 ANOTHER_USER = """
 import os, sys, tempfile
 from wavefocus.console import one_line
-from wavefocus.storage.claims import claimed
+from wavefocus.storage.ledger.owner import claimed
 tempfile.tempdir = sys.argv[1]
 os.umask(0o077)
 if sys.argv[2] != "root":
