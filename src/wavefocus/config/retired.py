@@ -38,8 +38,7 @@ OPTIONS = {
     "--most-gib": "set the environment variable WAVEFOCUS_MOST_GIB",
     "--traceback": "a defect's line names the log that holds it; or set the environment variable WAVEFOCUS_TRACEBACK=1",
     **dict.fromkeys(
-        ("play --bank", "play --method", "play --tolerance-db"),
-        "render the scene, and play the drive file",
+        ("play --bank", "play --method", "play --tolerance-db"), "render the scene, and play the drive file"
     ),
     "--picture": "the window's Scene page shows the scene on the surface",
     "--control": "a correction is judged at the foci and quiet places of its scene",

@@ -7,11 +7,12 @@ import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
-from functools import wraps
+from functools import cache, wraps
 from inspect import signature
+from itertools import chain, cycle
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -52,8 +53,7 @@ def bank_rows(positions: Positions, count: int, name: str = "positions") -> NDAr
 
 def bank_row(position: int, count: int, name: str = "position") -> int:
     """One row of a bank. Raises InputError: it is not a whole number, or the bank does not have it."""
-    if not _fits(position, int):
-        raise _refused(name, position, "a whole number")
+    _PLAIN[int].require(name, position)
     if not 0 <= position < count:
         raise InputError(f"{name} is {position}; allowed are 0 to {count - 1}")
     return int(position)
@@ -126,19 +126,15 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     Numbers must be finite, too. Arrays and lists are left to the function. Raises InputError at the call.
     """
     parameters = signature(function)
-    hints: dict[str, Any] = {}
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not hints:
-            hints.update(_hints(function))
+        types = _types_of(function)
         for name, value in parameters.bind(*args, **kwargs).arguments.items():
-            if name == "self":
-                continue
-            if not _fits(value, hints[name]):
-                raise _refused(name, value, _words(hints[name]))
-            if isinstance(value, float) and not math.isfinite(value):
-                raise InputError(f"{name} is {value}; a finite number is needed")
+            if name != "self":
+                types[name].require(name, value)
+                if isinstance(value, float) and not math.isfinite(value):
+                    raise InputError(f"{name} is {value}; a finite number is needed")
         return function(*args, **kwargs)
 
     return call
@@ -146,16 +142,10 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 def check_fields(made: Any) -> None:
     """Refuse fields of a dataclass that are not as their annotations say; for `__post_init__`. Raises InputError."""
-    kind = type(made)
-    if kind not in _FIELDS:
-        hints = _hints(kind)
-        _FIELDS[kind] = {field.name: hints[field.name] for field in fields(kind) if field.init}
-    for name, hint in _FIELDS[kind].items():
-        if not _fits(value := getattr(made, name), hint):
-            raise _refused(name, value, _words(hint))
-
-
-_FIELDS: dict[type, dict[str, Any]] = {}
+    types = _types_of(type(made))
+    for field in fields(made):
+        if field.init:
+            types[field.name].require(field.name, getattr(made, field.name))
 
 
 class _Names(dict[str, Any]):
@@ -167,63 +157,78 @@ class _Names(dict[str, Any]):
         return getattr(sys.modules["wavefocus"], name, Any)
 
 
-def _hints(made: Any) -> dict[str, Any]:
-    own = sys.modules[made.__module__].__dict__
-    names = _Names(own)
-    return get_type_hints(made, globalns={}, localns=names, include_extras=True)
+@cache
+def _types_of(made: Any) -> dict[str, "_Type"]:
+    """Types by name of a function's parameters or a dataclass's fields."""
+    names = _Names(sys.modules[made.__module__].__dict__)
+    hints = get_type_hints(made, globalns={}, localns=names)
+    return {name: _type(hint) for name, hint in hints.items()}
 
 
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value is of a type; arrays are not looked into."""
-    origin, parts = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
-        return any(_fits(value, part) for part in parts)
-    if origin is Annotated:
-        return _fits(value, parts[0])
-    if origin is Literal:
-        return isinstance(value, str | int) and value in parts
-    if hint is None or hint is type(None):
-        return value is None
-    if hint in _PLAIN:
-        return _PLAIN[hint](value)
-    if origin is tuple:
-        return _fits_tuple(value, parts)
-    if origin is Sequence:
-        return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes)
-    if origin is Mapping:
-        return isinstance(value, Mapping) and all(
-            _fits(key, parts[0]) and _fits(entry, parts[1]) for key, entry in value.items()
-        )
-    if origin is Callable:
-        return callable(value)
-    kind = origin or hint
-    if kind is np.ndarray:
-        listed = isinstance(value, Sequence | np.ndarray) or hasattr(value, "__array__")
-        return listed and not isinstance(value, str | bytes)
-    if not isinstance(kind, type):
-        return True
-    if getattr(kind, "_is_protocol", False):
-        return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
-    return isinstance(value, kind)
+class _Type(NamedTuple):
+    """A type that an argument may have: whether a value fits, and its name in a message."""
+
+    fits: Callable[[Any], bool]
+    words: str
+
+    def require(self, name: str, value: object) -> None:
+        """Refuse a value that does not fit. Raises InputError."""
+        if not self.fits(value):
+            raise _refused(name, value, self.words)
 
 
-_PLAIN: dict[Any, Callable[[Any], bool]] = {
-    bool: lambda value: isinstance(value, bool | np.bool_),
-    int: lambda value: isinstance(value, Integral) and not isinstance(value, bool),
-    float: lambda value: isinstance(value, Real) and not isinstance(value, bool),
-    Path: lambda value: isinstance(value, os.PathLike),
-    Any: lambda value: True,
-    object: lambda value: True,
+_PLAIN: dict[Any, _Type] = {
+    bool: _Type(lambda value: isinstance(value, bool | np.bool_), "True or False"),
+    int: _Type(lambda value: isinstance(value, Integral) and not isinstance(value, bool), "a whole number"),
+    float: _Type(lambda value: isinstance(value, Real) and not isinstance(value, bool), "a number"),
+    str: _Type(lambda value: isinstance(value, str), "a text"),
+    Path: _Type(lambda value: isinstance(value, os.PathLike), "a path"),
+    type(None): _Type(lambda value: value is None, "None"),
 }
 
 
-def _fits_tuple(value: Any, parts: tuple[Any, ...]) -> bool:
-    """Whether a value is a tuple, list or array of the entries that a tuple is stated to have."""
-    if not isinstance(value, tuple | list | np.ndarray):
-        return False
-    if len(parts) == 2 and parts[1] is Ellipsis:
-        return all(_fits(entry, parts[0]) for entry in value)
-    return len(value) == len(parts) and all(_fits(entry, part) for entry, part in zip(value, parts, strict=True))
+def _type(hint: Any) -> _Type:
+    """A type of an annotation; arrays are not looked into."""
+    origin, hints = get_origin(hint) or hint, get_args(hint)
+    if hint in _PLAIN:
+        return _PLAIN[hint]
+    if origin is Literal:
+        return _Type(lambda value: isinstance(value, str | int) and value in hints, " or ".join(map(repr, hints)))
+    if origin is np.ndarray:
+        return _Type(lambda value: _is_list(value, Sequence | np.ndarray) or hasattr(value, "__array__"), "a list")
+    if origin is Sequence:
+        return _Type(lambda value: _is_list(value, Sequence | np.ndarray), "a list")
+    if origin is Callable:
+        return _Type(callable, "a function")
+    parts = [_type(part) for part in hints if part is not Ellipsis]
+    if origin in (Union, types.UnionType):
+        words = " or ".join(dict.fromkeys(part.words for part in parts))
+        return _Type(lambda value: any(part.fits(value) for part in parts), words)
+    if origin is tuple:
+        length = None if Ellipsis in hints else len(parts)
+        words = "a list" if length is None else f"{length} values, each {parts[0].words},"
+        return _Type(lambda value: _is_list(value, tuple | list | np.ndarray) and _fit(value, parts, length), words)
+    if origin is Mapping:
+        return _Type(lambda value: isinstance(value, Mapping) and _fit(chain(*value.items()), parts), "a mapping")
+    if not isinstance(origin, type) or origin in (Any, object):
+        return _Type(lambda value: True, "another type")
+    if getattr(origin, "_is_protocol", False):
+        names = [name for name in vars(origin) if not name.startswith("_")]
+        return _Type(lambda value: all(hasattr(value, name) for name in names), origin.__name__)
+    return _Type(lambda value: isinstance(value, origin), origin.__name__)
+
+
+def _fit(values: Iterable[Any], parts: Sequence[_Type], length: int | None = None) -> bool:
+    """Whether values are of these types in turn, and so many where that is stated."""
+    values = list(values)
+    return length in (None, len(values)) and all(part.fits(entry) for entry, part in zip(values, cycle(parts)))
+
+
+def _is_list(value: object, kinds: Any) -> bool:
+    return isinstance(value, kinds) and not isinstance(value, str | bytes)
+
+
+MAX_SHOWN = 60
 
 
 def _refused(name: str, value: object, allowed: str) -> InputError:
@@ -234,32 +239,6 @@ def _refused(name: str, value: object, allowed: str) -> InputError:
         text = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
     verb = "are" if allowed.endswith("numbers") and not allowed.startswith("an ") else "is"
     return InputError(f"{name} is {' '.join(text.split())}; {allowed} {verb} needed")
-
-
-MAX_SHOWN = 60
-_WORDS = {
-    bool: "True or False", int: "a whole number", float: "a number", str: "a text", Path: "a path", type(None): "None",
-}  # fmt: skip
-
-
-def _words(hint: Any) -> str:
-    """A type in words."""
-    origin, parts = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_words(part) for part in parts))
-    if origin is Annotated:
-        return _words(parts[0])
-    if origin is Literal:
-        return " or ".join(map(repr, parts))
-    if hint in _WORDS:
-        return _WORDS[hint]
-    if origin is tuple:
-        return f"{len(parts)} values, each {_words(parts[0])}," if Ellipsis not in parts else "a list"
-    if origin is Callable:
-        return "a function"
-    if origin is not None and issubclass(origin, Iterable):
-        return "a mapping" if issubclass(origin, Mapping) else "a list"
-    return getattr(hint, "__name__", "another type")
 
 
 def _listed(values: object) -> Iterable[Any]:

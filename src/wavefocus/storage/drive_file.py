@@ -18,14 +18,13 @@ from wavefocus.storage.argument_types import check_fields, checked, real_array, 
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import (
     attach,
-    created,
     dimension_scale,
     filled,
     reserved,
     sample_times,
+    sealed_output,
     set_long_names,
-)
-from wavefocus.storage.output_files import replacement, require_outputs
+)  # fmt: skip
 from wavefocus.storage.units import drive_of
 
 Float64Array = NDArray[np.float64]
@@ -33,7 +32,6 @@ Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-drive"
 _FOCUS_AXES = ("x_mm", "y_mm")
-_NUMBERS = ("sample_rate_hz", "start_s", "scale", "omitted_bound")
 LONG_NAMES = {
     "drive": "voltage at each actuator",
     "actuator": "index of the actuator",
@@ -178,11 +176,9 @@ def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
     >>> import wavefocus as wf
     >>> wf.write_drive("copy.h5", wf.read_drive("drive.h5"))
     """
+    about = {name: getattr(drive, name) for name in ("sample_rate_hz", "start_s", "method", "drive_unit", "focus_mm")}
     foci = (drive.focus_sample, drive.focus_position, drive.focus_source)
-    about = {name: getattr(drive, name) for name in ("sample_rate_hz", "start_s", "method", "drive_unit")}
-    with drive_in_blocks(
-        path, drive.drive_v.shape, foci=foci, focus_mm=drive.focus_mm, force=force, **about
-    ) as written:
+    with drive_in_blocks(path, drive.drive_v.shape, foci=foci, force=force, **about) as written:
         written.put(0, drive.drive_v)
         written.finish(1.0, scale=drive.scale, omitted_bound=drive.omitted_bound, quiet=drive.quiet)
 
@@ -211,10 +207,10 @@ class DriveWriter:
                 self._volts[:, pieces] = factor * self._volts[:, pieces]
         if self._digest:
             self._volts.attrs[hdf5_digest.VALUES] = self._digest
-        self._volts.file.attrs["scale"] = float(scale)
-        self._volts.file.attrs["omitted_bound"] = float(omitted_bound)
+        about = self._volts.file.attrs
+        about["scale"], about["omitted_bound"] = float(scale), float(omitted_bound)
         if quiet:
-            self._volts.file.attrs["quiet"] = json.dumps([track.plain() for track in quiet])
+            about["quiet"] = json.dumps([track.plain() for track in quiet])
 
 
 def _pieces(volts: h5py.Dataset) -> Iterator[slice]:
@@ -244,16 +240,10 @@ def drive_in_blocks(
 
     Raises InputError: the file exists and may not be replaced, or cannot be written.
     """
-    path = Path(path)
-    require_outputs((path,), (), force=force)
     data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 4 * len(foci[0]))
-    with replacement(path) as temporary, created(temporary, data_bytes) as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = 1
-        for name, number in zip(_NUMBERS, (sample_rate_hz, start_s, 1.0, 0.0), strict=True):
-            file.attrs[name] = float(number)
-        file.attrs["method"] = method
-        file.attrs["drive_unit"] = drive_unit
+    about = {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s), "scale": 1.0, "omitted_bound": 0.0}
+    about |= {"method": method, "drive_unit": drive_unit}
+    with sealed_output(Path(path), FORMAT, data_bytes, about, force=force) as file:
         volts = reserved(file, "/drive", shape, "<f8", drive_unit)
         focus = dimension_scale(file, "focus/focus", np.arange(len(foci[0])))
         for name, values in zip(("sample", "position", "source"), foci, strict=True):
@@ -264,7 +254,6 @@ def drive_in_blocks(
         attach(volts, actuator, dimension_scale(file, "time_s", sample_times(shape[1], sample_rate_hz, start_s), "s"))
         set_long_names(file, LONG_NAMES)
         yield DriveWriter(volts)
-        hdf5_digest.seal(file)
 
 
 @contextmanager
@@ -309,19 +298,18 @@ def read_drive(path: str | Path) -> Drive:
     with hdf5_reading.opened_as(path, FORMAT) as file:
         dataset = hdf5_reading.plain_dataset(file, "/drive")
         values = hdf5_reading.read_whole(dataset)
-        sample, position, source = (_focus(file, name) for name in ("sample", "position", "source"))
+        foci = [
+            hdf5_reading.read_integers(file, name) if hdf5_reading.has(file, name) else np.zeros(0, np.int64)
+            for name in ("/focus/sample", "/focus/position", "/focus/source")
+        ]
         rate, start_s = (hdf5_reading.number(file, name) for name in ("sample_rate_hz", "start_s"))
-        method = hdf5_reading.text(file, "method") or "unknown"
-        factor = hdf5_reading.number(file, "scale", default=1.0)
-        omitted_bound = hdf5_reading.number(file, "omitted_bound", default=0.0)
-        drive_unit, quiet = _drive_unit(file, dataset, path), _quiet(file, path)
-        try:
+        with hdf5_reading.named(path):
+            scale, omitted = (hdf5_reading.number(file, *at) for at in (("scale", 1.0), ("omitted_bound", 0.0)))
             drive = Drive(
-                np.asarray(values, np.float64), rate, start_s, method, factor, omitted_bound, sample, position, source,
-                drive_unit, quiet=quiet, focus_mm=_focus_mm(file, len(sample)),
+                np.asarray(values, np.float64), rate, start_s, hdf5_reading.text(file, "method") or "unknown", scale,
+                omitted, *foci, _drive_unit(file, dataset, path), quiet=_quiet(file, path),
+                focus_mm=_focus_mm(file, len(foci[0])),
             )  # fmt: skip
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
         hdf5_reading.require_sample_times(file, values.shape[1], rate, start_s)
         # Last, so that a value that is wrong in itself is named.
         verified = hdf5_digest.require_all(file, apart="/drive")
@@ -348,11 +336,6 @@ def _quiet(file: h5py.File, path: Path) -> tuple[QuietTrack, ...]:
         return tuple(QuietTrack.of_plain(values) for values in json.loads(text))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: attribute quiet is not the list of quiet places that render writes") from error
-
-
-def _focus(file: h5py.File, name: str) -> Int64Array:
-    there = hdf5_reading.has(file, f"/focus/{name}")
-    return hdf5_reading.read_integers(file, f"/focus/{name}") if there else np.zeros(0, np.int64)
 
 
 def _focus_mm(file: h5py.File, foci: int) -> Float64Array | None:

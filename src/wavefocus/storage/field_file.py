@@ -16,14 +16,13 @@ from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import (
     attach,
-    created,
     dimension_scale,
     filled,
     reserved,
     sample_times,
+    sealed_output,
     set_long_names,
-)
-from wavefocus.storage.output_files import replacement, require_outputs
+)  # fmt: skip
 
 FieldArray = NDArray[np.float32] | NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -128,7 +127,6 @@ class FieldWriter:
         if self._written < len(self._data):
             raise InputError(f"{self._path}: row {self._written} of the field was never written; the file is left out")
         self._data.attrs[hdf5_digest.VALUES] = self._digest.hexdigest()
-        hdf5_digest.seal(self._data.file)
 
 
 @contextmanager
@@ -159,17 +157,12 @@ def field_in_rows(
         raise InputError(f"a field of {len(index)} positions and {samples} samples; 1 or more is needed")
     require_times(sample_rate_hz, start_s)
     kind = float_type(dtype).newbyteorder("<")
-    require_outputs((path,), (), force=force)
     data_bytes = len(index) * samples * kind.itemsize + 8 * (2 * len(index) + samples)
-    with replacement(path) as temporary, created(temporary, data_bytes) as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = 1
-        file.attrs["response_unit"] = response_unit
-        file.attrs["sample_rate_hz"] = float(sample_rate_hz)
-        file.attrs["start_s"] = float(start_s)
-        if low_pass is not None:
-            file.attrs["band_hz"] = np.array([0.0, low_pass.passed_hz])
-            file.attrs["decimated_by"] = low_pass.factor
+    about: dict[str, Any] = {"response_unit": response_unit}
+    about |= {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s)}
+    if low_pass is not None:
+        about |= {"band_hz": np.array([0.0, low_pass.passed_hz]), "decimated_by": low_pass.factor}
+    with sealed_output(path, FORMAT, data_bytes, about, force=force) as file:
         positions = dimension_scale(file, "position", index)
         attach(filled(file, "/position_index", index), positions)
         data = reserved(file, "/field", (len(index), samples), kind.str, response_unit)
@@ -205,17 +198,8 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
     >>> import wavefocus as wf
     >>> wf.write_field("two.h5", wf.predict("drive.h5", "plate.h5", [0, 7]))
     """
-    with field_in_rows(
-        path,
-        field.position_index,
-        field.field.shape[1],
-        sample_rate_hz=field.sample_rate_hz,
-        start_s=field.start_s,
-        response_unit=field.response_unit,
-        low_pass=field.low_pass,
-        dtype=dtype,
-        force=force,
-    ) as writer:
+    about = {name: getattr(field, name) for name in ("sample_rate_hz", "start_s", "response_unit", "low_pass")}
+    with field_in_rows(path, field.position_index, field.field.shape[1], dtype=dtype, force=force, **about) as writer:
         writer.write(field.field)
 
 
@@ -245,12 +229,10 @@ class FieldRowReader(Closing):
             if unit is None:
                 raise InputError(f"{path} has no attribute response_unit")
             self.response_unit = unit
-            try:
+            with hdf5_reading.named(path):
                 self.position_index = _indices(index, len(self._field))
                 self.low_pass = _read_low_pass(file)
                 require_times(self.sample_rate_hz, self.start_s)
-            except InputError as error:
-                raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
             hdf5_reading.require_sample_times(file, self.samples, self.sample_rate_hz, self.start_s)
             self.verified = hdf5_digest.require_all(file, apart="/field")
             self._sealed = hdf5_digest.VALUES in self._field.attrs

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, packing
+from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing
 from wavefocus.storage.text_file import permission_words, require_regular
 
 _MAX_METADATA_BYTES = 64 << 20
@@ -91,6 +91,15 @@ def opened_as(path: Path, name: str) -> Iterator[h5py.File]:
         yield file
 
 
+@contextlib.contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Name the file in errors about its values."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+
+
 def hdf5_complaint(error: Exception) -> str:
     """Put a complaint of HDF5 into words."""
     text = " ".join(str(error).split())
@@ -102,12 +111,7 @@ def hdf5_complaint(error: Exception) -> str:
 
 
 def plain_dataset(
-    file: h5py.File,
-    name: str,
-    *,
-    shape: tuple[int, ...] | None = None,
-    packed: bool = False,
-    kinds: str = "fiu",
+    file: h5py.File, name: str, *, shape: tuple[int, ...] | None = None, packed: bool = False, kinds: str = "fiu"
 ) -> h5py.Dataset:
     """Return a dataset of plain numbers stored in this file.
 
@@ -134,8 +138,7 @@ def plain_dataset(
         raise InputError(f"{path}: {name} holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
         raise InputError(f"{path}: {name} has shape {dataset.shape}; {shape} is needed")
-    stated = packing_of(dataset, written=True) if not packed else Packing()
-    if stated.is_scaled or any(comparison in ("==", "~") for comparison, _, _ in stated.absent):
+    if not packed and ((stated := packing_of(dataset, written=True)).is_scaled or stated.has_fill):
         raise InputError(f"{path}: {name} has a scale_factor, add_offset or _FillValue; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
@@ -179,7 +182,7 @@ def packing_of(dataset: h5py.Dataset, *, written: bool = False) -> Packing:
     fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
     if fill is not None and dataset.fillvalue != fill:
         fill = None
-    return packing(attributes, dataset.dtype, f"{path_of(dataset)}: {dataset.name}", fill)
+    return Packing(attributes, dataset.dtype, f"{path_of(dataset)}: {dataset.name}", fill)
 
 
 def _bytes_of(dataset: h5py.Dataset, shape: tuple[int, ...]) -> int:

@@ -16,8 +16,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage import durable
+from wavefocus.storage import durable, hdf5_digest
 from wavefocus.storage.durable import PAGE, PositionedFile
+from wavefocus.storage.output_files import replacement, require_outputs
 
 METADATA_BLOCK = 1 << 20
 """In files that are laid out once all metadata sits in blocks of this size, away from pages that are written later."""
@@ -47,6 +48,27 @@ def created(path: Path, data_bytes: int = 0, *, laid_out_once: bool = False) -> 
             if target.failure is not None:
                 raise target.failure
     os.truncate(path, target.size)
+
+
+@contextmanager
+def sealed_output(
+    path: Path, form: str, data_bytes: int, about: Mapping[str, Any], *, force: bool
+) -> Iterator[h5py.File]:
+    """Write a file of a format of this program, with checksums; it appears under its name when the block ends well.
+
+    form: The format's name.
+    data_bytes: As of `created`.
+    about: Root attributes.
+    force: Whether an older file of that name may be replaced; a bank, raw recordings or a link never is.
+
+    Raises InputError: the file exists and may not be replaced, or cannot be written.
+    """
+    require_outputs((path,), (), force=force)
+    with replacement(path) as temporary, created(temporary, data_bytes) as file:
+        for name, value in {"format": form, "format_version": 1, **about}.items():
+            file.attrs[name] = value
+        yield file
+        hdf5_digest.seal(file)
 
 
 def _new_file(target: _Target, *, laid_out_once: bool) -> h5py.h5f.FileID:

@@ -2,8 +2,7 @@
 
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,145 +18,100 @@ KEYS = (
     "scale_factor", "add_offset", "_FillValue", "missing_value", "valid_range", "valid_min", "valid_max", "_Unsigned",
 )  # fmt: skip
 """Attributes of a variable that say how it is packed."""
-_COMPARED = {"==": operator.eq, "~": lambda values, number: np.isclose(values, number, rtol=1e-6, atol=0.0),
-             "<": operator.lt, ">": operator.gt}  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+def _alike(values: Any, number: Any) -> Any:
+    """Attributes of fewer digits than the numbers mean the same number: 1e20 in float32 is 1.00000002e20."""
+    return np.isclose(values, number, rtol=1e-6, atol=0.0)
+
+
 class Packing:
-    """How stored numbers stand for values: ``value = stored * scale + offset``.
-
-    sign: ``"u"`` or ``"i"`` where stored integers count without or with a sign against their type, else empty.
-    absent: Comparison, number and whether stored numbers are compared, or else values; what matches is missing.
-    """
-
-    scale: float = 1.0
-    offset: float = 0.0
-    sign: Literal["", "u", "i"] = ""
-    absent: tuple[tuple[str, Any, bool], ...] = ()
-
-    @property
-    def is_scaled(self) -> bool:
-        """Whether stored numbers are other than the values."""
-        return (self.scale, self.offset, self.sign) != (1.0, 0.0, "")
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether stored numbers are the values, and none is missing."""
-        return not self.is_scaled and not self.absent
-
-    def dtype_of(self, stored: np.dtype[Any]) -> np.dtype[np.floating[Any]]:
-        """Type of the values: float32 where stored numbers are, and are not scaled; else float64."""
-        single = stored.kind == "f" and stored.itemsize <= 4 and not self.is_scaled
-        return np.dtype(np.float32 if single else np.float64)
-
-    def unpack(self, stored: NDArray[Any]) -> NDArray[np.floating[Any]]:
-        """Values of stored numbers; NaN where they are missing."""
-        stored = self._signed(stored)
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = np.array(stored, self.dtype_of(stored.dtype))
-            if self.is_scaled:
-                values = values * self.scale + self.offset
-            for comparison, number, of_stored in self.absent:
-                values[_COMPARED[comparison](stored if of_stored else values, number)] = np.nan
-        return values
-
-    def _signed(self, stored: NDArray[Any]) -> NDArray[Any]:
-        if not self.sign:
-            return stored
-        return np.ascontiguousarray(stored, stored.dtype.newbyteorder("=")).view(f"{self.sign}{stored.dtype.itemsize}")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UnpackedArray:
-    """An array or dataset of stored numbers that gives values where it is indexed."""
-
-    stored: Any
-    packing: Packing
-
-    @property
-    def dtype(self) -> np.dtype[np.floating[Any]]:
-        """Type of the values."""
-        return self.packing.dtype_of(self.stored.dtype)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the array."""
-        return tuple(self.stored.shape)
-
-    @property
-    def ndim(self) -> int:
-        """Number of axes."""
-        return len(self.shape)
-
-    @property
-    def size(self) -> int:
-        """Number of values."""
-        return int(np.prod(self.shape, dtype=np.int64))
-
-    @property
-    def chunks(self) -> tuple[int, ...] | None:
-        """Shape of the pieces that are read at once, where there are any."""
-        return getattr(self.stored, "chunks", None)
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __getitem__(self, key: Any) -> NDArray[np.floating[Any]]:
-        return self.packing.unpack(np.asarray(self.stored[key]))
-
-
-def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any], what: str, default_fill: Any = None) -> Packing:
-    """How a variable is packed.
+    """How stored numbers of a variable stand for values: ``value = stored * scale_factor + add_offset``.
 
     CF conventions 1.11, sections 2.5 and 8.1; NetCDF User's Guide, appendix A: ``missing_value`` and ``valid_range`` in
     the type of the stored numbers are compared with those, in another type with the values.
 
     attributes: The variable's, as numbers, arrays and texts.
-    dtype: Type of the stored numbers.
+    stored: Type of the stored numbers.
     what: Name of the variable, for messages.
     default_fill: What stands where nothing was written, unless ``_FillValue`` says it.
 
+    dtype: Type of the values: float32 where stored numbers are, and are not scaled; else float64.
+    is_scaled: Whether stored numbers are other than the values.
+    has_fill: Whether numbers are named that stand for missing values.
+    is_plain: Whether stored numbers are the values, and none is missing.
+
     Raises InputError: an attribute is not a finite number (``_FillValue`` and ``missing_value`` may be NaN).
     """
-    found = {key: _numbers(key, attributes[key], what) for key in KEYS[:-1] if key in attributes}
-    sign: Literal["", "u", "i"] = ""
-    if dtype.kind in "iu" and "_Unsigned" in attributes:
-        word = attributes["_Unsigned"]
-        word = str(word.decode("latin-1") if isinstance(word, bytes) else word).strip("\0 ").lower()
-        wanted: Literal["u", "i"] = "u" if word == "true" else "i"
-        sign = "" if wanted == dtype.kind else wanted
-    counted = np.dtype(f"{sign or dtype.kind}{dtype.itemsize}")
-    scale, offset = float(found.get("scale_factor", [1.0])[0]), float(found.get("add_offset", [0.0])[0])
-    absent: list[tuple[str, Any, bool]] = []
 
-    def numbers(key: str) -> tuple[list[Any], bool]:
-        """Numbers of an attribute, and whether they are stored ones."""
-        given = found.get(key, np.empty(0))
-        if counted.kind == "f":
-            with np.errstate(over="ignore"):
-                return list(given.astype(counted)), True
-        of_stored = given.dtype.kind in "iu"
-        return list(given.astype(dtype.newbyteorder("=")).view(counted) if of_stored and sign else given), of_stored
+    def __init__(
+        self, attributes: Mapping[str, Any], stored: np.dtype[Any], what: str, default_fill: Any = None
+    ) -> None:
+        given = {key: _numbers(key, attributes[key], what) for key in KEYS[:-1] if key in attributes}
+        kind = stored.kind
+        if kind in "iu" and (word := attributes.get("_Unsigned")) is not None:
+            text = word.decode("latin-1") if isinstance(word, bytes) else str(word)
+            kind = "u" if text.strip("\0 ").lower() == "true" else "i"
+        self._counted, native = np.dtype(f"{kind}{stored.itemsize}"), stored.newbyteorder("=")
+        self._scale, self._offset = (
+            float(given[key][0]) if key in given else default
+            for key, default in (("scale_factor", 1.0), ("add_offset", 0.0))
+        )
+        self.is_scaled = (self._scale, self._offset, kind) != (1.0, 0.0, stored.kind)
+        self.dtype = np.dtype(np.float32 if kind == "f" and stored.itemsize <= 4 and not self.is_scaled else np.float64)
 
-    fills, _ = numbers("_FillValue")
-    if not fills and default_fill is not None:
-        fills = [default_fill]
-    # An attribute of fewer digits than the stored numbers means the same number: 1e20 in float32 is 1.00000002e20.
-    alike: Literal["==", "~"] = "~" if counted.kind == "f" else "=="
-    absent += [(alike, number, True) for number in fills if not np.isnan(number)]
-    missing, of_stored = numbers("missing_value")
-    absent += [(alike if of_stored else "~", number, of_stored) for number in missing if not np.isnan(number)]
-    for key, at, comparison in (
-        ("valid_range", 0, "<"),
-        ("valid_range", 1, ">"),
-        ("valid_min", 0, "<"),
-        ("valid_max", 0, ">"),
-    ):
-        given, of_stored = numbers(key)
-        if given:
-            absent.append((comparison, given[at], of_stored))
-    return Packing(scale, offset, sign, tuple(absent))
+        def numbers(key: str) -> tuple[list[Any], bool]:
+            """Numbers of an attribute, and whether they are stored ones."""
+            found = given.get(key, np.empty(0))
+            if kind == "f":
+                with np.errstate(over="ignore"):
+                    return list(found.astype(self._counted)), True
+            counts = found.dtype.kind in "iu"
+            return list(found.astype(native).view(self._counted) if counts and kind != stored.kind else found), counts
+
+        same = _alike if kind == "f" else operator.eq
+        fills = numbers("_FillValue")[0] or ([] if default_fill is None else [default_fill])
+        missing, of_stored = numbers("missing_value")
+        absent = [(same, number, True) for number in fills]
+        absent += [(same if of_stored else _alike, number, of_stored) for number in missing]
+        absent = [entry for entry in absent if not np.isnan(entry[1])]
+        self.has_fill = bool(absent)
+        for keys, at, outside in (
+            ("valid_min valid_range", 0, operator.lt),
+            ("valid_max valid_range", -1, operator.gt),
+        ):
+            for limits, of_stored in map(numbers, keys.split()):
+                absent += [(outside, limits[at], of_stored)] if limits else []
+        self._absent = absent
+        self.is_plain = not self.is_scaled and not absent
+
+    def unpack(self, stored: NDArray[Any]) -> NDArray[np.floating[Any]]:
+        """Values of stored numbers; NaN where they are missing."""
+        if self._counted.kind != stored.dtype.kind:
+            stored = np.ascontiguousarray(stored, stored.dtype.newbyteorder("=")).view(self._counted)
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = np.array(stored, self.dtype)
+            if self.is_scaled:
+                values = values * self._scale + self._offset
+            for matches, number, of_stored in self._absent:
+                values[matches(stored if of_stored else values, number)] = np.nan
+        return values
+
+
+class UnpackedArray:
+    """An array or dataset of stored numbers that gives values where it is indexed."""
+
+    def __init__(self, stored: Any, packing: Packing) -> None:
+        self._stored, self._packing, self.dtype = stored, packing, packing.dtype
+
+    def __getattr__(self, name: str) -> Any:  # shape, ndim, size, and chunks where there are any
+        return getattr(self._stored, name)
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+    def __getitem__(self, key: Any) -> NDArray[np.floating[Any]]:
+        return self._packing.unpack(np.asarray(self._stored[key]))
 
 
 def _numbers(key: str, value: Any, what: str) -> NDArray[Any]:

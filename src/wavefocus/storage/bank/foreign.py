@@ -28,7 +28,7 @@ class ForeignRows:
     def __init__(self, path: Path, green: h5py.Dataset, status: NDArray[np.uint8] | None, stack: ExitStack) -> None:
         self._path, self._green, self._status, self._open = path, green, status, stack
         self._packing = hdf5_reading.packing_of(green)
-        self.dtype = self._packing.dtype_of(green.dtype)
+        self.dtype = self._packing.dtype
 
     def read(self, position: int) -> Float32Array | Float64Array:
         """Green's functions of a position, unpacked by `scale_factor` and `add_offset` where there are any."""

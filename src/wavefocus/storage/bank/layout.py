@@ -36,7 +36,6 @@ from wavefocus.storage.ledger.layout import (
     later_datasets,
     lay_out_data,
     lay_out_ledger,
-    named,
     offsets_crc,
     require_checksum,
     require_header,
@@ -276,7 +275,7 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
         counted = sample_times(taps, rate)
     if not np.array_equal(time_s, counted):
         raise InputError(f"{path} is damaged: /time_s does not count samples at sample_rate_hz; restore a copy")
-    with named(path):
+    with hdf5_reading.named(path):
         return BankHeader(
             rate,
             taps,

@@ -252,12 +252,7 @@ def _places(path: Path, numbers: Callable[[str], Float64Array | None], role: str
 
 
 def _axis(
-    path: Path,
-    options: ImportOptions,
-    numbers: Callable[[str], Float64Array | None],
-    samples: int,
-    *,
-    is_complex: bool,
+    path: Path, options: ImportOptions, numbers: Callable[[str], Float64Array | None], samples: int, *, is_complex: bool
 ) -> tuple[float | None, Float64Array | None, float]:
     """Sample rate, frequencies and time of the first sample."""
     rate = numbers("sample_rate_hz")

@@ -27,7 +27,7 @@ from wavefocus.storage.exchange.measured import Measured, require_honest
 from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 from wavefocus.storage.hdf5_writing import attach, created, dimension_scale, filled, reserved, set_long_names
 from wavefocus.storage.output_files import EXPORT_MARK, replacement
-from wavefocus.storage.packing import DEFAULT_FILL, KEYS, UnpackedArray, packing
+from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, UnpackedArray
 
 
 def open_hdf5(path: Path, stack: ExitStack) -> h5py.File:
@@ -232,7 +232,7 @@ def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measu
                 return b"".join(stored.reshape(-1).tolist()).decode("utf-8", "replace").strip("\0 ")
             attributes = {key: getattr(variable, key) for key in KEYS if hasattr(variable, key)}
             fill = DEFAULT_FILL.get(stored.dtype.str[1:])
-            return UnpackedArray(stored, packing(attributes, stored.dtype, f"{path}: {name}", fill))
+            return UnpackedArray(stored, Packing(attributes, stored.dtype, f"{path}: {name}", fill))
         value = getattr(file, name, None) if name in _ATTRIBUTES else None
         if value is None and name == "response_unit" and "green" in file.variables:
             value = getattr(file.variables["green"], "units", None)

@@ -2,8 +2,7 @@
 
 import shutil
 import zlib
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -258,12 +257,3 @@ def require_header(header: Any) -> None:
         value = getattr(header, field.name)
         if isinstance(value, str) and "\0" in value:
             raise InputError(f"{field.name} holds a zero character; plain text is needed")
-
-
-@contextmanager
-def named(path: Path) -> Iterator[None]:
-    """Name the file in errors about its values."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error

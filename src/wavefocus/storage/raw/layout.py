@@ -16,7 +16,6 @@ from wavefocus.storage.ledger.layout import (
     later_datasets,
     lay_out_data,
     lay_out_ledger,
-    named,
     require_checksum,
     require_ledger,
 )
@@ -70,7 +69,7 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
             raise InputError(f"{name} is {value:g}; a whole number is needed")
         return None if value is None else int(value)
 
-    with named(path):
+    with hdf5_reading.named(path):
         low, high = hdf5_reading.numbers(file, "band_hz", 2)
         schedule = _read_schedule(file, records)
         actuator_mm = np.full((schedule.actuators, 2), np.nan)

@@ -198,10 +198,7 @@ class RawWriter(LedgerWriter):
         """
         self._require_position(position)
         steps = self.header.volts_per_count
-        chunks = [
-            self._counts("reference", reference_v, steps[0]),
-            self._counts("response", response_v, steps[1]),
-        ]
+        chunks = [self._counts("reference", reference_v, steps[0]), self._counts("response", response_v, steps[1])]
         row = bytearray(self._shape.row_head(position).ljust(self._shape.row_bytes, b"\0"))
         struct.pack_into("<2If", row, ROW_HEAD.size, *map(zlib.crc32, chunks), _known(leak_db))
         self._commit(position, chunks, sealed(row))
