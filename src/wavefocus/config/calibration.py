@@ -22,7 +22,7 @@ FORMAT_VERSION = 1
 PARTS = CALIBRATION_PARTS
 """What a calibration is made of, in the order of measuring: each uses what those before it have found."""
 
-Polarity = Literal[1, -1]
+_Polarity = Literal[1, -1]
 Index = Annotated[Whole, Field(ge=0, le=4095)]
 
 
@@ -34,7 +34,7 @@ class Fiducial(Table):
     residual_mm: NonNegative
 
 
-class PartMeasured(Table):
+class _PartMeasured(Table):
     """When a part was measured, and on which device."""
 
     at: AwareDatetime
@@ -42,7 +42,7 @@ class PartMeasured(Table):
     identity: DeviceIdentity | None = None
 
 
-class MirrorMeasured(PartMeasured):
+class MirrorMeasured(_PartMeasured):
     """The projective map H of ``(tan x, tan y, 1) ~ H (x_mm, y_mm, 1)``."""
 
     map: Matrix
@@ -50,7 +50,7 @@ class MirrorMeasured(PartMeasured):
     fiducial: Annotated[tuple[Fiducial, ...], Field(min_length=4, max_length=1000)]
 
 
-class InputsMeasured(PartMeasured):
+class InputsMeasured(_PartMeasured):
     """How much later the response input is sampled than the reference input."""
 
     inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)]
@@ -62,10 +62,10 @@ class OutputMeasured(Table):
     channel: Index
     latency_s: Annotated[Finite, Field(ge=-1, le=1)]
     full_scale_v: Positive | None = None
-    polarity: Polarity
+    polarity: _Polarity
 
 
-class OutputsMeasured(PartMeasured):
+class OutputsMeasured(_PartMeasured):
     """The player's outputs, the loopback's own among them."""
 
     loopback_channel: Index
@@ -85,12 +85,12 @@ class ActuatorMeasured(Table):
 
     actuator: Annotated[Whole, Field(ge=0, le=1023)]
     channel: Index
-    polarity: Polarity
+    polarity: _Polarity
     level_db: Finite
     verdict: Literal["good", "weak", "dead", "reversed", "unlike"]
 
 
-class ActuatorsMeasured(PartMeasured):
+class ActuatorsMeasured(_PartMeasured):
     """The actuators, checked against each other."""
 
     distance_mm: Positive

@@ -27,7 +27,7 @@ FINGER_MM = 3.0
 _OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
 
 
-def of_plate(plate: str, description: str) -> Any:
+def _of_plate(plate: str, description: str) -> Any:
     """A key that only one plate has: its declaration is all that a new key needs."""
     about: dict[str, JsonValue] = {"plate": plate}
     return default(None, f'Of the plate "{plate}": {description}', json_schema_extra=about)
@@ -50,20 +50,20 @@ class PlateKeys(Table):
         "A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), glass, or a "
         "gel without a rim that moves in its plane",
     )
-    loss: Literal["damped", "springpot"] | None = of_plate(
+    loss: Literal["damped", "springpot"] | None = _of_plate(
         "soft", "the same at all frequencies, nearly, or a springpot's, growing with them"
     )
-    rim_admittance: NonNegative | None = of_plate("stadium", "0 is a free edge, 1 absorbs waves at a right angle")
-    quality: Annotated[Positive, Field(le=1e5)] | None = of_plate("thin", "quality factor of its modes and waves")
-    edge: Literal["supported", "infinite"] | None = of_plate("thin", "a rectangle that is simply supported, or none")
-    mode_tolerance: Annotated[NonNegative, Field(le=1)] | None = of_plate(
+    rim_admittance: NonNegative | None = _of_plate("stadium", "0 is a free edge, 1 absorbs waves at a right angle")
+    quality: Annotated[Positive, Field(le=1e5)] | None = _of_plate("thin", "quality factor of its modes and waves")
+    edge: Literal["supported", "infinite"] | None = _of_plate("thin", "a rectangle that is simply supported, or none")
+    mode_tolerance: Annotated[NonNegative, Field(le=1)] | None = _of_plate(
         "thin", "no effect: all modes are summed (earlier versions left some out)"
     )
-    shear_speed_m_s: Positive | None = of_plate("solid", "speed of shear waves")
-    pressure_speed_m_s: Positive | None = of_plate("solid", "speed of pressure waves, above 1.155 shear_speed_m_s")
-    damping_per_s: NonNegative | None = of_plate("solid", "rate of relaxation of its moduli, in 1/s")
-    force_deg: Finite | None = of_plate("solid", "direction in which actuators push, from x towards y")
-    oscillation_deg: Finite | None = of_plate("solid", "direction of the velocity that is measured")
+    shear_speed_m_s: Positive | None = _of_plate("solid", "speed of shear waves")
+    pressure_speed_m_s: Positive | None = _of_plate("solid", "speed of pressure waves, above 1.155 shear_speed_m_s")
+    damping_per_s: NonNegative | None = _of_plate("solid", "rate of relaxation of its moduli, in 1/s")
+    force_deg: Finite | None = _of_plate("solid", "direction in which actuators push, from x towards y")
+    oscillation_deg: Finite | None = _of_plate("solid", "direction of the velocity that is measured")
 
     finger: Finger | None = default(
         None, "A finger on the surface: { place_mm = [x, y], mass_kg, damping_n_s_m, stiffness_n_m }"
@@ -103,7 +103,7 @@ def plate_of(virtual: PlateKeys | None, emulation: PlateKeys) -> PlateKeys:
 Actuator = Annotated[Whole, Field(ge=0, le=1023)]
 
 
-class WireFaultTable(Table):
+class _WireFaultTable(Table):
     """A fault of an emulated instrument, so that recovery can be watched."""
 
     role: Text
@@ -172,7 +172,7 @@ class Emulation(PlateKeys):
         4096, "Frames per period of the emulated audio server", ge=16, le=65_536
     )
     ni_product: Annotated[Text, FREE] = default("USB-6211", "NI box that is emulated")
-    fault_plan: Annotated[tuple[WireFaultTable, ...], FREE] = default(
+    fault_plan: Annotated[tuple[_WireFaultTable, ...], FREE] = default(
         (), "Faults of the emulated wires: tables with role, kind, operation, at_call or at_s, count, seconds"
     )
 

@@ -26,7 +26,7 @@ Matrix = tuple[Row, Row, Row]
 
 
 @dataclass(frozen=True, slots=True)
-class PlanMark:
+class _PlanMark:
     """How a key counts in the hash of a plan; metadata of its field, as ``Annotated[Positive, FREE]``."""
 
     meaning: str
@@ -34,9 +34,9 @@ class PlanMark:
 
 KEPT: Mapping[str, object] = {"of": "a bank"}
 """Context of a validation of what a bank has kept: keys that are gone are passed over."""
-FREE = PlanMark("may change in a campaign")
-DERIVED = PlanMark("hashed in another form, as the positions that follow from a grid")
-ALWAYS = PlanMark("hashed at its default too, as the first banks were")
+FREE = _PlanMark("may change in a campaign")
+DERIVED = _PlanMark("hashed in another form, as the positions that follow from a grid")
+ALWAYS = _PlanMark("hashed at its default too, as the first banks were")
 """A key without a mark is hashed where it is not at its default, so that a new key changes no older bank's hash."""
 
 
@@ -81,9 +81,9 @@ def default(value: object, description: str, **more: Any) -> Any:
     return Field(default=value, description=description, **more)
 
 
-def plan_mark(field: FieldInfo) -> PlanMark | None:
+def plan_mark(field: FieldInfo) -> _PlanMark | None:
     """The mark of a key; None where it has none."""
-    return next((mark for mark in field.metadata if isinstance(mark, PlanMark)), None)
+    return next((mark for mark in field.metadata if isinstance(mark, _PlanMark)), None)
 
 
 def mistake(key: str, value: object, allowed: str) -> PydanticCustomError:

@@ -73,7 +73,7 @@ def validated(model: type[Model], data: object, source: str, *, kept: bool = Fal
 
     Raises InputError: one line with the first few mistakes.
     """
-    if wrong := other_kind(model.__name__, data):
+    if wrong := _other_kind(model.__name__, data):
         raise InputError(printable(f"{source}: {wrong}"))
     try:
         return model.model_validate(data, context=KEPT if kept else None)
@@ -116,7 +116,7 @@ ADDRESS = re.compile(r"\s*(?!socket)([A-Za-z][A-Za-z0-9+.-]*)://")
 # Tables and keys whose values are addresses with passwords in them, also where they stand in a wrong place.
 _SECRETS = frozenset({"messages", "message", "urls", "url"})
 
-SENTENCES: Mapping[str, str] = {
+_SENTENCES: Mapping[str, str] = {
     "float_type": "must be a number",
     "finite_number": "must be a finite number",
     "int_type": "must be a whole number",
@@ -153,7 +153,7 @@ def one_line(source: str, failure: ValidationError, model: type[BaseModel], data
 
 def mistakes(model: type[BaseModel], data: object) -> list[tuple[tuple[int | str, ...], str]]:
     """Location and sentence of each mistake of plain tables; none where the model takes them."""
-    if wrong := other_kind(model.__name__, data):
+    if wrong := _other_kind(model.__name__, data):
         return [((), wrong)]
     try:
         model.model_validate(data)
@@ -207,7 +207,7 @@ def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
         value = value["kind"]
     elif kind in ("list_type", "tuple_type") and isinstance(value, Mapping) and not secret:
         return f"{dotted(steps)}: must be a list of tables, each under [[{dotted(steps)}]]"
-    template = SENTENCES.get(kind)
+    template = _SENTENCES.get(kind)
     allowed = error["msg"] if template is None else template.format(**context).replace("'", '"')
     holds = "" if value is None or secret else f" = {shown(value)}"
     return f"{dotted(steps)}{holds}: {allowed}"
@@ -353,7 +353,7 @@ def kind_of_tables(data: Mapping[str, Any]) -> str:
     return kinds[0] if most and len(kinds) == 1 else ""
 
 
-def other_kind(model: str, data: object) -> str:
+def _other_kind(model: str, data: object) -> str:
     """What is wrong where tables are of another kind of file than a model's, as a sentence; empty where they are not.
 
     model: Name of the model's class.

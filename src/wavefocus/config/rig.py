@@ -36,7 +36,7 @@ from wavefocus.config.rig_instruments import (
 )
 
 
-class CalibrationSection(Table):
+class _CalibrationSection(Table):
     """Which calibration file holds, and for how long it is trusted without a word."""
 
     file: Text | None = default(None, "File of wavefocus calibrate; what it has measured wins")
@@ -45,7 +45,7 @@ class CalibrationSection(Table):
     """What the file holds; filled in on loading, so that a bank needs no other file."""
 
 
-class RecoverySection(Table):
+class _RecoverySection(Table):
     """How long a lost instrument is waited for, and when a call to one counts as hung."""
 
     give_up_after_s: NonNegative = default(
@@ -56,7 +56,7 @@ class RecoverySection(Table):
     )
 
 
-class UsbSection(Table):
+class _UsbSection(Table):
     """The USB device of a role."""
 
     role: Literal["mirror", "recorder", "player", "vibrometer"] = Field(description="Role of the device")
@@ -66,7 +66,7 @@ class UsbSection(Table):
 
 
 About = Literal["finished", "failed", "stopped", "suspended", "drift"]
-ABOUT: tuple[About, ...] = ("finished", "failed", "suspended", "drift")
+_ABOUT: tuple[About, ...] = ("finished", "failed", "suspended", "drift")
 
 
 class MessagesSection(Table):
@@ -82,7 +82,7 @@ class MessagesSection(Table):
         exclude=True,
         repr=False,
     )
-    about: tuple[About, ...] = default(ABOUT, 'Events that send a message; also "stopped"')
+    about: tuple[About, ...] = default(_ABOUT, 'Events that send a message; also "stopped"')
     suspended_after_min: NonNegative = default(
         10.0, "Wait, suspended or for a lost instrument, after which a message is sent", le=10_000
     )
@@ -146,7 +146,7 @@ class RoomSection(BandSection):
     celsius_at_0_v: Finite = default(0.0, "Temperature at 0 V, in degrees Celsius")
 
 
-class WatchSection(Table):
+class _WatchSection(Table):
     """What is watched while a campaign is under way; nothing, if absent."""
 
     probe_every_s: Positive = default(30.0, "Interval of the checks whether all conditions are back", le=86_400)
@@ -168,7 +168,7 @@ class WatchSection(Table):
 _DEFAULT_ACTUATORS = 20
 
 
-class RigSection(Table):
+class _RigSection(Table):
     """What the rig is called."""
 
     name: Text = default("virtual", "Name for messages and reports")
@@ -236,7 +236,7 @@ class Actuators(Table):
 class RigConfig(Table):
     """A validated rig file; with no argument, the built-in virtual rig."""
 
-    rig: Annotated[RigSection, FREE] = RigSection()
+    rig: Annotated[_RigSection, FREE] = _RigSection()
     surface: Surface = Surface()
     actuators: Actuators
     mirror: MirrorSection = MirrorSection()
@@ -244,11 +244,11 @@ class RigConfig(Table):
     player: PlayerSection
     vibrometer: VibrometerSection = VibrometerSection()
     shutter: Annotated[ShutterSection | None, FREE] = None
-    recovery: Annotated[RecoverySection, FREE] = RecoverySection()
-    watch: Annotated[WatchSection, FREE] = WatchSection()
+    recovery: Annotated[_RecoverySection, FREE] = _RecoverySection()
+    watch: Annotated[_WatchSection, FREE] = _WatchSection()
     messages: Annotated[MessagesSection, FREE] = MessagesSection()
-    calibration: Annotated[CalibrationSection, FREE] = CalibrationSection()
-    usb: Annotated[tuple[UsbSection, ...], Field(max_length=64), FREE] = ()
+    calibration: Annotated[_CalibrationSection, FREE] = _CalibrationSection()
+    usb: Annotated[tuple[_UsbSection, ...], Field(max_length=64), FREE] = ()
     emulation: Annotated[Emulation, FREE] = Emulation()
 
     @property

@@ -137,7 +137,7 @@ class DriverTable(Table):
         return self
 
 
-def with_drivers(section: type[Section], registry: Registry[Any]) -> type[Section]:
+def _with_drivers(section: type[Section], registry: Registry[Any]) -> type[Section]:
     """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it.
 
     Another distribution's driver with a key of the table's own, or with keys that are none, is left out.
@@ -202,7 +202,7 @@ def _either(names: Sequence[str]) -> str:
 _DEFAULT_DISTANCE_MM = 1000.0
 
 
-class SerialSection(DriverTable):
+class _SerialSection(DriverTable):
     """A device at a serial port."""
 
     shared_keys: ClassVar[Mapping[str, str]] = {
@@ -222,7 +222,7 @@ class SerialSection(DriverTable):
     )
 
     @model_validator(mode="after")
-    def _of_a_port(self) -> SerialSection:
+    def _of_a_port(self) -> _SerialSection:
         """A port that is written like a network port or a serial number is one."""
         for beginning, pattern, allowed in (
             ("socket:", r"socket://[^\s/:]+:\d{1,5}", "must be socket://HOST:PORT"),
@@ -234,7 +234,7 @@ class SerialSection(DriverTable):
         return self
 
 
-class MirrorSection(SerialSection):
+class MirrorSection(_SerialSection):
     """The scanning mirror and the map from the surface to its angles."""
 
     distance_mm: Annotated[Positive, DERIVED] = default(
@@ -277,7 +277,7 @@ class MirrorSection(SerialSection):
 
 
 if not TYPE_CHECKING:
-    MirrorSection = with_drivers(MirrorSection, MIRRORS)
+    MirrorSection = _with_drivers(MirrorSection, MIRRORS)
 
 
 AnalogInput = Annotated[Text, like(*ANALOG_INPUT)]
@@ -310,7 +310,7 @@ class RecorderSection(DriverTable):
         return {**data, "trigger": None} if isinstance(data, dict) and data.get("trigger") == "" else data
 
 
-class VibrometerSection(SerialSection):
+class VibrometerSection(_SerialSection):
     """The laser vibrometer's calibration: typed in, or read from the device."""
 
     driver: Annotated[str, FREE] = "fixed"
@@ -329,8 +329,8 @@ class VibrometerSection(SerialSection):
 
 
 if not TYPE_CHECKING:
-    RecorderSection = with_drivers(RecorderSection, RECORDERS)
-    VibrometerSection = with_drivers(VibrometerSection, VIBROMETERS)
+    RecorderSection = _with_drivers(RecorderSection, RECORDERS)
+    VibrometerSection = _with_drivers(VibrometerSection, VIBROMETERS)
 
 
 class ShutterSection(DriverTable):
@@ -340,7 +340,7 @@ class ShutterSection(DriverTable):
 
 
 if not TYPE_CHECKING:
-    ShutterSection = with_drivers(ShutterSection, SHUTTERS)
+    ShutterSection = _with_drivers(ShutterSection, SHUTTERS)
 
 
 Channel = Annotated[Whole, Field(ge=0, le=4095)]
@@ -385,14 +385,14 @@ class PlayerSection(DriverTable):
         return min(self.limit_v, *(self.output_full_scale_v[channel] for channel in self.channels))
 
     @property
-    def largest_rms_v(self) -> float | None:
+    def _largest_rms_v(self) -> float | None:
         """Largest rms that any actuator may get over a second: its limit, or what makes the coil's power; None: any."""
         return None if (rms := self.rms_limit) is None else rms[1]
 
     @property
     def largest_sine_v(self) -> float:
         """Largest peak of a sine or a sweep that any actuator may get for as long as one likes."""
-        rms_v = self.largest_rms_v
+        rms_v = self._largest_rms_v
         return self.largest_v if rms_v is None else min(self.largest_v, 2**0.5 * rms_v)
 
     @property
@@ -426,4 +426,4 @@ class PlayerSection(DriverTable):
 
 
 if not TYPE_CHECKING:
-    PlayerSection = with_drivers(PlayerSection, PLAYERS)
+    PlayerSection = _with_drivers(PlayerSection, PLAYERS)

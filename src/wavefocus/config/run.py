@@ -108,7 +108,7 @@ class DriftLimits(Table):
         return (positions - 1) // between + 1
 
 
-STAGGER_OVER_RESPONSE = 1.2
+_STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""
 
 Waveform = Literal["linear", "multisine"]
@@ -221,24 +221,24 @@ class Capture(Table):
         if self.taps > longest + 1e-6:
             allowed = f"must be at most {int(longest + 1e-6)} (decay_s * sample_rate_hz)"
             raise mistake("taps", self.taps, allowed)
-        shortest_s = STAGGER_OVER_RESPONSE * self.response_s
+        shortest_s = _STAGGER_OVER_RESPONSE * self.response_s
         if self.stagger_s < shortest_s * (1 - 1e-12):
             allowed = (
-                f"must be at least {shortest_s:g} ({STAGGER_OVER_RESPONSE} times the response "
+                f"must be at least {shortest_s:g} ({_STAGGER_OVER_RESPONSE} times the response "
                 f"of taps / sample_rate_hz = {self.response_s:g} s)"
             )
             raise mistake("stagger_s", self.stagger_s, allowed)
         return self
 
 
-class Settled(Table):
+class _Settled(Table):
     """What a trial of earlier versions has settled before a staggered campaign; only a bank says it."""
 
     asked: Capture
     reason: Text
 
 
-class FaultSection(Table):
+class _FaultSection(Table):
     """A fault for a virtual instrument to show, so that recovery can be watched."""
 
     role: Text
@@ -258,7 +258,7 @@ class FaultSection(Table):
 class FaultFile(Table):
     """A file of faults, as ``fault_plan`` may name one."""
 
-    fault: tuple[FaultSection, ...] = ()
+    fault: tuple[_FaultSection, ...] = ()
 
 
 def _rising(course: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -282,7 +282,7 @@ class Virtual(PlateKeys):
     crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] | None = default(
         None, "How much later the leak comes than the loopback's voltage; 0 by default"
     )
-    fault_plan: Annotated[tuple[FaultSection, ...], FREE] = default(
+    fault_plan: Annotated[tuple[_FaultSection, ...], FREE] = default(
         (), "Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )
     room_c: Annotated[Course, FREE] = default(
@@ -312,7 +312,7 @@ class Tolerance(Table):
 Line = Annotated[Text, like(r"[^\x00-\x1f\x7f-\x9f]+", "must be one line of text"), Field(max_length=1000)]
 
 
-class Person(Table):
+class _Person(Table):
     """Somebody who made the measurements."""
 
     name: Line = Field(description="Name as on a paper")
@@ -332,7 +332,7 @@ class Publication(Table):
     licence: Line | None = default(
         None, 'Licence as an SPDX identifier ("CC-BY-4.0", "CC0-1.0"), an address or a sentence'
     )
-    people: tuple[Person, ...] = default((), "Who made the measurements: a list of { name, orcid, affiliation }")
+    people: tuple[_Person, ...] = default((), "Who made the measurements: a list of { name, orcid, affiliation }")
     organisation: Line | None = default(None, "Who publishes them")
     database: Line | None = default(None, "Name of the collection that they belong to")
     room: Line | None = default(None, "The room or set-up that the plate stood in")
@@ -373,7 +373,7 @@ class RunConfig(Table):
     drift: Annotated[DriftLimits, FREE] = DriftLimits()
     tolerance: Annotated[Tolerance, FREE] = Tolerance()
     publication: Annotated[Publication, FREE] = Publication()
-    settled: Annotated[Settled | None, FREE] = None
+    settled: Annotated[_Settled | None, FREE] = None
 
     def rig_file(self, run_file: Path) -> Path | None:
         """The rig file that this run, of that file, names; None for the built-in virtual rig."""
@@ -381,7 +381,7 @@ class RunConfig(Table):
 
     def with_schedule(self, capture: Capture, reason: str) -> RunConfig:
         """Make it the run with the capture that a trial has settled, and why."""
-        return self.model_copy(update={"capture": capture, "settled": Settled(asked=self.capture, reason=reason)})
+        return self.model_copy(update={"capture": capture, "settled": _Settled(asked=self.capture, reason=reason)})
 
     @model_validator(mode="before")
     @classmethod

@@ -78,7 +78,7 @@ class TrialsTable(Table):
         return self
 
 
-class StimuliTable(Table):
+class _StimuliTable(Table):
     """Stimuli: all combinations of the levels listed; a single level needs no brackets."""
 
     path: Names = Field(description="Names of tables [path.NAME]")
@@ -116,7 +116,7 @@ class AdaptiveTable(Table):
         return self
 
 
-class MaskingTable(Table):
+class _MaskingTable(Table):
     """Pink noise that plays with every stimulus on an output of its own, for headphones."""
 
     output: Annotated[Whole, Field(ge=0, le=1023)] = Field(
@@ -133,9 +133,9 @@ class TrialsConfig(Table):
     path: Annotated[dict[Name, PathTable], Field(min_length=1, max_length=1000)]
     signal: Annotated[dict[Name, SignalTable], Field(min_length=1, max_length=1000)]
     quiet: Annotated[dict[Name, QuietTable], Field(default_factory=dict, max_length=1000)]
-    stimuli: Annotated[tuple[StimuliTable, ...], Field(min_length=1, max_length=1000)]
+    stimuli: Annotated[tuple[_StimuliTable, ...], Field(min_length=1, max_length=1000)]
     adaptive: AdaptiveTable | None = None
-    masking: MaskingTable | None = None
+    masking: _MaskingTable | None = None
     regularisation: Regularisation = Regularisation()
     output: Output = Output()
 

@@ -142,7 +142,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 def check_fields(made: Any) -> None:
     """Refuse fields of a dataclass that are not as their annotations say; for `__post_init__`. Raises InputError."""
-    types = _types_of(type(made))
+    types = _types_of(made.__class__)
     for field in fields(made):
         if field.init:
             types[field.name].require(field.name, getattr(made, field.name))
@@ -228,7 +228,7 @@ def _is_list(value: object, kinds: Any) -> bool:
     return isinstance(value, kinds) and not isinstance(value, str | bytes)
 
 
-MAX_SHOWN = 60
+_MAX_SHOWN = 60
 
 
 def _refused(name: str, value: object, allowed: str) -> InputError:
@@ -236,7 +236,7 @@ def _refused(name: str, value: object, allowed: str) -> InputError:
         text = f"an array of {value.dtype}, of shape {value.shape}"
     else:
         text = str(value) if isinstance(value, np.dtype) else repr(value)
-        text = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+        text = text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
     verb = "are" if allowed.endswith("numbers") and not allowed.startswith("an ") else "is"
     return InputError(f"{name} is {' '.join(text.split())}; {allowed} {verb} needed")
 

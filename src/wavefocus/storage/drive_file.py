@@ -241,8 +241,8 @@ def drive_in_blocks(
     Raises InputError: the file exists and may not be replaced, or cannot be written.
     """
     data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 4 * len(foci[0]))
-    about = {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s), "scale": 1.0, "omitted_bound": 0.0}
-    about |= {"method": method, "drive_unit": drive_unit}
+    about: dict[str, Any] = {"method": method, "drive_unit": drive_unit, "scale": 1.0, "omitted_bound": 0.0}
+    about |= {"sample_rate_hz": float(sample_rate_hz), "start_s": float(start_s)}
     with sealed_output(Path(path), FORMAT, data_bytes, about, force=force) as file:
         volts = reserved(file, "/drive", shape, "<f8", drive_unit)
         focus = dimension_scale(file, "focus/focus", np.arange(len(foci[0])))
@@ -298,17 +298,17 @@ def read_drive(path: str | Path) -> Drive:
     with hdf5_reading.opened_as(path, FORMAT) as file:
         dataset = hdf5_reading.plain_dataset(file, "/drive")
         values = hdf5_reading.read_whole(dataset)
-        foci = [
+        sample, position, source = (
             hdf5_reading.read_integers(file, name) if hdf5_reading.has(file, name) else np.zeros(0, np.int64)
             for name in ("/focus/sample", "/focus/position", "/focus/source")
-        ]
+        )
         rate, start_s = (hdf5_reading.number(file, name) for name in ("sample_rate_hz", "start_s"))
         with hdf5_reading.named(path):
             scale, omitted = (hdf5_reading.number(file, *at) for at in (("scale", 1.0), ("omitted_bound", 0.0)))
             drive = Drive(
                 np.asarray(values, np.float64), rate, start_s, hdf5_reading.text(file, "method") or "unknown", scale,
-                omitted, *foci, _drive_unit(file, dataset, path), quiet=_quiet(file, path),
-                focus_mm=_focus_mm(file, len(foci[0])),
+                omitted, sample, position, source, _drive_unit(file, dataset, path), quiet=_quiet(file, path),
+                focus_mm=_focus_mm(file, len(sample)),
             )  # fmt: skip
         hdf5_reading.require_sample_times(file, values.shape[1], rate, start_s)
         # Last, so that a value that is wrong in itself is named.

@@ -20,7 +20,7 @@ from wavefocus.storage import hdf5_reading
 from wavefocus.storage.errors import InputError
 
 VALUES = "sha256"
-CONTENTS = "contents_sha256"
+_CONTENTS = "contents_sha256"
 NOTES = "notes"
 """Root attribute of notes that people add to a bank later."""
 _ROOT = frozenset({
@@ -32,7 +32,7 @@ _ROOT = frozenset({
 })  # fmt: skip
 """Root attributes of files of this program; a person may add others, which change nothing."""
 # Written last of all; `heap_offsets` says where older versions keep texts.
-_APART = frozenset({CONTENTS, "heap_offsets"})
+_APART = frozenset({_CONTENTS, "heap_offsets"})
 _AT_ONCE_BYTES = 32 << 20
 
 
@@ -88,7 +88,7 @@ def seal(file: h5py.File) -> None:
 
 def seal_contents(file: h5py.File, later: Collection[str] = ()) -> None:
     """Write the checksum of everything but the values of some datasets, as ``"/green"``, that are written later."""
-    file.attrs[CONTENTS] = _contents_sha256(file, later)
+    file.attrs[_CONTENTS] = _contents_sha256(file, later)
 
 
 def unknown_attributes(file: h5py.File) -> tuple[str, ...]:
@@ -114,10 +114,10 @@ def _contents_sha256(file: h5py.File, later: Collection[str], without: Collectio
 
 def require_contents(file: h5py.File, later: Collection[str] = ()) -> None:
     """Refuse a file whose contents are not as they were written; older files carry no checksum of them."""
-    if CONTENTS not in file.attrs:
+    if _CONTENTS not in file.attrs:
         return
     try:
-        sealed = hdf5_reading.text(file, CONTENTS)
+        sealed = hdf5_reading.text(file, _CONTENTS)
         added = {NOTES, *unknown_attributes(file)} & set(file.attrs)
         # A later version may have sealed attributes that this one does not know.
         same = any(sealed == _contents_sha256(file, later, without) for without in dict.fromkeys([tuple(added), ()]))
@@ -136,7 +136,7 @@ def format_of(path: Path) -> tuple[str | None, bool]:
     """Return the format that a file says it has, and whether it carries a checksum of its contents."""
     with hdf5_reading.opened(path) as file:
         hdf5_reading.require_sound_texts(file)
-        return hdf5_reading.text(file, "format"), CONTENTS in file.attrs
+        return hdf5_reading.text(file, "format"), _CONTENTS in file.attrs
 
 
 def _expected_sha256(dataset: h5py.Dataset) -> str | None:

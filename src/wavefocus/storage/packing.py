@@ -1,7 +1,7 @@
 """Stored numbers that stand for values, as netCDF and its conventions pack them, and values that are missing."""
 
 import operator
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,7 @@ class Packing:
         same = _alike if kind == "f" else operator.eq
         fills = numbers("_FillValue")[0] or ([] if default_fill is None else [default_fill])
         missing, of_stored = numbers("missing_value")
-        absent = [(same, number, True) for number in fills]
+        absent: list[tuple[Callable[[Any, Any], Any], Any, bool]] = [(same, number, True) for number in fills]
         absent += [(same if of_stored else _alike, number, of_stored) for number in missing]
         absent = [entry for entry in absent if not np.isnan(entry[1])]
         self.has_fill = bool(absent)
@@ -102,10 +102,9 @@ class UnpackedArray:
     """An array or dataset of stored numbers that gives values where it is indexed."""
 
     def __init__(self, stored: Any, packing: Packing) -> None:
-        self._stored, self._packing, self.dtype = stored, packing, packing.dtype
-
-    def __getattr__(self, name: str) -> Any:  # shape, ndim, size, and chunks where there are any
-        return getattr(self._stored, name)
+        self._stored, self._packing = stored, packing
+        self.dtype, self.shape, self.ndim, self.size = packing.dtype, tuple(stored.shape), stored.ndim, stored.size
+        self.chunks: tuple[int, ...] | None = getattr(stored, "chunks", None)
 
     def __len__(self) -> int:
         return len(self._stored)

@@ -82,8 +82,8 @@ MOTIONS = {
 }
 """Units of motion: derivatives of a displacement (1: velocity), and their size in m, m/s or m/s^2."""
 _PREFIXES = ("", "n", "u", "m", "k", "M")
-OTHER_RESPONSES = ("Pa", "V", "A", "N", "W", "rad", "rad/s", "1")
-DRIVES = ("V", "A", "N", "Pa", "W", "lbf", "1")
+_OTHER_RESPONSES = ("Pa", "V", "A", "N", "W", "rad", "rad/s", "1")
+_DRIVES = ("V", "A", "N", "Pa", "W", "lbf", "1")
 
 
 def split_unit(unit: str) -> tuple[str, str]:
@@ -98,10 +98,10 @@ def split_unit(unit: str) -> tuple[str, str]:
         under = "1"
     elif not named:
         under = ""
-    if not _is_one_of(under, DRIVES) or (over not in MOTIONS and not _is_one_of(over, OTHER_RESPONSES)):
+    if not _is_one_of(under, _DRIVES) or (over not in MOTIONS and not _is_one_of(over, _OTHER_RESPONSES)):
         raise InputError(
             f"the unit is {unit!r}; RESPONSE/DRIVE is needed, as m/s/V: responses {', '.join(MOTIONS)},"
-            f" {', '.join(OTHER_RESPONSES)}; drives {', '.join(DRIVES)}, also as mV, kN, uA"
+            f" {', '.join(_OTHER_RESPONSES)}; drives {', '.join(_DRIVES)}, also as mV, kN, uA"
         )
     return over, under
 

@@ -19,8 +19,8 @@ from wavefocus.storage.hdf5_writing import created
 from wavefocus.storage.sidecar_files import staging_dir
 
 FORMAT = "wavefocus-waves"
-KEY = "bank_sha256"
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_KEY = "bank_sha256"
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """HDF5 file format specification, version 3.0, section II.A: the first bytes of a file without a user block."""
 
 
@@ -39,7 +39,7 @@ def write_wave_file(path: Path, key: str, arrays: Mapping[str, NDArray[Any]]) ->
             return False
         with staging_dir(path) as staging:
             with created(staging.temporary, sum(values.nbytes for values in arrays.values())) as file:
-                file.attrs["format"], file.attrs["format_version"], file.attrs[KEY] = FORMAT, 1, key
+                file.attrs["format"], file.attrs["format_version"], file.attrs[_KEY] = FORMAT, 1, key
                 for name, values in arrays.items():
                     file.create_dataset(name, data=values, track_times=False)
                 hdf5_digest.seal(file)
@@ -55,7 +55,7 @@ def _is_of_another_kind(path: Path) -> bool:
     if not path.exists():
         return False
     with path.open("rb") as file:
-        if file.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
+        if file.read(len(_HDF5_SIGNATURE)) != _HDF5_SIGNATURE:
             return True
     with suppress(InputError):
         return hdf5_digest.format_of(path)[0] != FORMAT
@@ -66,7 +66,7 @@ def read_wave_file(path: Path, key: str, names: Collection[str]) -> dict[str, ND
     """The arrays of a file, or None where it is missing, damaged or not of these contents of the bank."""
     with suppress(InputError, OSError, KeyError, ValueError), hdf5_reading.opened(path) as file:
         hdf5_reading.require_format(file, FORMAT)
-        if hdf5_reading.text(file, KEY) != key or not hdf5_digest.require_all(file, ""):
+        if hdf5_reading.text(file, _KEY) != key or not hdf5_digest.require_all(file, ""):
             return None
         return {name: np.asarray(hdf5_reading.read_whole(file[name])) for name in names}
     return None

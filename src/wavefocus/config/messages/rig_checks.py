@@ -94,55 +94,55 @@ CALIBRATE_EVENTS = (
 )  # fmt: skip
 
 
-class AnswerMessage(Message, frozen=True, tag_field="answer"):
+class _AnswerMessage(Message, frozen=True, tag_field="answer"):
     """Base class of a person's answers; the class keyword `tag` is the value of their key ``answer``."""
 
 
-class Plugged(AnswerMessage, frozen=True, tag="done"):
+class Plugged(_AnswerMessage, frozen=True, tag="done"):
     """The cable is plugged."""
 
 
-class By(AnswerMessage, frozen=True, tag="by"):
+class By(_AnswerMessage, frozen=True, tag="by"):
     """Move the beam by so much from where it stands."""
 
     x_mrad: float
     y_mrad: float
 
 
-class To(AnswerMessage, frozen=True, tag="to"):
+class To(_AnswerMessage, frozen=True, tag="to"):
     """Move the beam to these angles."""
 
     x_mrad: float
     y_mrad: float
 
 
-class Here(AnswerMessage, frozen=True, tag="here"):
+class Here(_AnswerMessage, frozen=True, tag="here"):
     """The spot is on the mark."""
 
 
-class Keep(AnswerMessage, frozen=True, tag="keep"):
+class Keep(_AnswerMessage, frozen=True, tag="keep"):
     """Take the map, if it can be taken."""
 
 
-class Redo(AnswerMessage, frozen=True, tag="redo"):
+class Redo(_AnswerMessage, frozen=True, tag="redo"):
     """Bring the beam onto one mark, from 1, once more."""
 
     mark: int
 
 
-class Drop(AnswerMessage, frozen=True, tag="drop"):
+class Drop(_AnswerMessage, frozen=True, tag="drop"):
     """Leave the map."""
 
 
-class Again(AnswerMessage, frozen=True, tag="again"):
+class Again(_AnswerMessage, frozen=True, tag="again"):
     """Try once more."""
 
 
-class Skip(AnswerMessage, frozen=True, tag="skip"):
+class Skip(_AnswerMessage, frozen=True, tag="skip"):
     """Leave it out."""
 
 
-class Cancel(AnswerMessage, frozen=True, tag="cancel"):
+class Cancel(_AnswerMessage, frozen=True, tag="cancel"):
     """End the calibration; muted and parked."""
 
 

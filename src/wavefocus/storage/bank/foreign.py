@@ -18,7 +18,7 @@ from wavefocus.storage.units import drive_of, require_meant_rate, require_unit
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 
-FAR = 1e20
+_FAR = 1e20
 """A row whose peak is 400 dB from the usual one was not measured (IEEE 754: single precision spans 1,500 dB)."""
 
 
@@ -44,7 +44,7 @@ class ForeignRows:
             rows = (self.read(position) for position in range(len(self._green)))
             peak = np.array([float(np.abs(row).max()) for row in rows])
             usual = np.median(peak[np.isfinite(peak) & (peak > 0)]) if (np.isfinite(peak) & (peak > 0)).any() else 1.0
-            self._status = ((peak > usual / FAR) & (peak < usual * FAR)).astype(np.uint8)
+            self._status = ((peak > usual / _FAR) & (peak < usual * _FAR)).astype(np.uint8)
         return self._status.copy()
 
     def damaged(self) -> tuple[int, ...]:

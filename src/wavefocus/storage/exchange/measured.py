@@ -79,7 +79,7 @@ def readable(path: Path, kind: str) -> Iterator[None]:
         raise InputError(f"{path} is damaged, or not {kind} ({words})") from error
 
 
-def guarded(measured: Measured, path: Path, kind: str) -> Iterator[NDArray[Any]]:
+def _guarded(measured: Measured, path: Path, kind: str) -> Iterator[NDArray[Any]]:
     """Rows of a file as :func:`readable` reads them."""
     with readable(path, kind):
         yield from measured.rows
@@ -221,4 +221,4 @@ def opened(path: Path, kind: str, options: ImportOptions) -> Iterator[Measured]:
     with ExitStack() as stack:
         with readable(path, form.title):
             measured: Measured = import_module(form.module).read(path, options, stack)
-        yield replace(measured, rows=guarded(measured, path, form.title))
+        yield replace(measured, rows=_guarded(measured, path, form.title))

@@ -38,7 +38,7 @@ from wavefocus.storage.units import METRES, require_unit
 _MAGIC = b"\x93NUMPY"
 
 
-def mapped_array(path: Path) -> NDArray[Any]:
+def _mapped_array(path: Path) -> NDArray[Any]:
     """The array of an NPY file, read as it is used; a pickled one is refused."""
     with path.open("rb") as file:
         _, declared = _array_header(file, path)
@@ -58,7 +58,7 @@ def _array_header(file: IO[bytes], path: Path) -> tuple[np.dtype[Any], int]:
     return dtype, int(np.prod([int(extent) for extent in shape], dtype=object)) * dtype.itemsize
 
 
-AXES = ("position", "actuator", "sample")
+_AXES = ("position", "actuator", "sample")
 _OURS = (
     "green", "green_real", "green_imag", "sample_rate_hz", "time_s", "frequency_hz", "band_hz", "response_unit",
     "drive_unit", "status", *(f"position_{unit}" for unit in METRES), *(f"actuator_{unit}" for unit in METRES),
@@ -174,15 +174,15 @@ def ordered(values: Any, path: Path, options: ImportOptions) -> Any:
         raise InputError(
             f"{path}: the responses are not an array of numbers with 2 to 4 axes; (position, actuator, sample)"
         )
-    default = {2: ("position", "sample"), 3: AXES, 4: ("position", "actuator", "direction", "sample")}[values.ndim]
+    default = {2: ("position", "sample"), 3: _AXES, 4: ("position", "actuator", "direction", "sample")}[values.ndim]
     given = {"time": "sample", "frequency": "sample", "tap": "sample"}
     axes = tuple(given.get(axis.strip(), axis.strip()) for axis in options.axes.split(",")) if options.axes else default
-    if len(axes) != values.ndim or len(set(axes)) < len(axes) or not {"sample"} <= set(axes) <= {*AXES, "direction"}:
+    if len(axes) != values.ndim or len(set(axes)) < len(axes) or not {"sample"} <= set(axes) <= {*_AXES, "direction"}:
         raise InputError(
             f"--axes is {options.axes!r}; the {values.ndim} axes of shape {tuple(values.shape)} are needed, of"
             " position, actuator, direction, sample, each once"
         )
-    if axes == AXES:
+    if axes == _AXES:
         return values
     _require_room(path, values.size * values.dtype.itemsize)
     array = np.asarray(values[...])
@@ -191,10 +191,10 @@ def ordered(values: Any, path: Path, options: ImportOptions) -> Any:
         names = [str(index) for index in range(array.shape[axis])]
         array = np.take(array, chosen_direction(options, names, path), axis)
         axes = tuple(name for name in axes if name != "direction")
-    for name in AXES:
+    for name in _AXES:
         if name not in axes:
             array, axes = array[None], (name, *axes)
-    return array.transpose([axes.index(name) for name in AXES])
+    return array.transpose([axes.index(name) for name in _AXES])
 
 
 def _frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64Array:
@@ -209,7 +209,7 @@ def _frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64
         return first + step * np.arange(samples, dtype=np.float64)
     file = options.frequencies
     if file.suffix == ".npy":
-        found = real(mapped_array(file), file, "frequencies").reshape(-1)
+        found = real(_mapped_array(file), file, "frequencies").reshape(-1)
     else:
         content = read_text(file)
         if ";" in content or "\t" in content:  # commas are decimal ones
@@ -323,7 +323,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     with path.open("rb") as file:
         is_array = file.read(len(_MAGIC)) == _MAGIC
     if is_array:
-        return measured_arrays(NamedArrays(path, {"green": mapped_array(path)}.get, ("green",)), options)
+        return measured_arrays(NamedArrays(path, {"green": _mapped_array(path)}.get, ("green",)), options)
     archive = stack.enter_context(zipfile.ZipFile(path))
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
 

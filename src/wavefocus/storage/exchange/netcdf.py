@@ -127,7 +127,7 @@ LONG_NAMES = {
     **{name: about for name, (_, about) in QUALITY.items()},
 }
 
-UDUNITS = {"dB": "0.1 lg(re 1)"}
+_UDUNITS = {"dB": "0.1 lg(re 1)"}
 """Units that the CF conventions write otherwise: UDUNITS-2 knows no decibel."""
 
 
@@ -154,7 +154,7 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
         attach(status, position)
         for name, values in bank.quality.items():
             figures = filled(
-                file, name, values[rows.row].astype("<f4"), UDUNITS.get(QUALITY[name][0], QUALITY[name][0])
+                file, name, values[rows.row].astype("<f4"), _UDUNITS.get(QUALITY[name][0], QUALITY[name][0])
             )
             attach(figures, *(position, actuator)[: figures.ndim])
             file[f"quality/{name}"] = figures

@@ -63,7 +63,7 @@ def _median(figures: np.ndarray) -> str:
 
 _SPHERICAL = ("azimuth_deg", "elevation_deg")
 _SEPARATOR = re.compile(r"\ufeff?sep=([,;\t])\s*")
-WANTED = "x_mm,y_mm[,z_mm] (or _m, _um, _in), or azimuth_deg,elevation_deg,radius_m"
+_WANTED = "x_mm,y_mm[,z_mm] (or _m, _um, _in), or azimuth_deg,elevation_deg,radius_m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Place:
 def read_places(path: Path, options: ImportOptions) -> list[Place]:
     """Read a table with a header line, its columns apart by commas, semicolons or tabs.
 
-    Coordinates are columns named `WANTED`; ``x``, ``y``, ``z`` are in --length-unit. Column ``role`` is ``position``
+    Coordinates are columns named `_WANTED`; ``x``, ``y``, ``z`` are in --length-unit. Column ``role`` is ``position``
     (or empty) or ``actuator``. Where semicolons or tabs are between the columns, numbers may have decimal commas, and
     the first line may name the separator (``sep=;``), as spreadsheets write it.
 
@@ -126,7 +126,7 @@ def read_places(path: Path, options: ImportOptions) -> list[Place]:
     except csv.Error as error:
         raise InputError(f"{path}: is not a CSV table ({error})") from None
     if not any(not place.is_actuator for place in places):
-        raise InputError(f"{path}: holds no position; one line each is needed, with the columns {WANTED}")
+        raise InputError(f"{path}: holds no position; one line each is needed, with the columns {_WANTED}")
     for place in places:
         if not place.is_actuator and not np.isfinite(place.m).all():
             raise InputError(f"{path}: line {place.line}: a position needs all its coordinates")
@@ -144,7 +144,7 @@ def table_of(options: ImportOptions, path: Path, count: int, actuators: int) -> 
     Raises InputError: no table is named, or it has other numbers of positions or actuators.
     """
     if options.places is None:
-        raise InputError(f"{path} holds no places; name a CSV table with --places, with the columns {WANTED}")
+        raise InputError(f"{path} holds no places; name a CSV table with --places, with the columns {_WANTED}")
     places = read_places(options.places, options)
     position_m = coordinates([place for place in places if not place.is_actuator])
     actuator_m = coordinates([place for place in places if place.is_actuator])
@@ -187,7 +187,7 @@ def _columns(header: list[str], path: Path, options: ImportOptions) -> _Columns:
         metres = length_unit(options, path)
         third = named["z"] or ([("z", metres)] if "z" in header else [])
         return _Columns(([("x", metres)], [("y", metres)], third), is_spherical=False)
-    raise InputError(f"{path}: its header is {','.join(header)[:200]!r}; columns {WANTED} are needed")
+    raise InputError(f"{path}: its header is {','.join(header)[:200]!r}; columns {_WANTED} are needed")
 
 
 def _place(columns: _Columns, words: dict[str, str], number_of: _Numbers, line: int) -> Float64Array:

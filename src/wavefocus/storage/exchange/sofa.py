@@ -32,7 +32,7 @@ from wavefocus.storage.hdf5_writing import attach, bare_dimension, created, fill
 from wavefocus.storage.output_files import replacement
 from wavefocus.storage.packing import UnpackedArray
 
-VERSIONS: dict[Convention, str] = {"GeneralFIR-E": "2.0", "SingleRoomMIMOSRIR": "1.0"}
+_VERSIONS: dict[Convention, str] = {"GeneralFIR-E": "2.0", "SingleRoomMIMOSRIR": "1.0"}
 """Conventions of AES69 for one receiver and many emitters at once, and their versions."""
 
 
@@ -84,7 +84,7 @@ def _attributes(rows: ExportedRows) -> dict[str, str]:
         "Conventions": "SOFA",
         "Version": "2.1",
         "SOFAConventions": rows.convention,
-        "SOFAConventionsVersion": VERSIONS[rows.convention],
+        "SOFAConventionsVersion": _VERSIONS[rows.convention],
         "DataType": "FIR-E",
         "RoomType": "reverberant" if "room" in about else "free field",
         "Title": rows.title,
@@ -194,7 +194,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     unit = _UNIT.search(text_attribute(file, "Comment"))
     status = _bank_status(file, counts[0]) if role == "positions" and len(receivers) == 1 else None
     return Measured(
-        rows=values.in_order() if role == "positions" else values.placed(row_of, column_of, counts),
+        rows=values._in_order() if role == "positions" else values.placed(row_of, column_of, counts),
         shape=(*counts, samples),
         position_m=position_m,
         actuator_m=actuator_m,
@@ -355,7 +355,7 @@ class _Responses:
         fractional = bool((delay % 1).any())
         self.extra = int(np.ceil(delay.max())) + (_SINC if fractional else 0)
 
-    def in_order(self) -> Any:
+    def _in_order(self) -> Any:
         """Yield (emitters, samples) of each receiver of each measurement."""
         for number, block in enumerate(self._measurements()):
             for receiver in self._receivers:

@@ -37,7 +37,7 @@ from wavefocus.storage.output_files import replacement
 from wavefocus.storage.units import METRES
 
 TIME_RESPONSE, NORMAL, TIME = 1, 3, 17
-QUANTITIES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
+_QUANTITIES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
 """Numbers of the standard for quantities, where they are in its SI units; 0 is unknown."""
 _EVEN = 1
 _WIDTH = 80
@@ -126,8 +126,8 @@ def _header(rows: ExportedRows, row: int, actuator: int, status: int) -> str:
         f"{_SINGLE if rows.binary else _DOUBLE:10d}{bank.taps:10d}{_EVEN:10d}"
         f"{0:13.5E}{1 / bank.sample_rate_hz:13.5E}{0:13.5E}",
         f"{TIME:10d}{0:5d}{0:5d}{0:5d} {'Time':<20} {'s':<20}",
-        f"{QUANTITIES.get(over, 0):10d}{0:5d}{0:5d}{0:5d} {'Response':<20} {over[:20]:<20}",
-        f"{QUANTITIES.get(under, 0):10d}{0:5d}{0:5d}{0:5d} {'Drive':<20} {under[:20]:<20}",
+        f"{_QUANTITIES.get(over, 0):10d}{0:5d}{0:5d}{0:5d} {'Response':<20} {over[:20]:<20}",
+        f"{_QUANTITIES.get(under, 0):10d}{0:5d}{0:5d}{0:5d} {'Drive':<20} {under[:20]:<20}",
         nothing,
     )
     return _END + "".join(f"{printable(line)}\n" for line in lines)

@@ -61,7 +61,7 @@ class CoordinateSystem:
 
 
 @dataclass(frozen=True, slots=True)
-class SystemRecord:
+class _SystemRecord:
     """A system as a set gives it.
 
     reference: Number of the system that its numbers are in.
@@ -83,12 +83,12 @@ class Node:
     displacement: int = 0
 
 
-def resolve(records: Mapping[int, SystemRecord], number: int, path: Path) -> CoordinateSystem:
+def resolve(records: Mapping[int, _SystemRecord], number: int, path: Path) -> CoordinateSystem:
     """The system of a number, in the file's coordinates.
 
     Raises InputError: no set defines it, or not with three directions at right angles, or systems refer to each other.
     """
-    chain: list[SystemRecord] = []
+    chain: list[_SystemRecord] = []
     while number in records:
         if len(chain) > len(records):
             raise InputError(f"{path}: coordinate system {number} (set 18) refers to itself")
@@ -108,7 +108,7 @@ def resolve(records: Mapping[int, SystemRecord], number: int, path: Path) -> Coo
     return found
 
 
-def _frame(record: SystemRecord, path: Path) -> tuple[Float64Array, Float64Array]:
+def _frame(record: _SystemRecord, path: Path) -> tuple[Float64Array, Float64Array]:
     """Axes and origin of a system in the one that it refers to."""
     table = np.array(record.numbers).reshape(-1, 3)
     if len(table) == 4:
@@ -167,7 +167,7 @@ class Contents:
 
     functions: list[Function] = field(default_factory=list)
     nodes: dict[int, Node] = field(default_factory=dict)
-    systems: dict[int, SystemRecord] = field(default_factory=dict)
+    systems: dict[int, _SystemRecord] = field(default_factory=dict)
     per_metre: float | None = None
     per_newton: float = 1.0
     skipped: dict[int, int] = field(default_factory=dict)
@@ -246,7 +246,7 @@ def _systems(lines: list[bytes], held: Contents, *, matrices: bool) -> None:
         numbers = [word for line in lines[at + 2 : at + 2 + count] for word in _words(line, widths)]
         if len(numbers) != (12 if matrices else 9):
             raise ValueError(f"coordinate system {head[0]} has {len(numbers)} numbers")
-        held.systems[head[0]] = SystemRecord(head[1], 0 if matrices else head[2], tuple(numbers))
+        held.systems[head[0]] = _SystemRecord(head[1], 0 if matrices else head[2], tuple(numbers))
         at += 2 + count
 
 

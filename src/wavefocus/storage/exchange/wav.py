@@ -31,7 +31,7 @@ from wavefocus.storage.exchange.places import Place, coordinates, read_places, t
 from wavefocus.storage.output_files import replaced_folder, require_room
 from wavefocus.storage.text_file import read_regular, read_text
 
-MAX_CHANNELS = 1024
+_MAX_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""
 
 TABLE_NAME, PLACES_NAME = "bank.json", "places.csv"
@@ -49,9 +49,9 @@ def write(folder: Path, rows: ExportedRows, on_progress: OnProgress | None = Non
     """
     bank, per = rows.bank, rows.per
     channels = bank.actuators if per == "position" else len(rows.row)
-    if channels > MAX_CHANNELS:
+    if channels > _MAX_CHANNELS:
         raise InputError(
-            f"{folder}: {channels} channels in a file are too many, {MAX_CHANNELS} are allowed; export some"
+            f"{folder}: {channels} channels in a file are too many, {_MAX_CHANNELS} are allowed; export some"
             " --positions at a time, or one file per position"
         )
     rate_hz = round(bank.sample_rate_hz)
@@ -317,8 +317,8 @@ def _listed(folder: Path, options: ImportOptions) -> _Sounds:
 
 def _channel(line: Place, options: ImportOptions) -> int | None:
     word = line.words.get("channel", "")
-    if word and not (word.isdigit() and 1 <= int(word) <= MAX_CHANNELS):
-        raise InputError(f"{options.places}: line {line.line}: channel is {word!r}; 1 to {MAX_CHANNELS} is needed")
+    if word and not (word.isdigit() and 1 <= int(word) <= _MAX_CHANNELS):
+        raise InputError(f"{options.places}: line {line.line}: channel is {word!r}; 1 to {_MAX_CHANNELS} is needed")
     return int(word) - 1 if word else None
 
 

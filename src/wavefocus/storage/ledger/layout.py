@@ -21,7 +21,7 @@ from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
 
 LEDGER = "/durability/ledger"
 JOURNAL = "/durability/journal"
-NOT_WRITTEN = "it cannot be written into, restore it from a whole copy"
+_NOT_WRITTEN = "it cannot be written into, restore it from a whole copy"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class LedgerLayout:
         if (starts % PAGE).any() or starts[0] < PAGE or (starts[1:] < ends[:-1]).any():
             raise OtherLayoutError(
                 f"{path}: its datasets overlap or do not start on a page: it is damaged, or was copied object by"
-                f" object; " + NOT_WRITTEN
+                f" object; " + _NOT_WRITTEN
             )
         if path.stat().st_size < self.file_bytes:
             raise InputError(f"{path} is truncated: {path.stat().st_size} of {self.file_bytes} bytes; restore a copy")
@@ -147,7 +147,7 @@ def find_layout(
         dataset = hdf5_reading.plain_dataset(file, name, shape=expected)
         found = dataset.id.get_offset()
         if dataset.dtype != np.dtype(dtype) or dataset.chunks or found is None:
-            raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {NOT_WRITTEN}")
+            raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {_NOT_WRITTEN}")
         return int(found)
 
     return LedgerLayout(
@@ -167,7 +167,7 @@ def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count:
     """Where each position of a dataset lies that has a chunk for each."""
     dataset = hdf5_reading.plain_dataset(file, name, shape=(count, *shape.dimensions))
     if dataset.dtype != np.dtype(shape.format.dtype) or dataset.chunks != (1, *shape.dimensions):
-        raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {NOT_WRITTEN}")
+        raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {_NOT_WRITTEN}")
     chunks = np.full(count, -1, np.int64)
 
     def note(chunk: h5py.h5d.StoreInfo) -> None:
@@ -176,7 +176,7 @@ def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count:
 
     dataset.id.chunk_iter(note)
     if dataset.id.get_create_plist().get_nfilters() or (chunks < 0).any():
-        raise OtherLayoutError(f"{path} is damaged: {name} lacks rows or is compressed; {NOT_WRITTEN}")
+        raise OtherLayoutError(f"{path} is damaged: {name} lacks rows or is compressed; {_NOT_WRITTEN}")
     return chunks
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage.durable import PAGE
 
-ROW_VERSION = 1
+_ROW_VERSION = 1
 ROW_HEAD = struct.Struct("<8sIIQII")
 """Name, checksum, version, position, and the two dimensions of the position's data."""
 _CRC_FIELD = slice(8, 12)
@@ -75,12 +75,12 @@ class RowShape:
 
     def row_head(self, position: int) -> bytes:
         """How the ledger row of a position begins."""
-        return ROW_HEAD.pack(self.format.row_name, 0, ROW_VERSION, position, *self.dimensions)
+        return ROW_HEAD.pack(self.format.row_name, 0, _ROW_VERSION, position, *self.dimensions)
 
     def crcs(self, row: Bytes, position: int) -> tuple[int, ...] | None:
         """Checksums of a position's chunks from its ledger row; None when the row does not hold."""
         name, _, version, *place = ROW_HEAD.unpack_from(row)
-        expected = (self.format.row_name, ROW_VERSION, [position, *self.dimensions])
+        expected = (self.format.row_name, _ROW_VERSION, [position, *self.dimensions])
         if (name, version, place) != expected or not _seal_holds(row):
             return None
         return struct.unpack_from(f"<{len(self.format.datasets)}I", row, self.format.crc_at)

@@ -21,8 +21,7 @@ from wavefocus.storage.ledger.layout import has_ledger
 from wavefocus.storage.ledger.pages import ROW_HEAD, Ledger, sealed
 from wavefocus.storage.ledger.reader import DamagedError, LedgerReader
 from wavefocus.storage.ledger.writer import LedgerWriter
-from wavefocus.storage.raw.header import RAW, RawHeader
-from wavefocus.storage.raw.layout import LEAK, create_raw, read_raw_header, read_raw_layout
+from wavefocus.storage.raw.header import LEAK, RAW, RawHeader, create_raw, read_raw_header, read_raw_layout
 
 __all__ = ["DamagedError", "RawFile", "RawWriter", "Recordings", "create_raw", "open_raw"]
 
@@ -58,7 +57,7 @@ class RawFile(Closing):
 
     path: Path
     header: RawHeader
-    rows: RawRows | ForeignRecordings = field(repr=False)
+    rows: RawRows | _ForeignRecordings = field(repr=False)
     leak_db: Float32Array = field(repr=False)
 
     def read(self, position: int) -> Recordings | None:
@@ -122,7 +121,7 @@ def open_raw(path: str | Path) -> RawFile:
             header = read_raw_header(content, path)
             datasets = tuple(hdf5_reading.plain_dataset(content, name) for name in RAW.datasets)
             leak_db = _leak_db(content, header.positions)
-            return RawFile(path, header, ForeignRecordings(path, datasets, stack.pop_all()), leak_db)
+            return RawFile(path, header, _ForeignRecordings(path, datasets, stack.pop_all()), leak_db)
         layout = read_raw_layout(content, path)
         leak_db = _leak_db(content, layout.positions)
     return RawFile(path, layout.header, RawRows(path, layout), leak_db)
@@ -153,7 +152,7 @@ class RawRows(LedgerReader):
         return np.asarray(np.frombuffer(levels, "<u4") != np.frombuffer(self.figure(LEAK), "<u4"))
 
 
-class ForeignRecordings:
+class _ForeignRecordings:
     """Recordings in any layout that HDF5 reads."""
 
     def __init__(self, path: Path, datasets: tuple[h5py.Dataset, ...], stack: ExitStack) -> None:
