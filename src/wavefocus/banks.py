@@ -244,7 +244,7 @@ def export_by_options(
             view, positions, missing_as_nan=missing_as_nan, per=options.per, binary=options.binary,
             convention=options.convention, publication=texts,
         )  # fmt: skip
-        writer = import_module(form.module)
+        writer = import_module(f"wavefocus.storage.exchange.{form.module}")
         names = writer.file_names(rows) if form.folder else [out.name]
         if beside is not None and view.notes:
             names.append(beside.name)

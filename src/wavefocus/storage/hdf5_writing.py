@@ -97,6 +97,13 @@ class _Target(io.RawIOBase):
         self._disk = disk
         self._at = 0
 
+    @contextmanager
+    def _noting(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.failure = self.failure or error
+
     def readable(self) -> bool:
         return True
 
@@ -115,30 +122,24 @@ class _Target(io.RawIOBase):
 
     def truncate(self, size: int | None = None) -> int:
         self.size = self._at if size is None else size
-        try:
+        with self._noting():
             if self.size > self._disk.size():  # what HDF5 has not written yet reads as zeros
                 self._disk.write(self.size - 1, b"\0")
-        except OSError as error:
-            self.failure = self.failure or error
         return self.size
 
     def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
         view = memoryview(buffer).cast("B")
         count = max(0, min(len(view), self.size - self._at))
-        try:
+        view[:count] = bytes(count)
+        with self._noting():
             self._disk.read_into(self._at, view[:count])
-        except OSError as error:
-            self.failure = self.failure or error
-            view[:count] = bytes(count)
         self._at += count
         return count
 
     def write(self, data: bytes | memoryview) -> int:  # type: ignore[override]
         view = memoryview(data).cast("B")
-        try:
+        with self._noting():
             self._disk.write(self._at, view)
-        except OSError as error:
-            self.failure = self.failure or error
         self._at += len(view)
         self.size = max(self.size, self._at)
         return len(view)

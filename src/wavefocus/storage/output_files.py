@@ -22,13 +22,6 @@ _STAGED = "results"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # The metadata of a bank lie in front of its data.
 _HEAD_BYTES = 2 << 20
-_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
 
 
 @contextmanager
@@ -212,7 +205,7 @@ def _require_replaceable(path: Path, inputs: Sequence[Path]) -> bool:
     except FileNotFoundError:
         return False
     if not stat.S_ISREG(mode):
-        kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "not a regular file")
+        kind = "a folder" if stat.S_ISDIR(mode) else "not a regular file"
         raise InputError(f"{path} is {kind}; an output is written to a regular file or a new name")
     for other in inputs:
         if _same(path, other):

@@ -20,12 +20,9 @@ def read_text(path: Path) -> str:
     Raises InputError: the file is missing, not a regular file, not readable, too large or not UTF-8.
     """
     try:
-        if not path.exists():
-            raise InputError(f"{path}: no such file")
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; a text file is needed")
         if not path.is_file():  # a pipe or a device could block for ever or never end
-            raise InputError(f"{path}: is not a regular file; a text file is needed")
+            what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "no such file"
+            raise InputError(f"{path}: {what}; a text file is needed")
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise InputError(f"{path}: has {size} bytes; at most {MAX_BYTES} are read")

@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -127,6 +128,17 @@ class BankHeader:
         return zlib.crc32(np.array(self.check_rows, "<i8").tobytes(), crc)
 
 
+_TEXTS = {
+    "rig": "rig_json", "run": "run_json", **{name: name for name in (
+        "plan_sha256", "software", "response_unit", "drive_unit", "import_report", "origins"
+    )},
+}  # fmt: skip
+"""Attributes with a text, and the fields of `BankHeader` that they hold."""
+_MAY_LACK = ("import_report", "origins")
+_NUMBERS = {
+    "sample_rate_hz": "f8", "band_hz": "f8", "directions_deg": "f8", "check_rows": "i8", "inter_channel_delay_s": "f8",
+}  # fmt: skip
+"""Attributes with numbers, and their types."""
 _FIRST_FIGURES = ("/status", *(f"/quality/{name}" for name in FIRST_QUALITY_NAMES))
 
 
@@ -170,29 +182,14 @@ def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> Ledger
 
 
 def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
-    for name, value in {
-        "format": BANK.name,
-        "format_version": 1,
-        "sample_rate_hz": np.float64(header.sample_rate_hz),
-        "response_unit": header.response_unit,
-        "drive_unit": header.drive_unit,
-        "band_hz": np.array(header.band_hz, np.float64),
-        "rig": header.rig_json,
-        "run": header.run_json,
-        "plan_sha256": header.plan_sha256,
-        "software": header.software,
-    }.items():
-        file.attrs[name] = value
-    if header.directions_deg is not None:
-        file.attrs["directions_deg"] = np.array(header.directions_deg, np.float64)
-    if header.import_report:
-        file.attrs["import_report"] = header.import_report
-    if header.origins:
-        file.attrs["origins"] = header.origins
-    if header.check_rows:
-        file.attrs["check_rows"] = np.array(header.check_rows, np.int64)
-    if header.inter_channel_delay_s is not None:
-        file.attrs["inter_channel_delay_s"] = np.float64(header.inter_channel_delay_s)
+    attributes: dict[str, Any] = {"format": BANK.name, "format_version": 1}
+    attributes |= {name: getattr(header, own) for name, own in _TEXTS.items()}
+    for name, kind in _NUMBERS.items():
+        given = getattr(header, name)
+        attributes[name] = None if given is None or given == () else np.array(given, kind)
+    for name, value in attributes.items():
+        if value is not None and not (name in _MAY_LACK and value == ""):
+            file.attrs[name] = value
     count, actuators, taps = header.positions, header.actuators, header.taps
     position = dimension_scale(file, "position", np.arange(count, dtype="<i4"))
     actuator = dimension_scale(file, "actuator", np.arange(actuators, dtype="<i4"))
@@ -266,11 +263,11 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
     time_s = hdf5_reading.read_floats(file, "/time_s", (taps,))
     low, high = hdf5_reading.numbers(file, "band_hz", 2)
     words = {}
-    for name in ("rig", "run", "plan_sha256", "software", "response_unit", "drive_unit"):
+    for name, own in _TEXTS.items():
         found = hdf5_reading.text(file, name)
-        if found is None:
+        if found is None and name not in _MAY_LACK:
             raise InputError(f"{path} has no attribute {name}")
-        words[{"rig": "rig_json", "run": "run_json"}.get(name, name)] = found
+        words[own] = found or ""
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         counted = sample_times(taps, rate)
     if not np.array_equal(time_s, counted):
@@ -284,8 +281,6 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
             hdf5_reading.read_floats(file, "/actuator_mm", (actuators, 2)),
             **words,
             directions_deg=hdf5_reading.pair(file, "directions_deg"),
-            import_report=hdf5_reading.text(file, "import_report") or "",
-            origins=hdf5_reading.text(file, "origins") or "",
             check_rows=read_check_rows(file, positions),
             inter_channel_delay_s=(
                 hdf5_reading.number(file, "inter_channel_delay_s") if "inter_channel_delay_s" in file.attrs else None

@@ -14,8 +14,8 @@ CSV_NOTES = "-metadata.json"
 class ExportFormat:
     """A format that ``wavefocus export --to`` writes.
 
-    module: Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)``
-        and ``older_files(folder)`` too.
+    module: Module of this package with ``write(path, rows, on_progress)``; one that writes a folder has
+        ``file_names(rows)`` and ``older_files(folder)`` too.
     title: The format's name in the command's help.
     suffix: Ending of its files' names.
     folder: It writes a folder of files instead of one file.
@@ -35,15 +35,13 @@ class ExportFormat:
 
 
 EXPORTS = {
-    "sofa": ExportFormat("wavefocus.storage.exchange.sofa", "SOFA", ".sofa", value_bytes=8),
-    "uff": ExportFormat("wavefocus.storage.exchange.uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
-    "wav": ExportFormat("wavefocus.storage.exchange.wav", "WAV", ".wav", folder=True, holds_nan=False),
-    "mat": ExportFormat("wavefocus.storage.exchange.mat", "MATLAB", ".mat"),
-    "npz": ExportFormat("wavefocus.storage.exchange.named_arrays", "NumPy", ".npz"),
-    "netcdf": ExportFormat("wavefocus.storage.exchange.netcdf", "netCDF", ".nc"),
-    "csv": ExportFormat(
-        "wavefocus.storage.exchange.places", "a table of positions", ".csv", value_bytes=0, notes_ending=CSV_NOTES
-    ),
+    "sofa": ExportFormat("sofa", "SOFA", ".sofa", value_bytes=8),
+    "uff": ExportFormat("uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
+    "wav": ExportFormat("wav", "WAV", ".wav", folder=True, holds_nan=False),
+    "mat": ExportFormat("mat", "MATLAB", ".mat"),
+    "npz": ExportFormat("named_arrays", "NumPy", ".npz"),
+    "netcdf": ExportFormat("netcdf", "netCDF", ".nc"),
+    "csv": ExportFormat("places", "a table of positions", ".csv", value_bytes=0, notes_ending=CSV_NOTES),
 }
 
 
@@ -51,8 +49,8 @@ EXPORTS = {
 class ImportFormat:
     """A format that ``wavefocus import --from`` reads.
 
-    module: Module with ``read(path, options, stack)``, of which the `ExitStack` closes what stays open; returns
-        `wavefocus.storage.exchange.measured.Measured`.
+    module: Module of this package with ``read(path, options, stack)``, of which the `ExitStack` closes what stays open;
+        returns `wavefocus.storage.exchange.measured.Measured`.
     title: The format's name in the command's help and in messages.
     options: Options of the command that concern some formats, and this one.
     starts: How a file of the format begins.
@@ -69,27 +67,15 @@ class ImportFormat:
 _ARRAYS = ("direction", "axes", "names", "frequencies")
 
 IMPORTS = {
-    "sofa": ImportFormat(
-        "wavefocus.storage.exchange.sofa", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)
-    ),
+    "sofa": ImportFormat("sofa", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)),
     "uff": ImportFormat(
-        "wavefocus.storage.exchange.uff",
-        "a universal file",
-        ("direction",),
-        (b"    -1\n", b"    -1\r\n"),
-        (".uff", ".unv", ".uf"),
+        "uff", "a universal file", ("direction",), (b"    -1\n", b"    -1\r\n"), (".uff", ".unv", ".uf")
     ),
-    "mat": ImportFormat(
-        "wavefocus.storage.exchange.mat", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)
-    ),
-    "npz": ImportFormat("wavefocus.storage.exchange.named_arrays", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
-    "npy": ImportFormat(
-        "wavefocus.storage.exchange.named_arrays", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)
-    ),
-    "netcdf": ImportFormat(
-        "wavefocus.storage.exchange.netcdf", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
-    ),
-    "wav": ImportFormat("wavefocus.storage.exchange.wav", "a folder of WAV files"),
+    "mat": ImportFormat("mat", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)),
+    "npz": ImportFormat("named_arrays", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
+    "npy": ImportFormat("named_arrays", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
+    "netcdf": ImportFormat("netcdf", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")),
+    "wav": ImportFormat("wav", "a folder of WAV files"),
 }
 SOME_FORMATS = frozenset(option for form in IMPORTS.values() for option in form.options)
 """Options that concern only some formats."""

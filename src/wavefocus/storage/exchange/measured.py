@@ -220,5 +220,5 @@ def opened(path: Path, kind: str, options: ImportOptions) -> Iterator[Measured]:
         raise InputError(f"{path} is not a folder; --from wav needs a folder of WAV files")
     with ExitStack() as stack:
         with readable(path, form.title):
-            measured: Measured = import_module(form.module).read(path, options, stack)
+            measured: Measured = import_module(f"wavefocus.storage.exchange.{form.module}").read(path, options, stack)
         yield replace(measured, rows=_guarded(measured, path, form.title))

@@ -2,7 +2,6 @@
 
 import re
 from contextlib import ExitStack
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -125,20 +124,6 @@ _AXES = {"FIR": "mrn", "FIR-E": "mrne", "FIRE": "mren", "TF": "mrn", "TF-E": "mr
 _UNIT = re.compile(r"Data\.IR is in ([^,;]+)")
 
 
-@dataclass(frozen=True, slots=True)
-class _Places:
-    """Places of one role, one set per measurement.
-
-    m, float64 (M or 1, count, 3): In metres; NaN where they are not places.
-    """
-
-    m: Float64Array
-    varies: bool
-
-    def of(self, measurement: int) -> Float64Array:
-        return np.asarray(self.m[measurement if len(self.m) > 1 else 0])
-
-
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     """Read responses from emitters to receivers.
 
@@ -156,22 +141,24 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         name = "Data.Real" if is_spectrum else "Data.IR"
         raise InputError(f"{path}: {name} has shape {shape}; ({', '.join(axes.upper())}) is needed")
     size = {axis: int(count) for axis, count in zip(axes, shape, strict=True)} | ({} if "e" in axes else {"e": 1})
-    listener = _places(file, "Listener", "Receiver", size["r"], size["m"], path)
-    source = _places(file, "Source", "Emitter", size["e"], size["m"], path)
+    listener, listener_varies = _places(file, "Listener", "Receiver", size["r"], size["m"], path)
+    source, source_varies = _places(file, "Source", "Emitter", size["e"], size["m"], path)
     read = [
         f"convention {text_attribute(file, 'SOFAConventions')[:40]}, DataType {data_type}: {size['m']} measurements,"
         f" {size['r']} receivers, {size['e']} emitters, {size['n']} samples"
     ]
     receivers = np.arange(size["r"])
-    if options.direction or (size["r"] > 1 and np.isnan(listener.m).any()):
+    if options.direction or (size["r"] > 1 and np.isnan(listener).any()):
         names = [str(index) for index in range(size["r"])]
         receivers = np.array([chosen_direction(options, names, path)])
         read.append(f"only receiver {receivers[0]}")
-        listener = _Places(_alone(listener.m[:, receivers], file, path), listener.varies)
-    role = options.measurements or ("pairs" if source.varies else "positions")
-    if source.varies and not listener.varies and not options.measurements:
-        role = "actuators"
-    row_of, column_of, position_m, actuator_m = _numbering(role, size["m"], listener, source)
+        listener = listener[:, receivers]
+        if not np.isfinite(listener).all():  # spherical harmonics have no place of their own: the listener's
+            centre = _coordinates(file, "ListenerPosition", path)[0][:, None]
+            listener = np.broadcast_to(centre, listener.shape)
+    role = "positions" if not source_varies else "pairs" if listener_varies else "actuators"
+    role = options.measurements or role
+    row_of, column_of, position_m, actuator_m = _numbering(role, listener, source)
     read.append(f"measurements count {role}; positions are receivers, actuators are emitters")
     delay = _delay(file, size, path)
     values = _Responses(path, datasets, axes, receivers, delay)
@@ -216,8 +203,13 @@ def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset | UnpackedAr
     return found if packing.is_plain else UnpackedArray(found, packing)
 
 
-def _places(file: h5py.File, body: str, part: str, count: int, measurements: int, path: Path) -> _Places:
-    """Places of receivers (or emitters), which are relative to the listener (or source) and turn with it."""
+def _places(
+    file: h5py.File, body: str, part: str, count: int, measurements: int, path: Path
+) -> tuple[Float64Array, bool]:
+    """Places of receivers (or emitters), which are relative to the listener (or source) and turn with it.
+
+    In metres (M, count, 3), NaN where they are not places; and whether they differ between measurements.
+    """
     centre, _ = _coordinates(file, f"{body}Position", path)
     own, is_place = _coordinates(file, f"{part}Position", path)
     view, up = _axes_of(file, body, path)
@@ -239,8 +231,9 @@ def _places(file: h5py.File, body: str, part: str, count: int, measurements: int
     varies = bool(rows > 1 and (placed.max(axis=0) - placed.min(axis=0) > 1e-9).any())
     # Emitters that all lie at one unknown place are distinguished only by their number.
     if not is_place or (count > 1 and own.shape[0] == 1):
-        return _Places(np.full((1, count, 3), np.nan), varies=False)
-    return _Places(placed, varies or (rows > 1 and len(view) > 1 and bool(np.ptp(view, axis=0).any())))
+        return np.full((measurements, count, 3), np.nan), False
+    turns = rows > 1 and len(view) > 1 and bool(np.ptp(view, axis=0).any())
+    return np.broadcast_to(placed, (measurements, count, 3)), varies or turns
 
 
 def _coordinates(file: h5py.File, name: str, path: Path) -> tuple[Float64Array, bool]:
@@ -289,26 +282,17 @@ def _axes_of(file: h5py.File, body: str, path: Path) -> tuple[Float64Array, Floa
     return ahead, above
 
 
-def _alone(places_m: Float64Array, file: h5py.File, path: Path) -> Float64Array:
-    """Places of one receiver; those of the listener where it has no place of its own (spherical harmonics)."""
-    if np.isfinite(places_m).all():
-        return places_m
-    return _coordinates(file, "ListenerPosition", path)[0][:, None]
-
-
 def _numbering(
-    role: str, measurements: int, listener: _Places, source: _Places
+    role: str, listener: Float64Array, source: Float64Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64Array, Float64Array]:
     """Row of each (measurement, receiver), column of each (measurement, emitter), and the places of both."""
-    receivers, emitters = listener.m.shape[1], source.m.shape[1]
-    every = range(measurements)
-    where = np.array([listener.of(measurement) for measurement in every]).reshape(-1, 3)
-    driven = np.array([source.of(measurement) for measurement in every]).reshape(-1, 3)
+    measurements, receivers, emitters = len(listener), listener.shape[1], source.shape[1]
+    where, driven = listener.reshape(-1, 3), source.reshape(-1, 3)
     if role == "positions":
         rows, position_m = np.arange(measurements * receivers), where
-        columns, actuator_m = np.tile(np.arange(emitters), measurements), source.of(0)
+        columns, actuator_m = np.tile(np.arange(emitters), measurements), source[0]
     elif role == "actuators":
-        rows, position_m = np.tile(np.arange(receivers), measurements), listener.of(0)
+        rows, position_m = np.tile(np.arange(receivers), measurements), listener[0]
         columns, actuator_m = np.arange(measurements * emitters), driven
     else:
         rows, position_m = distinct(where)

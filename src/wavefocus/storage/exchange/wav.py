@@ -4,18 +4,17 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import soundfile
-from numpy.typing import NDArray
 
 from wavefocus.options import ImportOptions
-from wavefocus.storage.bank.notes import Note, notes_of
+from wavefocus.storage.bank.notes import notes_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
@@ -146,24 +145,8 @@ def _known(place_mm: Any) -> list[float] | None:
     return [float(coordinate) for coordinate in place_mm] if np.isfinite(place_mm).all() else None
 
 
-@dataclass(frozen=True, slots=True)
-class _Sounds:
-    """Channels of files and the pair (position, actuator) that each one holds.
-
-    channels: (file, channel from 0, or None of a file with one, position, actuator).
-    checksums: SHA-256 of files by name, where the folder states them.
-    notes: Those of the bank that was exported.
-    """
-
-    channels: list[tuple[str, int | None, int, int]]
-    position_m: Float64Array
-    actuator_m: Float64Array
-    unit: str = ""
-    scale: float = 1.0
-    band_hz: tuple[float, float] | None = None
-    status: NDArray[np.uint8] | None = None
-    checksums: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[Note, ...] = ()
+_Channels = list[tuple[str, int | None, int, int]]
+"""File, channel from 0, or None of a file with one, and the pair (position, actuator) that it holds."""
 
 
 def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
@@ -173,19 +156,21 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     and ``actuator``, the actuator's name. Without that column the channels of a file are the actuators. Lines with the
     role ``actuator`` give their places.
     """
-    exported = _exported(folder) if (folder / TABLE_NAME).is_file() else None
-    sounds = exported if exported and options.places is None else _listed(folder, options)
+    exported = (folder / TABLE_NAME).is_file()
+    measured = Measured((), (0, 0, 0), np.empty((0, 3)), np.empty((0, 3)))
+    checksums, scale = dict[str, str](), 1.0
     if exported:
-        sounds = replace(
-            sounds, unit=exported.unit, scale=exported.scale, band_hz=exported.band_hz, checksums=exported.checksums
-        )
+        channels, measured, checksums, scale = _exported(folder)
+    if options.places is not None or not exported:
+        channels, position_m, actuator_m = _listed(folder, options)
+        measured = replace(measured, position_m=position_m, actuator_m=actuator_m, status=None)
     files: dict[str, list[tuple[int | None, int, int]]] = {}
-    for file, channel, position, actuator in sounds.channels:
+    for file, channel, position, actuator in channels:
         files.setdefault(file, []).append((channel, position, actuator))
-    shape = (len(sounds.position_m), len(sounds.actuator_m))
+    shape = (len(measured.position_m), len(measured.actuator_m))
     paths = {name: _inside(folder, name) for name in files}
-    for name in paths.keys() & sounds.checksums.keys():
-        if _checksum_of(paths[name]) != sounds.checksums[name]:
+    for name in paths.keys() & checksums.keys():
+        if _checksum_of(paths[name]) != checksums[name]:
             raise InputError(
                 f"{paths[name]} is not the file that {TABLE_NAME} describes (sha256); export the bank again, or restore"
                 " the folder"
@@ -212,26 +197,19 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
                 raise InputError(f"{paths[name]} has {info.channels} channels, and {(channel or 0) + 1} is asked for")
             if not np.isnan(green[position, actuator, 0]):
                 raise InputError(f"{paths[name]}: a second response of position {position} to actuator {actuator}")
-            green[position, actuator, : len(sound)] = sound[:, channel or 0] * np.float32(sounds.scale)
+            green[position, actuator, : len(sound)] = sound[:, channel or 0] * np.float32(scale)
             green[position, actuator, len(sound) :] = 0.0
-    unverified: tuple[str, ...] = ()
-    if exported and (count := len(paths.keys() - sounds.checksums.keys())):
-        unverified = (f"{count} sound files without a checksum are those that {TABLE_NAME} describes",)
-    missing = np.isnan(green[:, :, 0])
-    partly = missing.any(axis=1)
+    unverified = len(paths.keys() - checksums.keys()) if exported else 0
+    partly = np.isnan(green[:, :, 0]).any(axis=1)
     green[partly] = np.nan
-    return Measured(
+    without = f"{unverified} sound files without a checksum are those that {TABLE_NAME} describes"
+    return replace(
+        measured,
         rows=green,
         shape=(*shape, samples),
-        position_m=sounds.position_m,
-        actuator_m=sounds.actuator_m,
-        unit=sounds.unit,
         sample_rate_hz=float(rates[0]),
-        band_hz=sounds.band_hz,
-        status=sounds.status,
-        notes=exported.notes if exported else (),
         read=(f"{len(files)} sound files of up to {samples} samples ({', '.join(kinds)})",),
-        assumed=unverified,
+        assumed=(without,) if unverified else (),
         left_out=(f"{int(partly.sum())} positions without a response to every actuator",) if partly.any() else (),
     )
 
@@ -247,8 +225,8 @@ def _info(path: Path) -> Any:
         ) from None
 
 
-def _exported(folder: Path) -> _Sounds:
-    """The description that our own export writes."""
+def _exported(folder: Path) -> tuple[_Channels, Measured, dict[str, str], float]:
+    """What our own export says of its files: channels, all but the sound, SHA-256 by file, factor on the samples."""
     table = folder / TABLE_NAME
     try:
         facts = json.loads(read_text(table))
@@ -260,7 +238,7 @@ def _exported(folder: Path) -> _Sounds:
     position_mm = np.array(facts["position_mm"], np.float64).reshape(-1, 2)
     known_mm = [place_mm or [np.nan, np.nan] for place_mm in facts["actuator_mm"]]
     actuator_mm = np.array(known_mm, np.float64).reshape(-1, 2)
-    channels: list[tuple[str, int | None, int, int]] = []
+    channels: _Channels = []
     for number, entry in enumerate(facts["files"]):
         for channel in range(len(actuator_mm) if per_position else len(position_mm)):
             pair = (number, channel) if per_position else (channel, number)
@@ -269,21 +247,22 @@ def _exported(folder: Path) -> _Sounds:
     scale, status = float(facts["scale"]), np.array(facts["status"], np.int64)
     if not (math.isfinite(scale) and len(status) == len(position_mm) and np.isin(status, np.arange(32)).all()):
         raise InputError(f"{table} is damaged: its scale or status is none")
-    return _Sounds(
-        channels,
+    measured = Measured(
+        (),
+        (0, 0, 0),
         with_z(position_mm / 1e3),
         with_z(actuator_mm / 1e3),
         stated_unit(str(facts["unit"]), str(facts.get("drive_unit", "")), table),
-        scale,
-        None if band is None else (float(band[0]), float(band[1])),
-        status.astype(np.uint8),
-        {str(entry["file"]): str(entry["sha256"]) for entry in facts["files"] if "sha256" in entry},
-        notes_of(str((facts.get("publication") or {}).get("notes", ""))),
+        band_hz=None if band is None else (float(band[0]), float(band[1])),
+        status=status.astype(np.uint8),
+        notes=notes_of(str((facts.get("publication") or {}).get("notes", ""))),
     )
+    checksums = {str(entry["file"]): str(entry["sha256"]) for entry in facts["files"] if "sha256" in entry}
+    return channels, measured, checksums, scale
 
 
-def _listed(folder: Path, options: ImportOptions) -> _Sounds:
-    """The files that a table of places names."""
+def _listed(folder: Path, options: ImportOptions) -> tuple[_Channels, Float64Array, Float64Array]:
+    """The files that a table of places names: channels, places of positions and of actuators in metres."""
     if options.places is None:
         raise InputError(
             f"{folder} needs a CSV table with --places: a line per sound file with the columns file,x_m,y_m[,z_m] and,"
@@ -296,7 +275,7 @@ def _listed(folder: Path, options: ImportOptions) -> _Sounds:
     names = list(dict.fromkeys([*named, *(line.words.get("actuator", "") for line in lines)]))
     number_of = {name: number for number, name in enumerate(names)}
     channels_of: dict[str, int] = {}
-    channels: list[tuple[str, int | None, int, int]] = []
+    channels: _Channels = []
     for line, position in zip(lines, position_of.tolist(), strict=True):
         name, word = line.words.get("file", ""), line.words.get("channel", "")
         if not name:
@@ -312,7 +291,7 @@ def _listed(folder: Path, options: ImportOptions) -> _Sounds:
     count = max(channel[3] for channel in channels) + 1
     unknown = np.full(3, np.nan)
     known = [named.get(name, unknown) for name in names] if any(names) else list(named.values())
-    return _Sounds(channels, position_m, np.array([*known, *[unknown] * count][: max(count, len(named))]))
+    return channels, position_m, np.array([*known, *[unknown] * count][: max(count, len(named))])
 
 
 def _channel(line: Place, options: ImportOptions) -> int | None:
