@@ -27,7 +27,7 @@ from wavefocus.storage.bank.reading import Bank, Origin, open_bank, origins_of
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs
-from wavefocus.storage.raw.layout import create_raw
+from wavefocus.storage.raw.header import create_raw
 from wavefocus.storage.raw.writer import RawFile, RawWriter, open_raw
 
 STEP_MM = 1e-6

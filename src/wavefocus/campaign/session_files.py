@@ -30,7 +30,7 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import ExistsError, InputError
-from wavefocus.storage.raw.layout import create_raw
+from wavefocus.storage.raw.header import create_raw
 from wavefocus.storage.raw.writer import RawWriter
 
 
