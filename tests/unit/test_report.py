@@ -71,12 +71,12 @@ def test_given_a_good_scan_then_the_report_passes_and_holds_all_its_pictures(goo
     assert "✗" not in html
     assert "hours simulated" in html
     pictures = images_of(html)
-    assert len(pictures) == html.count("<img ") == 9
+    assert len(pictures) == html.count("<img ") == 7
     for picture, width in zip(pictures, re.findall(r'<img [^>]*width="(\d+)"', html), strict=True):
         assert picture.width == 2 * int(width)
         assert np.count_nonzero(picture.convert("L").histogram()) > 3
     assert good_report.stat().st_size < 3_000_000
-    drawn = ("path", "snapshots", "waveforms", "positions", "snr", "error", "gain", "drive", "waves")
+    drawn = ("path", "snapshots", "waveforms", "error", "gain", "drive", "waves")
     assert {path.stem for path in good_report.parent.glob("*.png")} == set(drawn)
     assert "<h2>Drift</h2>" not in html
 
@@ -110,7 +110,7 @@ def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_t
     html = flawed_report.read_text(encoding="utf-8")
     assert "✗ Failed" in html
     assert "all frequencies" in html
-    assert "crosses: the 4 scanned position(s)" in html
+    assert "Crosses: the 4 scanned position(s)" in html
     assert "wavefocus remeasure" in html
     assert "<h2>Drift</h2>" in html
     assert flawed_report.with_name("drift.png").read_bytes().startswith(b"\x89PNG")

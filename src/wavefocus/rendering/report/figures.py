@@ -27,7 +27,6 @@ from wavefocus.rendering.report.canvas import (
     draw_surface,
     drawn_in_style,
 )
-from wavefocus.storage.bank.ledger import STATUS_WORDS, Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,34 +36,7 @@ if TYPE_CHECKING:
 PREDICTION = "#f0b440"
 SCAN = "#0b3c5d"
 MAP_TOP_PX = 8
-# Okabe & Ito's colours, for the colour-blind; the darker ones are for faults.
-STATUS_COLOURS = {
-    "valid": "#56b4e9",
-    "not-measured": "#d9d9d9",
-    "over-range": "#e69f00",
-    "poor": "#cc79a7",
-    "failed": "#d55e00",
-    "disabled": "#7f7f7f",
-}
-
-
-@drawn_in_style
-def status_map(surface: ReportSurface, rows: Int64Array, status: NDArray[np.uint8], crossed: Int64Array) -> Picture:
-    """Positions coloured by status, with the number of each; some crossed out."""
-    from matplotlib.patches import Patch
-
-    canvas, axes = _single_map("positions", surface)
-    keys = []
-    # The gravest bit last, so that it is on top.
-    for word in ("valid", "not-measured", "disabled", "poor", "over-range", "failed"):
-        bit = STATUS_WORDS[word]
-        there = (status == 0) if bit == Status.NOT_MEASURED else (status & bit) != 0
-        if there.any():
-            draw_cells(axes, surface, rows[there], colour=STATUS_COLOURS[word])
-            keys.append(Patch(color=STATUS_COLOURS[word], label=f"{word} ({np.count_nonzero(there)})"))
-    axes.plot(*surface.position_mm[crossed].T, "x", ms=4, mec=INK, mew=0.9, zorder=6)
-    canvas.legend(keys, 56 + 480 / 2, MAP_TOP_PX + surface.height_px(480) + 46, 3)
-    return canvas.picture()
+UNKNOWN = "#d9d9d9"
 
 
 @drawn_in_style
@@ -76,18 +48,20 @@ def value_map(
     label: str,
     *,
     colours: str = "viridis",
+    crossed: Sequence[int] | Int64Array = (),
 ) -> Picture:
-    """Positions coloured by a figure; those without one stay grey."""
+    """Positions coloured by a figure; those without one stay grey, some are crossed out."""
     canvas, axes = _single_map(name, surface)
     known = np.isfinite(values)
     if not known.all():
-        draw_cells(axes, surface, rows[~known], colour=STATUS_COLOURS["not-measured"])
+        draw_cells(axes, surface, rows[~known], colour=UNKNOWN)
     if known.any():
         low, high = _limits(values[known])
         cells = draw_cells(axes, surface, rows[known], values[known], colours=colours, limits=(low, high))
         outside = bool(np.any((values[known] < low) | (values[known] > high)))
         place_px = (56 + 80, MAP_TOP_PX + surface.height_px(480) + 50, 320, 10)
         canvas.colour_bar(cells, place_px, label, extend="both" if outside else "neither")
+    axes.plot(*surface.position_mm[np.asarray(crossed, np.int64)].T, "x", ms=4, mec=INK, mew=0.9, zorder=6)
     return canvas.picture()
 
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.run import DriftLimits
-from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, median_or_none
 from wavefocus.rendering.greens.regularisation import focus_gain_map
@@ -102,7 +101,6 @@ def _pictures(
     every_row = np.arange(len(surface.position_mm))
     has_foci = len(fields.instant) > 0 and bool(np.any(fields.predicted_snapshot))
     chosen = evenly_spread(len(fields.instant), 6)
-    snr_rows, snr_db, snr_caption = _signal_to_noise(verification, bank, every_row)
     with np.errstate(divide="ignore", invalid="ignore"):
         error_db = 20.0 * np.log10(fields.position_error)
         gain_db = 20.0 * np.log10(gain / np.nanmedian(gain))
@@ -111,40 +109,27 @@ def _pictures(
         "path": report_figures.path_map(surface, fields) if has_foci else None,
         "snapshots": report_figures.snapshots(surface, fields, chosen) if has_foci else None,
         "waveforms": report_figures.waveforms(surface, fields) if len(fields.waveform_index) else None,
-        "positions": report_figures.status_map(surface, every_row, np.asarray(bank.status), excluded),
-        "snr": report_figures.value_map("snr", surface, snr_rows, snr_db, "signal-to-noise ratio (dB)"),
         "error": report_figures.value_map(
-            "error", surface, fields.position_index, error_db, "normalised error (dB)", colours="cividis"
+            "error",
+            surface,
+            fields.position_index,
+            error_db,
+            "normalised error (dB)",
+            colours="cividis",
+            crossed=excluded,
         ),
         "gain": report_figures.value_map("gain", surface, every_row, gain_db, "n(x) over its median (dB)"),
         "drive": report_figures.drive_levels(drive.drive_v),
     }
     captions = {
-        "positions_caption": "Status of each position in the bank"
-        + (f"; crosses: the {excluded.size} scanned position(s) that were not compared." if excluded.size else "."),
-        "snr_caption": snr_caption,
+        "error_caption": "Normalised error at each position. It grows where the field is weak, because noise does not."
+        + (f" Crosses: the {excluded.size} scanned position(s) that were not compared." if excluded.size else ""),
         "gain_caption": "Normalisation factor n(x) of equation 15: how much louder the drive must be for an equal"
         f" focus. Range {number(metrics.range_db(gain), 'dB')} (20 lg of largest over smallest).",
         "drive_caption": "Rms of each actuator's drive over its whole length, relative to the largest. "
         f"Peak {number(float(np.max(np.abs(drive.drive_v), initial=0.0)), drive.drive_unit)} at any actuator.",
     }
     return pictures, captions
-
-
-def _signal_to_noise(
-    verification: Verification, bank: GreenSource, every_row: Int64Array
-) -> tuple[Int64Array, NDArray[np.floating[Any]], str]:
-    """The bank's own figure where it has one, else the scan's."""
-    quality: Mapping[str, NDArray[np.floating[Any]]] = getattr(bank, "quality", {})
-    if "snr_db" in quality:
-        measured = np.asarray(quality["snr_db"], np.float64).reshape(len(every_row), -1)
-        unknown = ~np.isfinite(measured).any(axis=1)
-        snr_db = np.full(len(every_row), np.nan)
-        snr_db[~unknown] = np.nanmedian(measured[~unknown], axis=1)
-        return every_row, snr_db, "Signal-to-noise ratio in the bank: median over actuators at each position."
-    fields = verification.fields
-    caption = "Signal-to-noise ratio of the scan at each position, within the band."
-    return fields.position_index, fields.position_snr_db, caption
 
 
 def _facts(

@@ -97,14 +97,6 @@ class FieldComparison:
         """Median over positions of the correlation at each."""
         return float(np.nanmedian(self.position_correlation))
 
-    @property
-    def position_snr_db(self) -> Float64Array:
-        """Scan over its noise at each position in dB, noise power taken off the scan's; NaN where unknown."""
-        noise = self.position_noise**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.maximum(self.position_scanned**2 - noise, 1e-3 * noise) / noise
-            return np.asarray(10.0 * np.log10(ratio))
-
 
 def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: GreenSource) -> FieldComparison:
     """Compare fields where both have positions, the record is sound and the bank's row is valid.

@@ -1,5 +1,6 @@
 """Kernel interpolation: rows at further places, from the positions around them, and errors by leaving positions out."""
 
+import hashlib
 from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
@@ -261,8 +262,7 @@ class KernelInterpolation(PathInterpolation):
         self.grid_row = np.flatnonzero(allowed).astype(np.int64)
         values = _RowValues(bank, _bands_hz(bank, self.neighbourhoods))
         patches = self._patches(around_mm)
-        with one_blas_thread():
-            self.waves = fit_waves(patches, values.frequency_hz, values.of, self.neighbourhoods.spacing_mm)
+        self.waves = _fitted(patches, values, self.neighbourhoods.spacing_mm)
         if self.waves.doubtful_hz:
             at = ", ".join(f"{hz:.3g}" for hz in self.waves.doubtful_hz)
             self.remarks = (f"the bank says little of the waves at {at} Hz; their wave numbers follow from the others",)
@@ -310,6 +310,24 @@ class KernelInterpolation(PathInterpolation):
         patches = [patch for patch in patches if patch.key in common]
         chosen = evenly_spread(len(patches), 24)
         return [patches[index] for index in chosen]
+
+
+_fits: dict[bytes, WaveModel] = {}
+"""Waves of this process by all that they depend on: renders of the same paths share them."""
+
+
+@one_blas_thread()
+def _fitted(patches: Sequence[Patch], values: _RowValues, spacing_mm: float) -> WaveModel:
+    digest = hashlib.sha256(np.append(values.frequency_hz, spacing_mm).tobytes())
+    for patch in patches:
+        digest.update(patch.offset_mm.tobytes())
+        digest.update(values.of(patch.rows).tobytes())
+    key = digest.digest()
+    if key not in _fits:
+        while len(_fits) >= 32:
+            del _fits[next(iter(_fits))]
+        _fits[key] = fit_waves(patches, values.frequency_hz, values.of, spacing_mm)
+    return _fits[key]
 
 
 def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array:
