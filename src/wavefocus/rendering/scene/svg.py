@@ -15,13 +15,15 @@ from wavefocus.rendering.scene.paths import DrawnPath, PointMm, check_point
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_regular
 
-_ARGUMENTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
-_NUMBER = re.compile(r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
-_FLAG = re.compile(r"[\s,]*([01])")
-_COMMAND = re.compile(r"[\s,]*([A-Za-z])")
-_END = re.compile(r"[\s,]*\Z")
-MAX_POINTS = 10**6
-MAX_COORDINATE = 1e100
+_NUMBER, _FLAG = r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", r"[\s,]*([01])"
+_COUNTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "Z": 0}
+_ARGUMENTS = {kind: re.compile(_NUMBER * count) for kind, count in _COUNTS.items()} | {
+    "A": re.compile(_NUMBER * 3 + _FLAG * 2 + _NUMBER * 2)
+}
+_COMMAND = re.compile(r"[\s,]*([A-Za-z]?)")
+_TRANSFORM = re.compile(r"[\s,]*(\w+)\s*\(([^)]*)\)[\s,]*")
+MAX_BYTES, MAX_POINTS = 16 * 2**20, 10**6
+MAX_COORDINATE = MAX_SCALE = 1e100
 """Squares and cubes of coordinates must stay within the range of numbers."""
 
 
@@ -30,48 +32,33 @@ def flatten(data: str, tolerance: float) -> list[Float64Array]:
 
     Raises InputError: the data does not follow the path grammar, is empty, or makes too many points.
     """
-    pen = _Pen(tolerance)
-    at, command = 0, ""
-    while not _END.match(data, at):
+    pen, command, at, data = _Pen(tolerance), "", 0, data.rstrip(" \t\r\n\f\v,")
+    while at < len(data):
         match = _COMMAND.match(data, at)
-        if match:
+        assert match is not None  # it may be empty
+        if match[1] or command in "Zz":
             command, at = match[1], match.end()
-            if command.upper() not in _ARGUMENTS:
-                raise InputError(f"the path data has the unknown command {command!r}")
-        elif not command or command in "Zz":
-            raise InputError(f"the path data goes wrong at {data[at : at + 20]!r}; a command is expected")
-        values, at = _arguments(data, at, command)
+        arguments = _ARGUMENTS[command.upper()].match(data, at) if command.upper() in _ARGUMENTS else None
+        values = [float(one) for one in arguments.groups()] if arguments else []
+        if arguments is None or any(abs(value) > MAX_COORDINATE for value in values):
+            raise InputError(
+                f"the path data goes wrong at {data[at : at + 20]!r}, command {command!r}; SVG's commands with their"
+                f" numbers are expected, up to {MAX_COORDINATE:g}"
+            )
         pen.draw(command, values)
-        command = {"M": "L", "m": "l"}.get(command, command)
-    strokes = [np.array(stroke) for stroke in pen.strokes if stroke]
-    if len(strokes) > 1:
-        strokes = [stroke for stroke in strokes if len(stroke) > 1] or strokes[:1]
+        command, at = {"M": "L", "m": "l"}.get(command, command), arguments.end()
+    strokes = [np.array(stroke).view(np.float64).reshape(-1, 2) for stroke in pen.strokes]
     if not strokes:
         raise InputError("the path data is empty; it must begin with M")
-    return strokes
-
-
-def _arguments(data: str, at: int, command: str) -> tuple[list[float], int]:
-    values: list[float] = []
-    for index in range(_ARGUMENTS[command.upper()]):
-        pattern = _FLAG if command in "Aa" and index in (3, 4) else _NUMBER
-        match = pattern.match(data, at)
-        if match is None:
-            raise InputError(f"the path data goes wrong at {data[at : at + 20]!r}; {command} expects a number")
-        values.append(float(match[1]))
-        if abs(values[-1]) > MAX_COORDINATE:
-            raise InputError(f"the path data has the number {match[1][:20]}; at most {MAX_COORDINATE:g} is allowed")
-        at = match.end()
-    return values, at
+    return [stroke for stroke in strokes if len(stroke) > 1] or strokes[:1]
 
 
 class _Pen:
     """Position and strokes of the drawing; complex numbers are points."""
 
     def __init__(self, tolerance: float) -> None:
-        self.strokes: list[list[tuple[float, float]]] = []
-        self._tolerance = tolerance
-        self._points = 0
+        self.strokes: list[list[complex]] = []
+        self._tolerance, self._points = tolerance, 0
         self._at = self._start = self._handle = 0j
         self._handle_kind, self._closed = "", False
 
@@ -79,25 +66,24 @@ class _Pen:
         kind = command.upper()
         if not self.strokes and kind != "M":
             raise InputError(f"the path data begins with {command}; it must begin with M")
-        if self._closed and kind not in "MZ":
-            self._begin(self._start)
         base = self._at if command.islower() else 0j
         points = [base + complex(x, y) for x, y in zip(values[::2], values[1::2], strict=False)]
+        if kind == "M" or (self._closed and kind != "Z"):
+            self._start = points[0] if kind == "M" else self._start
+            self.strokes.append([])
+            self._go(np.array([self._start]))
         # A smooth curve mirrors the handle of a curve of its own kind before it.
         mirrored = 2 * self._at - self._handle if self._handle_kind == kind else self._at
-        self._handle_kind = ""
+        self._handle_kind, self._closed = "", kind == "Z"
         match kind:
-            case "M":
-                self._begin(points[0])
             case "L":
-                self._line(points[0])
+                self._go(np.array(points))
             case "H":
-                self._line(complex(base.real + values[0], self._at.imag))
+                self._go(np.array([complex(base.real + values[0], self._at.imag)]))
             case "V":
-                self._line(complex(self._at.real, base.imag + values[0]))
+                self._go(np.array([complex(self._at.real, base.imag + values[0])]))
             case "Z":
-                self._line(self._start)
-                self._closed = True
+                self._go(np.array([self._start]))
             case "C" | "S":
                 first, second, end = points if kind == "C" else (mirrored, *points)
                 self._cubic(first, second, end)
@@ -106,76 +92,50 @@ class _Pen:
                 middle, end = points if kind == "Q" else (mirrored, *points)
                 self._cubic((self._at + 2 * middle) / 3, (end + 2 * middle) / 3, end)
                 self._handle, self._handle_kind = middle, "T"
-            case _:
+            case "A":
                 self._arc(values, base + complex(values[5], values[6]))
 
-    def _count(self, points: int) -> None:
-        self._points += points
+    def _go(self, points: Complex128Array) -> None:
+        self._points += len(points)
         if self._points > MAX_POINTS:
             raise InputError(f"the path data makes more than {MAX_POINTS} points; draw it with fewer")
-
-    def _begin(self, point: complex) -> None:
-        self._count(1)
-        self.strokes.append([(point.real, point.imag)])
-        self._at = self._start = point
-        self._closed = False
-
-    def _line(self, point: complex) -> None:
-        self._count(1)
-        self._curve(np.array([point]))
-
-    def _curve(self, points: Complex128Array) -> None:
-        self.strokes[-1].extend(zip(points.real.tolist(), points.imag.tolist(), strict=True))
+        self.strokes[-1].extend(points.tolist())
         self._at = complex(points[-1])
 
-    def _pieces(self, bend: float) -> Float64Array:
+    def _steps(self, bend: float) -> Float64Array:
         # A chord of a curve with second derivative `bend` strays by at most bend / (8 n^2).
         count = math.ceil(min(max(math.sqrt(bend / (8.0 * self._tolerance)), 1.0), 10_000))
-        self._count(count)
         return np.arange(1, count + 1) / count
 
     def _cubic(self, first: complex, second: complex, end: complex) -> None:
         start = self._at
-        bend = 6.0 * max(abs(start - 2 * first + second), abs(first - 2 * second + end))
-        t = self._pieces(bend)
+        t = self._steps(6.0 * max(abs(start - 2 * first + second), abs(first - 2 * second + end)))
         s = 1.0 - t
         points = s**3 * start + 3 * s**2 * t * first + 3 * s * t**2 * second + t**3 * end
         points[-1] = end
-        self._curve(points)
+        self._go(points)
 
     def _arc(self, values: list[float], end: complex) -> None:
         """Endpoint to centre, SVG 1.1 appendix F.6.5 and F.6.6."""
-        start = self._at
         radius_x, radius_y = abs(values[0]), abs(values[1])
-        if radius_x == 0 or radius_y == 0 or start == end:
-            self._line(end)
-            return
         turn = complex(math.cos(math.radians(values[2])), math.sin(math.radians(values[2])))
-        half = (start - end) / 2 * turn.conjugate()
-        unit = complex(half.real / radius_x, half.imag / radius_y)
+        half = (self._at - end) / 2 * turn.conjugate()
+        unit = complex(half.real / radius_x, half.imag / radius_y) if radius_x and radius_y else 0j
         stretch = max(abs(unit), 1.0)
         radius_x, radius_y, unit = radius_x * stretch, radius_y * stretch, unit / stretch
         reach = min(abs(unit), 1.0)
-        if reach == 0.0 or not math.isfinite(radius_x + radius_y):  # an arc too small, or too flat, for numbers
-            self._line(end)
+        if reach == 0.0 or not math.isfinite(radius_x + radius_y):  # no arc, or one too small or too flat for numbers
+            self._go(np.array([end]))
             return
         away = math.sqrt((1.0 - reach) * (1.0 + reach)) / reach
         centre = unit * complex(0.0, -away) * (1.0 if values[3] != values[4] else -1.0)
-        angle_0 = math.atan2((unit - centre).imag, (unit - centre).real)
-        angle_1 = math.atan2((-unit - centre).imag, (-unit - centre).real)
-        sweep = (angle_1 - angle_0) % (2 * math.pi)
-        if not values[4]:
-            sweep -= 2 * math.pi
-        angle = angle_0 + sweep * self._pieces(max(radius_x, radius_y) * sweep**2)
+        begins, ends = (math.atan2(one.imag, one.real) for one in (unit - centre, -unit - centre))
+        sweep = (ends - begins) % (2 * math.pi) - (0.0 if values[4] else 2 * math.pi)
+        angle = begins + sweep * self._steps(max(radius_x, radius_y) * sweep**2)
         round_it = radius_x * (np.cos(angle) + centre.real) + 1j * radius_y * (np.sin(angle) + centre.imag)
-        points = round_it * turn + (start + end) / 2
+        points = round_it * turn + (self._at + end) / 2
         points[-1] = end
-        self._curve(points)
-
-
-MAX_BYTES = 16 * 2**20
-
-MIN_SCALE = 1e-100
+        self._go(points)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,97 +163,72 @@ class SvgPath(DrawnPath):
         if not (math.isfinite(self.scale) and self.scale > 0):
             raise InputError(f"scale is {self.scale}; it must be a finite number above 0")
         check_point(self.origin_mm, "origin_mm")
-        path_id, data, transform = _find_path(self.file, self.path_id)
-        enlarged = self.scale * max(math.hypot(*transform[:, :2].flat), 1e-12)
+        paths = _paths_of(Path(self.file))
+        found = next((one for one in paths if not self.path_id or one[0] == self.path_id), None)
+        if found is None:
+            names = ", ".join(repr(one[0]) for one in paths[:10] if one[0]) or "none with an id"
+            raise InputError(f"{self.file} has no path {self.path_id!r}; its paths are: {names}")
+        path_id, data, transform = found
+        enlarged = self.scale * max(math.hypot(*transform[:2, :2].flat), 1e-12)
         try:
-            if not MIN_SCALE < enlarged < 1.0 / MIN_SCALE:
+            if not 1.0 / MAX_SCALE < enlarged < MAX_SCALE:
                 raise InputError(f"scale and transforms enlarge it {enlarged:.3g} times; use a scale nearer to 1")
             # Largest distance of the flattened path from the curve: a thousandth of the default grid spacing.
-            drawn = flatten(data, 0.005 / enlarged)
-            strokes = []
-            for stroke in drawn:
-                moved = stroke @ transform[:, :2].T + transform[:, 2]
-                strokes.append(np.array(self.origin_mm) + self.scale * moved * (1.0, -1.0))
-            self._draw(strokes)
+            moved = (stroke @ transform[:2, :2].T + transform[:2, 2] for stroke in flatten(data, 0.005 / enlarged))
+            self._draw([np.array(self.origin_mm) + self.scale * stroke * (1.0, -1.0) for stroke in moved])
         except InputError as error:
             raise InputError(f"{self.file}, path {path_id[:60]!r}: {error}") from error
 
 
-_Found = tuple[str, str, Float64Array]
-"""Id, data and transform of a path element."""
-
-
-def _find_path(file: Path, path_id: str) -> _Found:
-    paths = _paths_of(file)
-    found = next((one for one in paths if not path_id or one[0] == path_id), None)
-    if found is None:
-        names = ", ".join(repr(one[0]) for one in paths[:10] if one[0]) or "none with an id"
-        raise InputError(f"{file} has no path {path_id!r}; its paths are: {names}")
-    return found
-
-
-def _paths_of(file: Path) -> list[_Found]:
+def _paths_of(file: Path) -> list[tuple[str, str, Float64Array]]:
+    """Id, data and transform (3, 3) of all path elements."""
     try:
-        content = read_regular(Path(file))
+        content = read_regular(file)
     except OSError as error:
         raise InputError(f"{file} cannot be read: {error.strerror or error}") from error
     if len(content) > MAX_BYTES:
         raise InputError(f"{file} has {len(content)} bytes; at most {MAX_BYTES} are read")
-    found: list[_Found] = []
-    transforms: list[Float64Array] = [np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])]
+    found: list[tuple[str, str, Float64Array]] = []
+    transforms = [np.eye(3)]
 
     def refuse(*_: object) -> NoReturn:
         raise InputError(f"{file} declares a document type or an entity; remove the DOCTYPE, it is not needed")
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        own = _transform(attributes.get("transform", ""), file)
-        outer = transforms[-1]
-        with np.errstate(over="ignore", invalid="ignore"):
-            joined = outer[:, :2] @ own
-            joined[:, 2] += outer[:, 2]
-        if not np.isfinite(joined).all():
-            raise InputError(f"{file} has transforms that together go beyond the range of numbers")
-        transforms.append(joined)
+        text = attributes.get("transform", "").strip()
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                transforms.append(transforms[-1] @ _transform(text))
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{file} has the transform {text[:60]!r}; it cannot be read") from error
+        if not np.isfinite(transforms[-1]).all():
+            raise InputError(f"{file} has transforms beyond the range of numbers, the last {text[:60]!r}")
         if name.rpartition(":")[2] == "path":
-            found.append((attributes.get("id", ""), attributes.get("d", ""), joined))
+            found.append((attributes.get("id", ""), attributes.get("d", ""), transforms[-1]))
 
     parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = refuse
-    parser.EntityDeclHandler = refuse
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda name: transforms.pop()
     try:
         parser.Parse(content, True)
-    except expat.ExpatError as error:
-        raise InputError(f"{file} is not well-formed XML: {error}") from error
     except InputError:
         raise
-    except (LookupError, ValueError) as error:  # what Python's decoders raise for the encoding that is declared
-        raise InputError(f"{file} declares an encoding that cannot be read; save it as UTF-8") from error
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of an encoding that is declared
+        raise InputError(f"{file} is not well-formed XML in an encoding that can be read: {error}") from error
     return found
 
 
-_TRANSFORM = re.compile(r"(\w+)\s*\(([^)]*)\)[\s,]*")
-
-
-def _transform(text: str, file: Path) -> Float64Array:
-    total = np.eye(3)
-    text = text.strip()
-    at = 0
+def _transform(text: str) -> Float64Array:
+    """Product (3, 3) of the transforms of an attribute. Raises KeyError, ValueError, TypeError: one is wrong."""
+    total, at = np.eye(3), 0
     while at < len(text):
         match = _TRANSFORM.match(text, at)
         if match is None:
-            raise InputError(f"{file} has the transform {text[at : at + 60]!r}; it cannot be read")
-        try:
-            values = [float(part) for part in re.split(r"[\s,]+", match[2].strip())]
-            with np.errstate(over="ignore", invalid="ignore"):
-                total = total @ _TRANSFORMS[match[1]](*values)
-        except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{file} has the transform {match[0][:60]!r}; it cannot be read") from error
+            raise ValueError(text)
+        total = total @ _TRANSFORMS[match[1]](*(float(part) for part in re.split(r"[\s,]+", match[2].strip())))
         at = match.end()
-    if not np.isfinite(total).all():
-        raise InputError(f"{file} has the transform {text[:60]!r}; it is not finite")
-    return total[:2]
+    return total
 
 
 def _matrix(a: float, b: float, c: float, d: float, e: float, f: float) -> Float64Array:
