@@ -12,7 +12,6 @@ import numpy as np
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
-from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions
 from wavefocus.rendering.greens.interpolation.base import OffGridError
 from wavefocus.rendering.greens.source import GreenSource
@@ -146,20 +145,41 @@ def focus_table(
     position_mm, float64 (positions, 2): The bank's grid.
     spacing_mm: Its spacing; None when it has but one position.
     """
-    count = len(intended)
-    places, widths, artefacts = np.full((2, count, 2), np.nan), np.full((2, count), np.nan), np.full((2, count), np.nan)
     there = position_mm[rows]
-    for index, point in enumerate(intended):
-        possible = np.count_nonzero(np.hypot(*(position_mm - point).T) <= FOCUS_RADIUS_MM)
-        compared = np.count_nonzero(np.hypot(*(there - point).T) <= FOCUS_RADIUS_MM)
-        # This part of the bank's positions around a focus must be compared before it is judged.
-        if spacing_mm is None or compared < 0.9 * possible:
-            continue
-        for kind, field in enumerate((predicted[index], scanned[index])):
-            if (focus := metrics.focus_spot(there, field, point, FOCUS_RADIUS_MM, spacing_mm)) is not None:
-                places[kind, index] = focus.at_mm
-                widths[kind, index], artefacts[kind, index] = focus.width_mm, focus.artefact_db
-    return FocusTable(intended, places[0], places[1], widths[0], widths[1], artefacts[1])
+    possible, compared = (
+        np.array([np.count_nonzero(np.hypot(*(at_mm - point).T) <= FOCUS_RADIUS_MM) for point in intended])
+        for at_mm in (position_mm, there)
+    )
+    # This part of the bank's positions around a focus must be compared before it is judged.
+    is_judged = (compared >= 0.9 * possible) & (spacing_mm is not None)
+    (predicted_mm, of_predicted), (scanned_mm, of_scanned) = (
+        _spots(there, np.where(is_judged[:, None], field, np.nan), intended, spacing_mm)
+        for field in (predicted, scanned)
+    )
+    return FocusTable(intended, predicted_mm, scanned_mm, of_predicted[2], of_scanned[2], of_scanned[3])
+
+
+def _spots(
+    place_mm: Float64Array,
+    fields: metrics.RealArray,
+    points_mm: Float64Array,
+    spacing_mm: float | None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> tuple[Float64Array, Float64Array]:
+    """Places (K, 2) of foci near points, and value, distance from the point, width and artefacts, (4, K).
+
+    NaN where a field (K, positions) is not finite, or a focus has none.
+    """
+    at_mm, figures = np.full((len(points_mm), 2), np.nan), np.full((4, len(points_mm)), np.nan)
+    for index, (field, point) in enumerate(zip(fields, points_mm, strict=True)):
+        if np.isfinite(field).all() and (
+            spot := metrics.focus_spot(place_mm, field, point, FOCUS_RADIUS_MM, spacing_mm)
+        ):
+            at_mm[index] = spot.at_mm
+            figures[:, index] = spot.value, spot.off_mm, spot.width_mm, spot.artefact_db
+        if on_progress is not None:
+            on_progress(index + 1, len(points_mm))
+    return at_mm, figures
 
 
 ROWS_AT_ONCE = 64
@@ -240,20 +260,11 @@ def focus_figures(
         values = np.where(within, field.field[:, np.where(within, column, 0)], np.nan).T.astype(np.float64)
     position_mm = np.asarray(bank.position_mm, np.float64)
     intended = intended_mm(drive, instants, position_mm)
-    there, count = position_mm[rows], len(instants)
-    spacing_mm = grid_spacing_mm(there) if len(there) > 1 else None
-    at_mm, (peak, off_mm, width_mm, artefact_db) = np.full((count, 2), np.nan), np.full((4, count), np.nan)
-    for index in range(count):
-        if np.isfinite(values[index]).all() and (
-            spot := focus_spot(there, values[index], intended[index], FOCUS_RADIUS_MM, spacing_mm)
-        ):
-            at_mm[index], peak[index], off_mm[index] = spot.at_mm, spot.value, spot.off_mm
-            width_mm[index], artefact_db[index] = spot.width_mm, spot.artefact_db
-        if on_progress is not None:
-            on_progress(index + 1, count)
+    spacing_mm = metrics.grid_spacing_mm(position_mm[rows]) if len(rows) > 1 else None
+    at_mm, figures = _spots(position_mm[rows], values, intended, spacing_mm, on_progress)
     position = np.array([instant.row for instant in instants], np.int64)
     source = np.array([instant.source for instant in instants], np.int64)
-    return FocusResults(source, position, sample / rate_hz, intended, at_mm, peak, off_mm, width_mm, artefact_db)
+    return FocusResults(source, position, sample / rate_hz, intended, at_mm, *figures)
 
 
 def predicted_at(drive: Drive, bank: GreenSource, rows: Int64Array, sample: Int64Array) -> Float64Array:

@@ -115,48 +115,23 @@ def linearity_rows(drive: Drive, rows: Int64Array) -> tuple[int, ...]:
     return tuple(np.union1d(foci, others).tolist())
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Linearity:
-    """Difference of the responses at two levels, scaled to one level, at `positions`.
-
-    beyond: Its norm over the scan's, the noise's part taken off.
-    compressed_db: By how much the scan is quieter than in proportion, by the best gain.
-    nonlinear_share: Share of the squared difference of scan and prediction that is not there when the scene is played
-        quieter, 0 to 1, noise taken off both; None where there is nothing but noise.
-    """
-
-    positions: int
-    beyond: float
-    compressed_db: float
-    nonlinear_share: float | None
-
-    def figures(self, error_limit: float) -> tuple[Figure, Figure]:
-        """As figures of a verification; `error_limit` is the largest difference that passes."""
-        what = (
-            f" of the scan and of the same scene {QUIETER_DB:g} dB quieter, scaled to one level, at {self.positions}"
-            " positions"
-        )
-        apart = f"norm of the difference{what}, without the noise's part, over the norm of the scan"
-        quieter_by = f"by how much the scan is quieter than in proportion, by the best gain{what}"
-        beyond = 100.0 * self.beyond
-        return (
-            judged("linearity", "%", apart, beyond, "at most", 100.0 * error_limit, difference=beyond),
-            Figure("compression", "dB", quieter_by, difference=self.compressed_db, value=self.compressed_db),
-        )
-
-
-def linearity(prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[float, float] | None) -> _Linearity | None:
-    """Compare a scan with one of the same scene 12 dB quieter, at some of its positions.
+def linearity(
+    prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[float, float] | None, error_limit: float
+) -> tuple[tuple[Figure, ...], float | None]:
+    """Compare a scan with one of the same scene 12 dB quieter, at some of its positions, scaled to one level.
 
     prediction, loud: Prediction and scan; quiet: The scan of `quieter`.
     band_hz: Band to which all are limited.
+    error_limit: The largest difference that passes.
 
-    Returns None where no position has a sound record in both.
+    Returns difference and compression as figures, none where no position has a sound record in both; and the share of
+    the squared difference of scan and prediction that is not there when the scene is played quieter, 0 to 1, noise
+    taken off both, None where there is nothing but noise.
     """
     sound = [scanned.position_index[scanned.status == Status.VALID] for scanned in (loud, quiet)]
     rows = np.intersect1d(np.intersect1d(*sound), prediction.position_index)
     if not rows.size:
-        return None
+        return (), None
     samples = loud.field.shape[1]
     band = BandLimit(samples, loud.sample_rate_hz, band_hz)
     in_prediction = [int(np.flatnonzero(prediction.position_index == row)[0]) for row in rows]
@@ -169,13 +144,19 @@ def linearity(prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[float, 
         noise.append(float(np.nansum((factor * played.noise_rms[at]) ** 2)) * samples * band.white_share)
         missed.append(float(np.sum(band.signals(spectrum - predicted).astype(np.float64) ** 2)) - noise[-1])
     energy, difference = float(np.sum(fields[0] ** 2)), float(np.sum((fields[0] - fields[1]) ** 2))
+    beyond = 100.0 * math.sqrt(max(difference - sum(noise), 0.0) / energy) if energy > 0.0 else math.inf
     gain = float(np.sum(fields[0] * fields[1])) / max(float(np.sum(fields[1] ** 2)) - noise[1], 1e-300)
-    return _Linearity(
-        len(rows),
-        math.sqrt(max(difference - sum(noise), 0.0) / energy) if energy > 0.0 else math.inf,
-        -level_db(max(gain, 0.0)) + 0.0,
-        float(np.clip(1.0 - missed[1] / missed[0], 0.0, 1.0)) if missed[0] > 0.0 else None,
+    compressed_db = -level_db(max(gain, 0.0)) + 0.0
+    what = (
+        f" of the scan and of the same scene {QUIETER_DB:g} dB quieter, scaled to one level, at {len(rows)} positions"
     )
+    apart = f"norm of the difference{what}, without the noise's part, over the norm of the scan"
+    quieter_by = f"by how much the scan is quieter than in proportion, by the best gain{what}"
+    figures = (
+        judged("linearity", "%", apart, beyond, "at most", 100.0 * error_limit, difference=beyond),
+        Figure("compression", "dB", quieter_by, difference=compressed_db, value=compressed_db),
+    )
+    return figures, float(np.clip(1.0 - missed[1] / missed[0], 0.0, 1.0)) if missed[0] > 0.0 else None
 
 
 def _factor() -> float:

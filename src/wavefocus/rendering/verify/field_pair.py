@@ -1,6 +1,7 @@
 """Prediction and scan within the bank's band, at any instant or position."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,7 @@ class CancelledError(Exception):
     """Reading was cancelled."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class FieldPair:
     """Two fields of equal positions, rate, start and length, limited to one band.
 
@@ -73,31 +75,25 @@ class FieldPair:
     sample_rate_hz, start_s, response_unit: Of both.
     """
 
-    def __init__(
-        self,
-        predicted: Float32Array,
-        scanned: Float32Array,
-        position_index: Int64Array,
-        sample_rate_hz: float,
-        start_s: float,
-        response_unit: str,
-    ) -> None:
-        self._predicted, self._scanned = predicted, scanned
-        self.position_index = position_index
-        self.sample_rate_hz, self.start_s, self.response_unit = sample_rate_hz, start_s, response_unit
+    predicted: Float32Array
+    scanned: Float32Array
+    position_index: Int64Array
+    sample_rate_hz: float
+    start_s: float
+    response_unit: str
 
     @property
     def samples(self) -> int:
         """Length of both."""
-        return int(self._predicted.shape[1])
+        return int(self.predicted.shape[1])
 
     def at_sample(self, sample: int) -> tuple[Float32Array, Float32Array]:
         """Prediction and scan over the positions at one sample of the field."""
-        return np.array(self._predicted[:, sample]), np.array(self._scanned[:, sample])
+        return np.array(self.predicted[:, sample]), np.array(self.scanned[:, sample])
 
     def at_position(self, index: int) -> tuple[Float32Array, Float32Array]:
         """Prediction and scan over time at the `index`-th position of `position_index`."""
-        return np.array(self._predicted[index]), np.array(self._scanned[index])
+        return np.array(self.predicted[index]), np.array(self.scanned[index])
 
     def sample_at(self, time_s: float) -> int:
         """The sample nearest to a time of the scene."""

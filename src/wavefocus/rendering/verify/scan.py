@@ -40,17 +40,6 @@ MIN_SILENCE_SAMPLES = 50
 SILENCE_GUARD_SAMPLES = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Aligned:
-    """A response on the playback clock, with noise and clock ratio of its record."""
-
-    response: Float32Array
-    noise_rms: float
-    clock_ratio: float
-    playback_gain: float
-    signal_lost: bool
-
-
 def _scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64Array]:
     """Put the drive on the actuators' channels and a marker sweep over the whole record on the loopback channel.
 
@@ -106,8 +95,8 @@ class _Alignment:
         self._delay_samples = -setup.response_delay_s * rate_hz
         self._dropouts = _DropoutCheck(rate_hz, quiet_hz)
 
-    def align(self, recording: Recording) -> Aligned:
-        """Bring one recorded response to the playback clock.
+    def align(self, recording: Recording, visit: _Visit, status: Status) -> tuple[ScannedPosition, bool]:
+        """One recorded response on the playback clock, and whether the vibrometer lost the signal in it.
 
         Raises ReferenceMissingError: the marker is not on the reference channel.
         """
@@ -120,13 +109,11 @@ class _Alignment:
         silence = lead_in if lead_in.size >= MIN_SILENCE_SAMPLES else tail
         noise_v = float(np.std(silence)) if silence.size >= MIN_SILENCE_SAMPLES else float("nan")
         unit = self._setup.response_per_volt
-        return Aligned(
-            response=(on_clock * unit).astype(np.float32),
-            noise_rms=noise_v * abs(unit),
-            clock_ratio=fit.ratio,
-            playback_gain=fit.gain / self._setup.reference_gain,
-            signal_lost=self._dropouts.finds_one(response),
-        )
+        scanned = ScannedPosition(
+            visit.row, int(status), visit.attempt, noise_v * abs(unit), fit.ratio,
+            fit.gain / self._setup.reference_gain, (on_clock * unit).astype(np.float32),
+        )  # fmt: skip
+        return scanned, self._dropouts.finds_one(response)
 
 
 # Share of a response's energy above the frequency from which it is taken to be only noise.
@@ -244,8 +231,8 @@ class _Visit:
     clipped_before: bool = False
 
 
-_Pending = tuple[_Visit, Status, Future[Aligned]]
-"""A record that is being aligned, and its status so far."""
+_Pending = tuple[_Visit, Future[tuple[ScannedPosition, bool]]]
+"""A record that is being aligned."""
 
 
 def scan(
@@ -346,8 +333,8 @@ class _ScanRun:
         if clipped and not visit.clipped_before and visit.attempt < self._plan.attempts:
             self._visits.appendleft(_Visit(visit.row, visit.attempt + 1, clipped_before=True))
             return None
-        future = worker.submit(self._alignment.align, recording)
-        return visit, Status.OVER_RANGE if clipped else Status.VALID, future
+        status = Status.OVER_RANGE if clipped else Status.VALID
+        return visit, worker.submit(self._alignment.align, recording, visit, status)
 
     def _record(self, visit: _Visit) -> Recording:
         x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
@@ -356,23 +343,19 @@ class _ScanRun:
         return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, label)
 
     def _collect(self, pending: _Pending) -> None:
-        visit, status, future = pending
+        visit, future = pending
         try:
-            aligned = future.result()
+            scanned, signal_lost = future.result()
         except ReferenceMissingError as missing:
             self._try_again(visit, missing)
             return
         # Clipping, too, makes noise where nothing plays; such a record is marked already.
-        if aligned.signal_lost and status == Status.VALID:
+        if signal_lost and scanned.status == Status.VALID:
             if visit.attempt < self._plan.attempts:
                 self._visits.appendleft(replace(visit, attempt=visit.attempt + 1))
                 return
-            status = Status.POOR_SIGNAL
+            scanned = replace(scanned, status=int(Status.POOR_SIGNAL))
         self._given_up_in_a_row = 0
-        scanned = ScannedPosition(
-            visit.row, int(status), visit.attempt, aligned.noise_rms, aligned.clock_ratio, aligned.playback_gain,
-            aligned.response,
-        )  # fmt: skip
         if self._journal is not None:
             self._journal.append(scanned)
         self._take(scanned)

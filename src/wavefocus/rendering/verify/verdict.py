@@ -176,13 +176,13 @@ def compare(
     noise_error, limits = _noise_error(fields), tolerances or Tolerances()
     model_error = _model_error(fields.error, noise_error)
     checks = _checks(fields, focus, spacing_mm, limits, interpolation_error)
-    found = None
+    linear: tuple[Figure, ...] = ()
+    nonlinear_share = None
     if quiet is not None and isinstance(scan, Scan):
-        found = linearity(prediction, scan, quiet, bank.band_hz)
-    linear = () if found is None else found.figures(limits.normalised_error)
+        linear, nonlinear_share = linearity(prediction, scan, quiet, bank.band_hz, limits.normalised_error)
     symptoms, actuators = diagnose(
         fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error,
-        nonlinear_share=None if found is None else found.nonlinear_share,
+        nonlinear_share=nonlinear_share,
     )  # fmt: skip
     if leak is not None:
         symptoms = with_crosstalk(symptoms, crosstalk_symptom(leak, fields, marker_v))
