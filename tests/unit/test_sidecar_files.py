@@ -84,7 +84,7 @@ def test_given_what_a_killed_writer_left_then_the_next_one_removes_it(tmp_path):
 
 def test_given_a_link_then_the_log_of_a_verification_is_written_beside_it(victim):
     (victim.parent / "verify.events.jsonl").symlink_to(victim)
-    with VerifyLog(victim.parent) as log:
+    with VerifyLog(victim.parent / "verify.events.jsonl") as log:
         log.done(0, "done")
     assert victim.read_bytes() == PRECIOUS
 

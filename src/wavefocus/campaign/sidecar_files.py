@@ -34,7 +34,6 @@ from wavefocus.config.messages.campaign import (
 )
 from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.console import Pace, exit_code, say, sentence
-from wavefocus.rendering.verify.record import LOG_NAME
 from wavefocus.storage.bank.ledger import row_ranges
 from wavefocus.storage.sidecar_files import Log, create, is_replaceable
 from wavefocus.storage.text_file import open_regular, read_regular
@@ -253,11 +252,11 @@ class VerifyLog:
     ``reason``). A disk that refuses lines does not end the verification.
     """
 
-    def __init__(self, out: Path) -> None:
+    def __init__(self, path: Path) -> None:
         # A file of its own, so that followers see that it is another one.
-        (out / LOG_NAME).unlink(missing_ok=True)
-        self._file = create(out / LOG_NAME)
-        self._lines = EventLines(lambda line: self._file.write(line.encode()), str(out / LOG_NAME), "verification")
+        path.unlink(missing_ok=True)
+        self._file = create(path)
+        self._lines = EventLines(lambda line: self._file.write(line.encode()), str(path), "verification")
         self._write(VerifyStarted(_now(), os.getpid(), socket.gethostname()))
 
     def __call__(self, event: Event) -> None:

@@ -2,9 +2,9 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,31 +34,11 @@ from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
 from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
-from wavefocus.rendering.verify.correction import (
-    MIN_CONTROLS,
-    control_rows,
-    correct_drive,
-    correction_lines,
-    require_correctable,
-)
+from wavefocus.rendering.verify import correction as corrected
+from wavefocus.rendering.verify import record as files
 from wavefocus.rendering.verify.extra_measurements import drift_sentence, linearity_rows, measure_sentinel, quieter
 from wavefocus.rendering.verify.mirror_error import sentinel_shift_mm
-from wavefocus.rendering.verify.record import (
-    CORRECTED_NAME,
-    DRIVE_NAME,
-    FIELD_NAMES,
-    JOURNAL_NAME,
-    LOG_NAME,
-    PICTURE_NAMES,
-    PREDICTION_NAME,
-    QUIET_JOURNAL_NAME,
-    RECORD_NAME,
-    REPORT_NAME,
-    SCAN_NAME,
-    STOP_NAME,
-    write_record,
-)
-from wavefocus.rendering.verify.results import Correction, Figure, Sentinel, remedy, sentence
+from wavefocus.rendering.verify.results import Correction, Sentinel, remedy, sentence
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, marker_v, scan
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
 from wavefocus.rig.limits import check_drive, stricter
@@ -75,6 +55,7 @@ from wavefocus.storage.units import quantity
 
 # Enough for an outline that looks round on any screen.
 OUTLINE_POINTS = 400
+_IN_JSON = ("passed", "summary", "figures", "excluded", "symptoms", "actuators", "drift", "correction")
 
 
 def verify(
@@ -99,142 +80,128 @@ def verify(
 
     A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
     """
-    results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, CORRECTED_NAME, *PICTURE_NAMES)
-    inputs = input_files(scene_file, bank, rig_file)
-    journals = JOURNAL_NAME, QUIET_JOURNAL_NAME
-    working_files = (LOG_NAME, STOP_NAME, *journals)
+    results = (files.RECORD_NAME, files.REPORT_NAME, *files.FIELD_NAMES, files.CORRECTED_NAME, *files.PICTURE_NAMES)
+    journals = files.JOURNAL_NAME, files.QUIET_JOURNAL_NAME
+    may_exist: tuple[str, ...] = (files.LOG_NAME, files.STOP_NAME, *journals)
     # Without a record, results beside a journal are of a verification that ended while it published them.
-    if (out / JOURNAL_NAME).exists() and not (out / RECORD_NAME).exists():
-        require_output_folder(out, (), inputs, force=force, may_exist=(*working_files, *results))
-    else:
-        require_output_folder(out, results, inputs, force=force, may_exist=working_files)
+    published = () if (out / journals[0]).exists() and not (out / files.RECORD_NAME).exists() else results
+    inputs = input_files(scene_file, bank, rig_file)
+    require_output_folder(
+        out, published, inputs, force=force, may_exist=may_exist if published else may_exist + results
+    )
     scene = load_scene(scene_file)
     with open_bank(bank) as view:
         require_sound(view)
-        configuration = bank_configuration(view)
-        rig = _checked_rig(rig_file, configuration, view)
+        configuration, rig = bank_configuration(view), named_rig(rig_file)
+        if rig.actuators.position_mm != configuration.rig.actuators.position_mm:
+            raise InputError(
+                f"{rig_file}: actuators.position_mm are not those of {bank}; verify plays the bank's drives, so the "
+                "rig must have the bank's actuators in the bank's order"
+            )
         rows = scan_rows(positions, scene, view.position_mm, scene_file)
         out.mkdir(parents=True, exist_ok=True)
         with (
             AliveSignal(rig.messages),
             kept_awake(f"verifying {scene_file.name}"),
             ending_at_once(),
-            ended_by_file(out / STOP_NAME),
-            VerifyLog(out) as log,
+            ended_by_file(out / files.STOP_NAME),
+            VerifyLog(out / files.LOG_NAME) as log,
         ):
-            with staged_folder(out, RECORD_NAME, results) as staged:
-                asked = linearity, force, corrections
-                work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, *asked)
-                verification, record = work.run(rows, str(rig_file))
+            with staged_folder(out, files.RECORD_NAME, results) as staged:
+                work = _Work(scene_file, scene, view, configuration, rig, log)
+                asked: dict[str, Any] = {"linearity": linearity, "corrections": corrections, "force": force}
+                verification, prediction = work.run(rows, staged, out, **asked)
+                names = {"scene_file": str(scene_file), "bank": str(bank), "rig": str(rig_file)}
+                outline_mm = rig.surface.outline.line(OUTLINE_POINTS)
+                record = files.write_record(
+                    staged, verification=verification, scene=scene, prediction=prediction, bank=view, names=names,
+                    outline_mm=outline_mm,
+                )  # fmt: skip
             for name in journals:
                 (out / name).unlink(missing_ok=True)
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, verification.summary)
-    for symptom in verification.symptoms:
-        say(f"{sentence(symptom)} {remedy(symptom)}")
-    for check in verification.checks:
-        say(_line(check))
-    if (noise := verification.noise_error) is not None:
-        parts = [f"{percent(one)}" for one in (verification.fields.error, noise, verification.misfit)]
-        say("error {}: noise {}, model {}".format(*parts))
-    if verification.drift is not None:
-        say(drift_sentence(verification.drift))
-    for line in correction_lines(verification.correction) if verification.correction is not None else ():
+    for line in _lines(verification):
         say(line)
-    say(f"report: {out / REPORT_NAME}")
+    say(f"report: {out / files.REPORT_NAME}")
     if as_json:
-        keys = ("passed", "summary", "figures", "excluded", "symptoms", "actuators", "drift", "correction")
-        files = {"report": str(out / REPORT_NAME), "record": str(out / RECORD_NAME)}
-        found = {key: record[key] for key in keys}
-        print(json.dumps({**files, **found, "sources": record["source_figures"]}))
+        named = {"report": str(out / files.REPORT_NAME), "record": str(out / files.RECORD_NAME)}
+        found = {key: record[key] for key in _IN_JSON}
+        print(json.dumps({**named, **found, "sources": record["source_figures"]}))
     return code
 
 
-@dataclass(frozen=True, slots=True)
 class _Work:
-    scene_file: Path
-    scene: Scene
-    bank: Bank
-    configuration: Configuration
-    rig: RigConfig
-    out: Path
-    log: VerifyLog
-    journals: Path
-    linearity: bool
-    force: bool
-    corrections: int
+    """One verification: rendered, predicted, scanned, compared and reported."""
 
-    def run(self, rows: list[int] | None, rig_name: str) -> tuple[Verification, dict[str, Any]]:
-        """Render, predict, scan, compare, and report into `out`.
+    def __init__(
+        self, scene_file: Path, scene: Scene, bank: Bank, configuration: Configuration, rig: RigConfig, log: VerifyLog
+    ) -> None:
+        self.scene_file, self.scene, self.bank, self.rig, self.log = scene_file, scene, bank, rig, log
+        self.configuration = configuration
 
-        Returns what was found, and the content of ``verify.json``.
-        """
-        out, bank = self.out, self.bank
+    def run(
+        self, rows: list[int] | None, out: Path, journals: Path, *, linearity: bool, corrections: int, force: bool
+    ) -> tuple[Verification, Field]:
+        """Carry out all steps, and write all files but the record; `journals` is where an interrupted scan is kept."""
+        bank, limits = self.bank, self.configuration.run.tolerance
         with self._step("render", 1) as report, naming(self.scene_file, bank):
             report(0, 1, "preparing the scene: its interpolation and quiet places")
-            drive, facts = self._begun(report) or render_by_options(self.scene, bank, RenderOptions(), report)
+            begun = self._begun(journals / files.JOURNAL_NAME, report)
+            drive, facts = begun or render_by_options(self.scene, bank, RenderOptions(), report)
             report(1, 1)
         for warning in facts.warnings:
             say(f"warning: {warning}")
-        check_drive(
-            drive, self.rig.player, str(self.scene_file), "set output.limit_v or output.limit_rms_v in the scene"
-        )
-        control = self._control(drive, rows)
-        write_drive(out / DRIVE_NAME, drive)
+        advice = "set output.limit_v or output.limit_rms_v in the scene"
+        check_drive(drive, self.rig.player, str(self.scene_file), advice)
+        control = self._control(drive, rows, correct=corrections > 0)
+        write_drive(out / files.DRIVE_NAME, drive)
         with self._step("predict", bank.positions if rows is None else len(rows)) as report:
             prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
-        write_field(out / PREDICTION_NAME, prediction)
-        measured, quiet, sentinel, leak, marker, scan_s, correction = self._scanned(drive, prediction, control)
-        write_field(out / SCAN_NAME, measured.as_field())
-        outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
-        with self._step("compare and report", 3) as report:
-            drift_limits = self.configuration.run.drift
+        write_field(out / files.PREDICTION_NAME, prediction)
+        softer, quiet, correction = quieter(drive), None, None
+        with (
+            self._journal(drive, journals / files.JOURNAL_NAME, force=force) as kept,
+            self._journal(softer, journals / files.QUIET_JOURNAL_NAME, force=force)
+            if linearity
+            else nullcontext() as softer_kept,
+            open_setup(self.rig, self.configuration.run) as setup,
+        ):
+            sentinel, started_s = self._sentinel(setup), setup.instruments.clock.now_s()
+            measured = self._scan(setup, drive, prediction.position_index.tolist(), journal=kept)
+            if linearity:
+                some = linearity_rows(drive, measured.position_index)
+                quiet = self._scan(setup, softer, some, "linearity", softer_kept)
+            if corrections:
+                best, correction = self._corrected(setup, drive, measured, control, sentinel, corrections)
+                write_drive(out / files.CORRECTED_NAME, best)
+            scan_s = setup.instruments.clock.now_s() - started_s
+            leak = self._leak(setup, prediction)
+            marker: Float64Array | None = marker_v(setup, measured.field.shape[1], drive.sample_rate_hz)
+        write_field(out / files.SCAN_NAME, measured.as_field())
+        with self._step("compare and report", 2) as report:
+            drift_limits, errors = self.configuration.run.drift, facts.interpolation_errors
+            between = None if errors is None else errors.overall
+            offset = limits.focus_error_mm / grid_spacing_mm(bank.position_mm)
+            tolerances = Tolerances(limits.normalised_error, limits.correlation, offset)
             verification = compare(
-                prediction,
-                measured,
-                drive,
-                bank,
-                _tolerances(self.configuration, bank),
-                quiet=quiet,
-                sentinel=sentinel,
-                drift_limits=drift_limits,
-                leak=leak,
-                marker_v=marker,
-                interpolation_error=None if facts.interpolation_errors is None else facts.interpolation_errors.overall,
-            )
+                prediction, measured, drive, bank, tolerances, quiet=quiet, sentinel=sentinel, leak=leak,
+                drift_limits=drift_limits, marker_v=marker, interpolation_error=between,
+            )  # fmt: skip
             verification = replace(verification, correction=correction)
-            names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
-            report(1, 3)
+            report(1, 2)
+            outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
             build_report(
-                out,
-                verification=verification,
-                scene=self.scene,
-                drive=drive,
-                prediction=prediction,
-                scan=measured,
-                bank=bank,
-                campaign=_facts(self.configuration, bank, scan_s),
-                outline_mm=outline_mm,
-                drift=read_drift(bank.path),
-                drift_limits=drift_limits,
-                save_pictures=True,
-            )
-            report(2, 3)
-            record = write_record(
-                out,
-                verification=verification,
-                scene=self.scene,
-                prediction=prediction,
-                bank=bank,
-                names=names,
-                outline_mm=outline_mm,
-            )
-            report(3, 3)
-        return verification, record
+                out, verification=verification, scene=self.scene, drive=drive, prediction=prediction, scan=measured,
+                bank=bank, campaign=_facts(self.configuration, bank, scan_s), outline_mm=outline_mm,
+                drift=read_drift(bank.path), drift_limits=drift_limits, save_pictures=True,
+            )  # fmt: skip
+            report(2, 2)
+        return verification, prediction
 
-    def _begun(self, report: Report) -> tuple[Drive, RenderReport] | None:
+    def _begun(self, journal: Path, report: Report) -> tuple[Drive, RenderReport] | None:
         """The drive of an interrupted scan of an earlier version, which took "nearest" where a scene names nothing."""
-        begun, earlier = identity_of(self.journals / JOURNAL_NAME), self.scene.of_earlier_versions
+        begun, earlier = identity_of(journal), self.scene.of_earlier_versions
         if begun is None or earlier is None:
             return None
         rendered = render_by_options(earlier, self.bank, RenderOptions(), report)
@@ -244,7 +211,7 @@ class _Work:
         what = plan_sha256(self.rig, self.configuration.run, self.configuration.position_mm)
         return hashlib.sha256(what.encode() + np.ascontiguousarray(drive.drive_v, "<f8").tobytes()).hexdigest()
 
-    def _control(self, drive: Drive, rows: list[int] | None) -> Int64Array:
+    def _control(self, drive: Drive, rows: list[int] | None, *, correct: bool) -> Int64Array:
         """Bank rows of the control places of a correction, none without one.
 
         Raises InputError: nothing that is scanned could be compared or corrected; so far nothing has played.
@@ -253,45 +220,19 @@ class _Work:
         scanned = np.flatnonzero(np.asarray(bank.status)) if rows is None else np.asarray(rows, np.int64)
         if not np.any(sound[scanned]):
             raise InputError(f"{bank.path}: none of the positions to scan is valid, so none could be compared")
-        if not self.corrections:
+        if not correct:
             return scanned[:0]
-        control = control_rows(drive, np.asarray(bank.position_mm, np.float64))
+        control = corrected.control_rows(drive, np.asarray(bank.position_mm, np.float64))
         control = control[sound[control]]
         with naming(self.scene_file, bank):
-            require_correctable(drive, bank, control)
-        if control.size < MIN_CONTROLS:
+            corrected.require_correctable(drive, bank, control)
+        if control.size < corrected.MIN_CONTROLS:
             say(f"{control.size} control places: none is held out, so one correction is made at most")
         return control
 
-    def _scanned(
-        self, drive: Drive, prediction: Field, control: Int64Array
-    ) -> tuple[Scan, Scan | None, Sentinel | None, Crosstalk | None, Float64Array | None, float, Correction | None]:
-        softer = quieter(drive)
-        with (
-            self._journal(drive, self.journals / JOURNAL_NAME) as kept,
-            self._journal(softer, self.journals / QUIET_JOURNAL_NAME)
-            if self.linearity
-            else nullcontext() as softer_kept,
-            open_setup(self.rig, self.configuration.run) as setup,
-        ):
-            sentinel = self._sentinel(setup)
-            started_s = setup.instruments.clock.now_s()
-            plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
-            measured = self._scan(plan, setup, drive, kept)
-            quiet = None
-            if self.linearity:
-                rows = linearity_rows(drive, measured.position_index)
-                some = ScanPlan(rows, purpose="linearity")
-                quiet = self._scan(some, setup, softer, softer_kept)
-            correction = self._corrected(setup, drive, measured, control, sentinel) if self.corrections else None
-            took_s = setup.instruments.clock.now_s() - started_s
-            leak = self._leak(setup, prediction)
-            marker: Float64Array | None = marker_v(setup, measured.field.shape[1], drive.sample_rate_hz)
-        return measured, quiet, sentinel, leak, marker, took_s, correction
-
     def _corrected(
-        self, setup: Setup, drive: Drive, measured: Scan, rows: Int64Array, sentinel: Sentinel | None
-    ) -> Correction:
+        self, setup: Setup, drive: Drive, measured: Scan, rows: Int64Array, sentinel: Sentinel | None, corrections: int
+    ) -> tuple[Drive, Correction]:
         """Correct the drive by scans of the control places, and keep the best; not where the mirror is off."""
         bank = self.bank
         shift_mm = None if sentinel is None else sentinel_shift_mm(sentinel, bank)
@@ -299,48 +240,40 @@ class _Work:
             say("warning: no sentinel position was measured, so that a mirror that is off would not show here")
         if shift_mm is not None:
             say("warning: the sentinel position shows the field ({:+.2g}, {:+.2g}) mm further".format(*shift_mm))
-            write_drive(self.out / CORRECTED_NAME, drive)
-            return Correction((), None, "mirror")
-        plan = ScanPlan(tuple(rows.tolist()), purpose="correction")
-
-        def measure(played: Drive) -> Scan:
-            with self._step("correction", rows.size) as report:
-                return scan(plan, setup, played, bank, on_progress=report, publish=self._publisher(report))
-
-        best, correction = correct_drive(
-            drive, bank, rows, measure, self.corrections,
+            return drive, Correction((), None, "mirror")
+        return corrected.correct_drive(
+            drive, bank, rows, lambda played: self._scan(setup, played, rows.tolist(), "correction"), corrections,
             limits=stricter(self.scene.output, self.rig.player),
             first=measured if np.isin(rows, measured.position_index).all() else None,
         )  # fmt: skip
-        write_drive(self.out / CORRECTED_NAME, best)
-        return correction
 
     def _leak(self, setup: Setup, prediction: Field) -> Crosstalk | None:
         """The leak of the loopback into the response input now, where it makes 1 % of the median row; else None."""
-        place_mm = self.bank.position_mm[int(prediction.position_index[0])]
+        bank, place_mm = self.bank, self.bank.position_mm[int(prediction.position_index[0])]
         try:
             with self._step("crosstalk", 1) as report:
-                rate_hz = self.bank.sample_rate_hz
-                band = () if self.bank.band_hz is None else (self.bank.band_hz,)
-                found = measure_leak(setup, place_mm.tolist(), self.rig.safe_amplitude_v, rate_hz, *band)
+                band = () if bank.band_hz is None else (bank.band_hz,)
+                found = measure_leak(setup, place_mm.tolist(), self.rig.safe_amplitude_v, bank.sample_rate_hz, *band)
                 report(1, 1)
         except TransientInstrumentError as failure:
             say(f"warning: crosstalk is not measured: {failure}")
             return None
-        rms, per_volt = self.bank.rms[usable(self.bank.status)], setup.response_per_volt
-        whole = share_of_median_row(rms, self.bank.taps, rate_hz, band[0] if band else BAND_HZ, per_volt)
+        rms, per_volt = bank.rms[usable(bank.status)], setup.response_per_volt
+        whole = share_of_median_row(rms, bank.taps, bank.sample_rate_hz, band[0] if band else BAND_HZ, per_volt)
         return found if found.reaches(UNKNOWN_ROWS_SHARE if whole is None else SOUND * whole) else None
 
-    def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, kept: ScanJournal | None) -> Scan:
-        with self._step(plan.purpose, len(plan.position)) as report:
-            publish = self._publisher(report)
-            return scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=kept)
+    def _scan(
+        self, setup: Setup, drive: Drive, rows: Sequence[int], purpose: str = "scan", journal: ScanJournal | None = None
+    ) -> Scan:
+        with self._step(purpose, len(rows)) as report:
+            plan, publish = ScanPlan(tuple(rows), purpose=purpose), self._publisher(report)
+            return scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=journal)
 
     @contextmanager
-    def _journal(self, drive: Drive, path: Path) -> Iterator[ScanJournal]:
+    def _journal(self, drive: Drive, path: Path, *, force: bool) -> Iterator[ScanJournal]:
         """The positions that were scanned before an interruption of this same scan, and are from now on."""
         samples = drive.drive_v.shape[1] + self.bank.taps - 1
-        with ScanJournal(path, self._identity(drive), samples, replace=self.force) as journal:
+        with ScanJournal(path, self._identity(drive), samples, replace=force) as journal:
             if len(journal):
                 say(f"the interrupted scan goes on; positions scanned before: {len(journal)}, kept in {path}")
             try:
@@ -386,16 +319,6 @@ class _Work:
             yield report
 
 
-def _tolerances(configuration: Configuration, bank: Bank) -> Tolerances:
-    """The limits of the run; the distance allowed to a focus is in millimetres there."""
-    limits = configuration.run.tolerance
-    return Tolerances(
-        normalised_error=limits.normalised_error,
-        correlation=limits.correlation,
-        focus_offset_spacings=limits.focus_error_mm / grid_spacing_mm(bank.position_mm),
-    )
-
-
 def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str, object]:
     sweep, capture = configuration.run.sweep, configuration.run.capture
     facts: dict[str, object] = {
@@ -414,19 +337,20 @@ def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str,
     return facts
 
 
-def _line(check: Figure) -> str:
-    if check.value is None:
-        return f"-     {check.name}: the positions it needs were not scanned"
-    word = "pass" if check.passed else "FAIL"
-    return f"{word}  {check.name}: {quantity(f'{check.value:.4g}', check.unit)} ({check.relation} {check.limit:.4g})"
-
-
-def _checked_rig(rig_file: Path, configuration: Configuration, bank: Bank) -> RigConfig:
-    """The rig that shall play, refused when it is wired to other actuators than the bank's."""
-    rig = named_rig(rig_file)
-    if rig.actuators.position_mm != configuration.rig.actuators.position_mm:
-        raise InputError(
-            f"{rig_file}: actuators.position_mm are not those of {bank.path}; verify plays the bank's drives, so the "
-            "rig must have the bank's actuators in the bank's order"
-        )
-    return rig
+def _lines(verification: Verification) -> Iterator[str]:
+    """The verification for people."""
+    for symptom in verification.symptoms:
+        yield f"{sentence(symptom)} {remedy(symptom)}"
+    for check in verification.checks:
+        if check.value is None:
+            yield f"-     {check.name}: the positions it needs were not scanned"
+        else:
+            value, word = quantity(f"{check.value:.4g}", check.unit), "pass" if check.passed else "FAIL"
+            yield f"{word}  {check.name}: {value} ({check.relation} {check.limit:.4g})"
+    if (noise := verification.noise_error) is not None:
+        parts = [percent(one) for one in (verification.fields.error, noise, verification.misfit)]
+        yield "error {}: noise {}, model {}".format(*parts)
+    if verification.drift is not None:
+        yield drift_sentence(verification.drift)
+    if verification.correction is not None:
+        yield from corrected.correction_lines(verification.correction)
