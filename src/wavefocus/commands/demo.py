@@ -4,10 +4,9 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -34,6 +33,7 @@ from wavefocus.storage.errors import InputError, WavefocusError
 BANK_LIMIT_DB = -55.0
 PLATE = "stadium"
 
+COMMAND = (sys.executable, "-m", "wavefocus")
 _MARKER = "made-by-wavefocus-demo"
 
 
@@ -108,8 +108,7 @@ def _prepare(out: Path, *, force: bool) -> None:
 
 def _capture_and_kill(run: Path, bank: Path) -> None:
     """Run a capture in a process of its own and kill it, without warning, half-way."""
-    command = [sys.executable, "-m", "wavefocus", "capture", str(run), "--bank", str(bank), "--json"]
-    done = total = 0
+    command, done, total = [*COMMAND, "capture", str(run), "--bank", str(bank), "--json"], 0, 0
     with subprocess.Popen(command, stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         for line in child.stdout:
@@ -124,7 +123,7 @@ def _capture_and_kill(run: Path, bank: Path) -> None:
 
 
 def _resume(bank: Path) -> None:
-    code = subprocess.run([sys.executable, "-m", "wavefocus", "resume", str(bank)], check=False).returncode
+    code = subprocess.run([*COMMAND, "resume", str(bank)], check=False).returncode
     if code != 0:
         raise WavefocusError(f"wavefocus resume {bank} ended with exit code {code}")
 
@@ -157,38 +156,19 @@ def compare_with_truth(bank: Bank, rig: VirtualRig) -> NDArray[np.float64]:
     """Compare every measured pair with the plate's true FIR, over the bank's band.
 
     Returns (positions, actuators) ``20 log10(|G - G_true|_2 / |G_true|_2)``, NaN where not measured, over the bins
-    from ``band_hz[0]`` to ``band_hz[1]`` of a transform
-    of twice the length of the FIRs.
+    from ``band_hz[0]`` to ``band_hz[1]`` of a transform of twice the length of the FIRs.
     """
     error_db = np.full((bank.positions, bank.actuators), np.nan)
-    measured = np.flatnonzero(bank.status)
-    rows = (bank.green(int(row)) for row in measured)
-    wrong, true = norms_of_errors(bank, rig, bank.position_mm[measured], rows)
-    error_db[measured] = 20.0 * np.log10(np.maximum(wrong / true, np.finfo(np.float64).tiny))
-    return error_db
-
-
-def norms_of_errors(
-    bank: Bank, rig: VirtualRig, places_mm: NDArray[np.float64], green: Iterable[NDArray[Any]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compare Green's functions at some places with the plate's true ones, over the bank's band.
-
-    green: For each place an array (actuators, taps) at the bank's rate.
-
-    Returns the L2 norms of what is wrong and of what is true, (places, actuators) each.
-    """
     length = scipy.fft.next_fast_len(2 * bank.taps, real=True)
     frequency_hz = np.fft.rfftfreq(length, 1.0 / bank.sample_rate_hz)
     start_hz, stop_hz = bank.band_hz if bank.band_hz is not None else (0.0, np.inf)
     in_band = np.flatnonzero((frequency_hz >= start_hz) & (frequency_hz <= stop_hz))
     band = slice(int(in_band[0]), int(in_band[-1]) + 1)
-    wrong, true = np.empty((2, len(places_mm), bank.actuators))
-    rows = iter(green)
-    for first in range(0, len(places_mm), CHUNK_POSITIONS):
-        some_mm = places_mm[first : first + CHUNK_POSITIONS]
-        spectra = rig.truth_spectra(some_mm, bank.taps, length, band, bank.sample_rate_hz)
-        for place, true_here in enumerate(spectra, first):
-            found = scipy.fft.rfft(next(rows).astype(np.float32, copy=False), length)[:, band]
-            wrong[place] = np.linalg.norm(found - true_here, axis=1)
-            true[place] = np.linalg.norm(true_here, axis=1)
-    return wrong, true
+    measured = np.flatnonzero(bank.status)
+    for rows in np.split(measured, range(CHUNK_POSITIONS, len(measured), CHUNK_POSITIONS)):
+        true = rig.truth_spectra(bank.position_mm[rows], bank.taps, length, band, bank.sample_rate_hz)
+        for row, spectra in zip(rows.tolist(), true, strict=True):
+            wrong = scipy.fft.rfft(bank.green(row).astype(np.float32, copy=False), length)[:, band] - spectra
+            relative = np.linalg.norm(wrong, axis=1) / np.linalg.norm(spectra, axis=1)
+            error_db[row] = 20.0 * np.log10(np.maximum(relative, np.finfo(np.float64).tiny))
+    return error_db

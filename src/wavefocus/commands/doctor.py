@@ -4,22 +4,23 @@ import dataclasses
 import platform
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from msgspec.structs import replace
 
 from wavefocus.acquisition.doctor import RigFindings, examine
-from wavefocus.acquisition.setup import Openers
 from wavefocus.config.messages import to_line
 from wavefocus.config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.console import Exit, answer, print_line, say, spinner
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
+from wavefocus.drivers.exchange_record import noting_calls, recording
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, SHUTTERS, VIBROMETERS
 from wavefocus.drivers.timeouts import in_time
@@ -46,8 +47,21 @@ def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
         _reset(rig, rig_file, options.reset_usb)
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
-    openers = openers_of(rig) if record is None else _noting(openers_of(rig))
-    with _recording(record, rig) as exchanges, spinner("examining") as status:
+    openers, exchanges = openers_of(rig), None
+    with ExitStack() as opened, spinner("examining") as status:
+        if record is not None:
+            roles = ("mirror", "recorder", "player", "vibrometer")
+            drivers = {role: getattr(rig, role).driver for role in roles}
+            made = datetime.now(UTC).isoformat()
+            about = {"made": made, "rig": rig.rig.name, "drivers": drivers, "versions": versions()}
+            try:
+                exchanges = opened.enter_context(recording(record, about))
+            except FileExistsError:
+                raise InputError(f"--record {record}: exists already; name a new file") from None
+            except OSError as failure:
+                raise InputError(f"--record {record}: {failure.strerror}") from None
+            noted: dict[str, Any] = {role: partial(_noted, getattr(openers, role), role) for role in roles[:3]}
+            openers = dataclasses.replace(openers, **noted)
         resettable = {one.role for one in rig.usb}
 
         def publish(finding: Finding) -> None:
@@ -70,7 +84,12 @@ def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
             publish(finding)
         publish(awake_finding())
         if exchanges is not None:
-            publish(_recorded(exchanges, str(record)))
+            what = f"{record} is incomplete: {exchanges.failure}"
+            publish(
+                Finding("record", "file", "fail", what, "name a file elsewhere")
+                if exchanges.failure
+                else Finding("record", "file", "ok", f"every exchange is in {record}")
+            )
     failed = sum(one.verdict == "fail" for one in findings)
     if options.as_json or options.as_lines:
         counts = {word: sum(one.verdict == word for one in findings) for word in STYLES}
@@ -84,38 +103,9 @@ def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
     return Exit.NOT_GOOD_ENOUGH if failed else Exit.DONE
 
 
-@contextmanager
-def _recording(path: Path | None, rig: RigConfig) -> Iterator[ExchangeRecord | None]:
-    """Record all exchanges to a new file. Raises InputError."""
-    if path is None:
-        yield None
-        return
-    drivers = {role: getattr(rig, role).driver for role in ("mirror", "recorder", "player", "vibrometer")}
-    about = {"made": datetime.now(UTC).isoformat(), "rig": rig.rig.name, "drivers": drivers, "versions": versions()}
-    with ExitStack() as opened:
-        try:
-            exchanges = opened.enter_context(recording(path, about))
-        except FileExistsError:
-            raise InputError(f"--record {path}: exists already; name a new file") from None
-        except OSError as failure:
-            raise InputError(f"--record {path}: {failure.strerror}") from None
-        yield exchanges
-
-
-def _noting(openers: Openers) -> Openers:
-    """The same openers, with the calls of mirror, recorder and player noted."""
-    return dataclasses.replace(
-        openers,
-        mirror=lambda: noting_calls(openers.mirror(), "mirror"),
-        recorder=lambda: noting_calls(openers.recorder(), "recorder"),
-        player=lambda: noting_calls(openers.player(), "player"),
-    )
-
-
-def _recorded(exchanges: ExchangeRecord, path: str) -> Finding:
-    if exchanges.failure:
-        return Finding("record", "file", "fail", f"{path} is incomplete: {exchanges.failure}", "name a file elsewhere")
-    return Finding("record", "file", "ok", f"every exchange is in {path}")
+def _noted(opener: Callable[[], Any], role: str) -> Any:
+    """Open an instrument whose calls are noted."""
+    return noting_calls(opener(), role)
 
 
 def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
@@ -138,17 +128,10 @@ def _show(findings: list[Finding]) -> None:
         table.add_column(heading, overflow="fold")
     for one in findings:
         found = f"{one.what}\n-> {one.remedy}" if one.remedy else one.what
-        table.add_row(_styled(one.verdict), one.instrument, one.check, _plain(found))
+        # Square brackets of a finding are text, not markup.
+        verdict = f"[{STYLES[one.verdict]}]{one.verdict}[/]"
+        table.add_row(verdict, one.instrument, one.check, found.replace("[", r"\["))
     Console(highlight=False, soft_wrap=True).print(table)
-
-
-def _styled(verdict: str) -> str:
-    return f"[{STYLES[verdict]}]{verdict}[/]"
-
-
-def _plain(text: str) -> str:
-    """Square brackets are text, not markup."""
-    return text.replace("[", r"\[")
 
 
 PACKAGES = ("wavefocus", "numpy", "scipy", "h5py", "pydantic", "pyserial", "nidaqmx", "grpcio", "sounddevice", "pyusb")
@@ -174,7 +157,16 @@ def _check_surroundings(
     for registry in (MIRRORS, RECORDERS, PLAYERS, VIBROMETERS, SHUTTERS):
         for name, why in registry.failures.items():
             findings.add("packages", f"driver {name}", "warn", why, "repair or uninstall the package that provides it")
-    _check_disk(folder, findings)
+    free = shutil.disk_usage(folder).free
+    what = f"{free / 1e9:.1f} GB free at {folder}"
+    # A campaign of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
+    if free < 2e9:
+        act = Act("open-folder", str(folder))
+        findings.add("disk", "free space", "warn", what, "make room, or measure to another disk", act)
+    elif is_network_mount(folder):
+        findings.add("disk", "free space", "warn", f"{what}, a network drive", "measure to a local disk")
+    else:
+        findings.add("disk", "free space", "ok", what)
     _check_usb(rig, findings)
     _check_calibration(rig, identities, findings)
 
@@ -198,20 +190,6 @@ def _check_packages(rig: RigConfig, findings: RigFindings) -> None:
     findings.add("packages", "installed", "ok", used or f"none needed, wavefocus {there['wavefocus']}")
 
 
-def _check_disk(folder: Path, findings: RigFindings) -> None:
-    free = shutil.disk_usage(folder).free
-    what = f"{free / 1e9:.1f} GB free at {folder}"
-    # A campaign of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
-    if free < 2e9:
-        findings.add(
-            "disk", "free space", "warn", what, "make room, or measure to another disk", Act("open-folder", str(folder))
-        )
-    elif is_network_mount(folder):
-        findings.add("disk", "free space", "warn", f"{what}, a network drive", "measure to a local disk")
-    else:
-        findings.add("disk", "free space", "ok", what)
-
-
 def _check_usb(rig: RigConfig, findings: RigFindings) -> None:
     if not rig.usb:
         return
@@ -233,19 +211,16 @@ def _check_calibration(rig: RigConfig, identities: Mapping[str, DeviceIdentity],
     record = rig.calibration.measured
     if record is None:
         if not rig.is_virtual:
-            findings.add(
-                "calibration", "file", "warn", "the rig file names none", "run wavefocus calibrate", Act("calibrate")
-            )
+            why = "the rig file names none"
+            findings.add("calibration", "file", "warn", why, "run wavefocus calibrate", Act("calibrate"))
         return
     for warning in calibration_warnings(rig, identities):
         findings.add("calibration", "file", "warn", warning.reason, warning.remedy, Act("calibrate", warning.part))
     for one in record.actuators.actuator if record.actuators is not None else ():
         if one.verdict != "good":
-            what, act = (
-                f"actuator {one.actuator} was {one.verdict} ({one.level_db:+.1f} dB)",
-                Act("calibrate", "actuators"),
-            )
-            findings.add("calibration", "actuators", "warn", what, "see wavefocus calibrate --only actuators", act)
+            what, remedy = f"actuator {one.actuator} was {one.verdict} ({one.level_db:+.1f} dB)", "--only actuators"
+            act = Act("calibrate", "actuators")
+            findings.add("calibration", "actuators", "warn", what, f"see wavefocus calibrate {remedy}", act)
     findings.add("calibration", "file", "ok", f"{rig.calibration.file}, made {record.made:%Y-%m-%d}")
 
 

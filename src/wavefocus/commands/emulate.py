@@ -56,7 +56,14 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
         except (JackServerError, RuntimeError, ValueError) as refused:
             raise InputError(f"{rig_file}: {refused}") from None
         with emulated:
-            _announce(emulated, as_json=as_json)
+            environment = emulated.audio.environment
+            if as_json:
+                mirror = None if emulated.mirror is None else emulated.mirror.address
+                print(json.dumps({"environment": environment, "mirror": mirror}), flush=True)
+            settings = " ".join(f"{name}={value}" for name, value in environment.items())
+            say("the emulated instruments run; in the other terminal, before doctor, calibrate or capture, type")
+            say(f"    export {settings}")
+            say(f"and here: {COMMANDS}")
             _carry_out(emulated, stop)
     say("the emulated instruments have stopped")
     return Exit.DONE
@@ -83,22 +90,15 @@ def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
         if port is not None:
             _check_free(f"{rig_file}: {key} = {port}", port)
     return Wiring(
-        mirror_dialect=mirror.driver,
-        mirror_port=mirror.port or "",
-        mirror_full_scale_mrad=mirror.full_scale_mrad,
-        ni_product=rig.emulation.ni_product,
-        ni_device=recorder.device or "",
-        ni_address=recorder.address,
-        reference_input=recorder.reference_input or "",
-        response_input=recorder.response_input or "",
-        full_scale_v=player.output_full_scale_v,
-        interface_rate_hz=player.interface_rate_hz,
-        period_frames=rig.emulation.period_frames,
-        vibrometer_port=rig.vibrometer.port,
-        vibrometer_driver=rig.vibrometer.driver,
+        mirror_dialect=mirror.driver, mirror_port=mirror.port or "", mirror_full_scale_mrad=mirror.full_scale_mrad,
         mirror_outputs=(mirror.x_output or "", mirror.y_output or ""),
         mirror_volts_per_degree=mirror.volts_per_degree or 0.0,
-    )
+        ni_product=rig.emulation.ni_product, ni_device=recorder.device or "", ni_address=recorder.address,
+        reference_input=recorder.reference_input or "", response_input=recorder.response_input or "",
+        full_scale_v=player.output_full_scale_v, interface_rate_hz=player.interface_rate_hz,
+        period_frames=rig.emulation.period_frames,
+        vibrometer_port=rig.vibrometer.port, vibrometer_driver=rig.vibrometer.driver,
+    )  # fmt: skip
 
 
 def _check_free(key: str, port: str) -> None:
@@ -112,17 +112,6 @@ def _check_free(key: str, port: str) -> None:
         raise InputError(f"{key}: something is there already; name a path of which nothing is lost, or socket://...")
     if not link.parent.is_dir():
         raise InputError(f"{key}: there is no folder {link.parent}")
-
-
-def _announce(emulated: EmulatedRig, *, as_json: bool) -> None:
-    environment = emulated.audio.environment
-    if as_json:
-        mirror = None if emulated.mirror is None else emulated.mirror.address
-        print(json.dumps({"environment": environment, "mirror": mirror}), flush=True)
-    settings = " ".join(f"{name}={value}" for name, value in environment.items())
-    say("the emulated instruments run; in the other terminal, before wavefocus doctor, calibrate or capture, type")
-    say(f"    export {settings}")
-    say(f"and here: {COMMANDS}")
 
 
 def _carry_out(emulated: EmulatedRig, stop: StopRequest) -> None:

@@ -5,7 +5,6 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.console import progress, say
@@ -13,7 +12,7 @@ from wavefocus.input_files import name_unverified
 from wavefocus.options import MovieOptions
 from wavefocus.rendering.report.movie import FramePlan, plan_frames, snapshots, surface_of, write_movie
 from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.drive_file import Drive, read_drive
+from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import FieldRowReader
 from wavefocus.storage.output_files import require_outputs, write_whole
@@ -48,16 +47,16 @@ def movie(
         name_unverified(field_file, verified=field.verified)
         if drive_file is not None and drive is not None:
             name_unverified(drive_file, verified=drive.verified)
-        _check_together(field, field_file, view, drive, drive_file)
-        surface = surface_of(view, drive, _outline(view))
+        index, foci = field.position_index, np.zeros(0, np.int64) if drive is None else drive.focus_position
+        if index.min() < 0 or index.max() >= view.positions:
+            raise InputError(f"{field_file} has position {index.max()}, {bank} has {view.positions}: of another bank?")
+        if len(foci) and (foci.min() < 0 or foci.max() >= view.positions):
+            raise InputError(f"{drive_file} has foci at positions that {bank} does not have: of another bank?")
+        known = view.rig_json is not None and view.run_json is not None
+        outline_mm = bank_configuration(view).rig.surface.outline.line(OUTLINE_POINTS) if known else None
+        surface = surface_of(view, drive, outline_mm)
         if out is not None:
-            plan = plan_frames(
-                field,
-                drive,
-                from_s=options.from_s,
-                to_s=options.to_s,
-                slow=options.slow,
-            )
+            plan = plan_frames(field, drive, from_s=options.from_s, to_s=options.to_s, slow=options.slow)
             _warn_of_strobing(plan, view, field)
             with progress("movie", len(plan.sample)) as report:
                 limit = write_movie(out, field, surface, drive, plan, on_progress=report)
@@ -72,24 +71,6 @@ def movie(
             answer["snapshots"] = str(snapshot_file)
     if as_json:
         print(json.dumps(answer))
-
-
-def _check_together(
-    field: FieldRowReader, field_file: Path, bank: Bank, drive: Drive | None, drive_file: Path | None
-) -> None:
-    index = field.position_index
-    if index.min() < 0 or index.max() >= bank.positions:
-        raise InputError(f"{field_file} has position {index.max()}, {bank.path} has {bank.positions}: of another bank?")
-    if drive is None or not len(drive.focus_position):
-        return
-    if drive.focus_position.min() < 0 or drive.focus_position.max() >= bank.positions:
-        raise InputError(f"{drive_file} has foci at positions that {bank.path} does not have: of another bank?")
-
-
-def _outline(bank: Bank) -> NDArray[np.float64] | None:
-    if bank.rig_json is None or bank.run_json is None:
-        return None
-    return bank_configuration(bank).rig.surface.outline.line(OUTLINE_POINTS)
 
 
 def _warn_of_strobing(plan: FramePlan, bank: Bank, field: FieldRowReader) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from wavefocus.acquisition.plan import schedule_name
 from wavefocus.acquisition.setup import names_of
 from wavefocus.acquisition.wording import finish_time, hours
-from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
+from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.console import answer
@@ -23,7 +23,11 @@ def plan(run_file: Path, scene_files: Sequence[Path] = (), *, details: bool = Fa
     """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
     the_plan, rig = blueprint.plan, blueprint.configuration.rig
-    rows = np.array(sorted(_needed_by_scenes(scene_files, blueprint)), np.int64)
+    rows = the_plan.order
+    if scene_files:
+        from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
+
+        rows = np.array(sorted(needed_by(scene_files, blueprint)), np.int64)
     position_s = the_plan.position_s(rig.recorder)
     second_looks = the_plan.second_looks(rows)
     duration_s = the_plan.campaign_s(rows, rig.recorder)
@@ -47,52 +51,36 @@ def plan(run_file: Path, scene_files: Sequence[Path] = (), *, details: bool = Fa
         "instruments": _instruments(rig, blueprint.configuration.run),
         "plan_sha256": the_plan.sha256,
     }
-    lines, more = _lines(facts, position_s), _details(facts, position_s, the_plan.excitation.amplitude_v)
+    lines = list(_lines(facts, position_s, the_plan.excitation.amplitude_v))
     if scene_files:
         all_s = the_plan.campaign_s(the_plan.order, rig.recorder)
-        lines.insert(1, f"scenes      need {len(rows)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
+        needed = f"scenes      need {len(rows)} of {the_plan.positions} positions; all of them: {hours(all_s)}"
+        lines.insert(1, (needed, False))
     if as_json:
-        print(json.dumps({**facts, "lines": [*lines[:-1], *more, lines[-1]]}))
+        print(json.dumps({**facts, "lines": [line for line, _ in lines]}))
         return
-    for line in [*lines[:-1], *(more if details else ()), lines[-1]]:
-        answer(line)
+    for line, in_detail in lines:
+        if details or not in_detail:
+            answer(line)
 
 
-def _lines(facts: Mapping[str, Any], position_s: float) -> list[str]:
-    """Hours, bytes, end and limits."""
-    finish = datetime.fromisoformat(facts["finish_at"])
-    lines = [f"positions   {facts['positions']}, {facts['actuators']} actuators, {facts['records']} records"]
+def _lines(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> Iterator[tuple[str, bool]]:
+    """Hours, bytes, end and limits; and, for `--details` alone (True), sweeps, sentinel and instruments."""
+    finish, (start_hz, stop_hz) = datetime.fromisoformat(facts["finish_at"]), facts["band_hz"]
+    yield f"positions   {facts['positions']}, {facts['actuators']} actuators, {facts['records']} records", False
     if count := facts["check_positions"]:
-        lines.append(f"checks      {count} of the positions lie off the grid and only judge what is interpolated")
+        yield f"checks      {count} of the positions lie off the grid and only judge what is interpolated", False
     if count := facts["second_looks"]:
-        lines.append(
-            f"second look {count} positions that the others cannot judge are measured twice, "
-            f"{hours(count * position_s)} of that"
-        )
-    return [
-        *lines,
-        f"duration    {hours(facts['duration_s'])}; started now it finishes {finish:%a %d %b %H:%M}",
-        f"bank        {facts['bank_bytes'] / 1e6:.0f} MB; {facts['disk_free_bytes'] / 1e9:.1f} GB free here",
-        f"plan        {facts['plan_sha256'][:16]}; within all limits",
-    ]
-
-
-def _details(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> list[str]:
-    """Sweeps, sentinel and instruments."""
-    start_hz, stop_hz = facts["band_hz"]
-    lines = [f"sweeps      {facts['schedule']}, {start_hz:g}-{stop_hz:g} Hz, {amplitude_v:g} V"]
+        twice = f"second look {count} positions that the others cannot judge are measured twice"
+        yield f"{twice}, {hours(count * position_s)} of that", False
+    yield f"duration    {hours(facts['duration_s'])}; started now it finishes {finish:%a %d %b %H:%M}", False
+    yield f"bank        {facts['bank_bytes'] / 1e6:.0f} MB; {facts['disk_free_bytes'] / 1e9:.1f} GB free here", False
+    yield f"sweeps      {facts['schedule']}, {start_hz:g}-{stop_hz:g} Hz, {amplitude_v:g} V", True
     if count := facts["sentinel_passes"]:
-        lines.append(f"sentinel    measured again {count} times, {hours(count * position_s)} of the duration")
-    return [*lines, *(f"instrument  {instrument}" for instrument in facts["instruments"])]
-
-
-def _needed_by_scenes(files: Sequence[Path], blueprint: Blueprint) -> Collection[int]:
-    """Positions that some scenes need; all positions without scenes."""
-    if not files:
-        return range(blueprint.plan.positions)
-    from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
-
-    return needed_by(files, blueprint)
+        yield f"sentinel    measured again {count} times, {hours(count * position_s)} of the duration", True
+    for instrument in facts["instruments"]:
+        yield f"instrument  {instrument}", True
+    yield f"plan        {facts['plan_sha256'][:16]}; within all limits", False
 
 
 def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +14,8 @@ from wavefocus.console import Report, progress, say
 from wavefocus.input_files import name_unverified, parse_positions
 from wavefocus.rendering.device import cuda_device
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit, share_above
-from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.drive_file import Drive, read_drive
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import field_in_rows
 from wavefocus.storage.output_files import require_outputs
@@ -45,39 +44,34 @@ def predict(
     if device != "cpu" and (cluster or rate_hz is not None):
         raise InputError(f"--device {device} goes neither with --cluster nor with --rate")
     dtype = np.float64 if rate_hz is None else np.float32
-    with _opened(drive_file, bank, out, positions, force=force) as (drive, view, index):
-        prediction = Prediction(
-            drive, view, index, dtype=dtype, rate_hz=rate_hz,
-            device=None if device == "cpu" else cuda_device(),
-        )  # fmt: skip
+    require_outputs((out,), (drive_file, bank), force=force)
+    drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
+    with open_bank(bank) as view:
+        wanted = parse_positions(positions, view.positions) if positions else None
+        view.require_sound(wanted)
+        index = chosen_positions(drive, view, wanted)
+        gpu = None if device == "cpu" else cuda_device()
+        prediction = Prediction(drive, view, index, dtype=dtype, rate_hz=rate_hz, device=gpu)
         unit, peak = field_unit(view), 0.0
-        with (
-            field_in_rows(
-                out,
-                index,
-                prediction.samples,
-                sample_rate_hz=prediction.sample_rate_hz,
-                start_s=prediction.start_s,
-                response_unit=unit,
-                low_pass=prediction.low_pass,
-                force=force,
-            ) as writer,
-            progress("predict", len(index)) as report,
-        ):
+        quiet: tuple[QuietLevel, ...] = ()
+        to_file = field_in_rows(
+            out, index, prediction.samples, sample_rate_hz=prediction.sample_rate_hz, start_s=prediction.start_s,
+            response_unit=unit, low_pass=prediction.low_pass, force=force,
+        )  # fmt: skip
+        with to_file as writer, progress("predict", len(index)) as report:
             for field in _parts(prediction, drive_file, bank, rate_hz, cluster, report):
                 writer.write(field)
                 peak = max(peak, float(np.abs(field).max(initial=0.0)))
         lost = share_above(drive, view, index, prediction.passed_hz) if prediction.low_pass else 0.0
-        quiet: tuple[QuietLevel, ...] = ()
         if drive.quiet:
             from wavefocus.rendering.field.quiet_levels import quiet_levels  # 0.1 s, with the tables of scenes
 
             quiet = quiet_levels(drive, view)
         if left_out := 0 if positions else view.positions - len(index):
             say(f"{left_out} positions are not measured and are left out")
-    say(
-        f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {quantity(f'{peak:.4g}', unit)}"
-    )
+    largest = quantity(f"{peak:.4g}", unit)
+    say(f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {largest}")
     for level in quiet:
         say(f"quiet: {level}")
     if rate_hz is not None and prediction.passed_hz < drive.sample_rate_hz / 2:
@@ -86,32 +80,14 @@ def predict(
             f" {lost:.2g} of the response's energy is above that"
         )
     if as_json:
-        figures = {
+        figures: dict[str, Any] = {
             "field": str(out),
             "positions": len(index),
             "samples": prediction.samples,
             "peak": peak,
-            "sample_rate_hz": prediction.sample_rate_hz,
-            "passed_hz": prediction.passed_hz,
-            "lost_share": lost,
         }
-        if quiet:
-            figures["quiet"] = [level.plain for level in quiet]
-        print(json.dumps(figures))
-
-
-@contextmanager
-def _opened(
-    drive_file: Path, bank: Path, out: Path, positions: str, *, force: bool
-) -> Iterator[tuple[Drive, Bank, NDArray[np.int64]]]:
-    """The drive, the open bank and the rows asked for, once the output may be written."""
-    require_outputs((out,), (drive_file, bank), force=force)
-    drive = read_drive(drive_file)
-    name_unverified(drive_file, verified=drive.verified)
-    with open_bank(bank) as view:
-        wanted = parse_positions(positions, view.positions) if positions else None
-        view.require_sound(wanted)
-        yield drive, view, chosen_positions(drive, view, wanted)
+        figures |= {"sample_rate_hz": prediction.sample_rate_hz, "passed_hz": prediction.passed_hz, "lost_share": lost}
+        print(json.dumps(figures | ({"quiet": [level.plain for level in quiet]} if quiet else {})))
 
 
 def _parts(

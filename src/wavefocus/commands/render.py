@@ -20,7 +20,6 @@ from wavefocus.rendering.drive.wav import stream_wav
 from wavefocus.rendering.field.foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import field_unit
 from wavefocus.rendering.field.quiet_levels import levels_json, quiet_levels, rendered_levels
-from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rig.limits import (
     DEFAULT_FULL_SCALE_V,
@@ -78,8 +77,16 @@ def render(
                     focus_peak, quiet = predicted_focus_peak(drive, view), quiet_levels(drive, view)
         if wav is not None:
             _write_wav(view, rig, renderer.shape, out, wav)
-        figures = {"drive": str(out), **_figures(renderer, facts, view)}
-        figures |= {"focus_peak": focus_peak, "response_unit": field_unit(view)}
+        sampled, limiting, unit = renderer.sampled, facts.limiting, field_unit(view)
+        focus_points = len(sampled.foci[0])
+        figures: dict[str, Any] = {
+            "drive": str(out), "method": sampled.method, "samples": renderer.shape[1], "start_s": sampled.start_s,
+            "focus_points": focus_points, "peak_v": renderer.peak_v, "scale": facts.scale,
+            "limited_by": limiting.decided_by, "limiting_actuator": limiting.actuator,
+            "omitted_bound": facts.omitted_bound, "relative_rms": facts.relative_rms_drive.round(6).tolist(),
+            "dynamic_range_db": round(facts.dynamic_range_db, 3), "warnings": list(facts.warnings),
+            "focus_peak": focus_peak, "response_unit": unit,
+        }  # fmt: skip
         if facts.interpolation_errors is not None:
             figures["interpolation"] = facts.interpolation_errors.facts
         if facts.quiet is not None:
@@ -88,13 +95,13 @@ def render(
     for warning in facts.warnings:
         say(f"warning: {warning}")
     say(
-        f"{out}: {figures['method']}, {renderer.shape[0]} actuators, {renderer.shape[1] / view.sample_rate_hz:.3f} s, "
-        f"{figures['focus_points']} focus points, largest drive {quantity(f'{renderer.peak_v:.3g}', view.drive_unit)}"
+        f"{out}: {sampled.method}, {renderer.shape[0]} actuators, {renderer.shape[1] / view.sample_rate_hz:.3f} s, "
+        f"{focus_points} focus points, largest drive {quantity(f'{renderer.peak_v:.3g}', view.drive_unit)}"
     )
     if focus_peak is not None:
-        say(f"predicted response at the focus: up to {focus_peak:.3g} {field_unit(view)}")
-    if facts.limiting.decided_by is not None:
-        say(limited_words(facts.limiting, rig_file))
+        say(f"predicted response at the focus: up to {focus_peak:.3g} {unit}")
+    if limiting.decided_by is not None:
+        say(limited_words(limiting, rig_file))
     if options.tolerance_db is not None:
         what = "" if facts.single else ": double precision"
         say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
@@ -128,21 +135,3 @@ def _write_wav(bank: Bank, rig: RigConfig | None, shape: tuple[int, int], drive_
             wav, shown(), shape, float(bank.sample_rate_hz), interface_rate_hz=rate_hz, full_scale_v=full_scale_v
         )
     say(f"{wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")
-
-
-def _figures(renderer: SceneRenderer, facts: RenderReport, bank: Bank) -> dict[str, Any]:
-    """The figures of a render, for JSON."""
-    return {
-        "method": renderer.sampled.method,
-        "samples": renderer.shape[1],
-        "start_s": renderer.sampled.start_s,
-        "focus_points": len(renderer.sampled.foci[0]),
-        "peak_v": renderer.peak_v,
-        "scale": facts.scale,
-        "limited_by": facts.limiting.decided_by,
-        "limiting_actuator": facts.limiting.actuator,
-        "omitted_bound": facts.omitted_bound,
-        "relative_rms": facts.relative_rms_drive.round(6).tolist(),
-        "dynamic_range_db": round(facts.dynamic_range_db, 3),
-        "warnings": list(facts.warnings),
-    }

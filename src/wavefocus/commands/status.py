@@ -80,7 +80,11 @@ def _campaign_facts(
         "state_reason": stands.reason if stands.since else None,
         "recovering": None if stands.recovering is None else to_record(stands.recovering),
         "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
-        "last_sign_of_life": _life_facts(beat),
+        "last_sign_of_life": beat and {
+            "at": beat.at.isoformat(), "age_s": round(beat.age_s(), 1), "state": beat.state, "reason": beat.reason,
+            "position": beat.position, "remaining_s": beat.remaining_s, "fault": beat.fault or None,
+            "finish_at": beat.finish_at and beat.finish_at.isoformat(),
+        },
         "silent": owner is not None and beat is not None and beat.is_silent(),
         "positions_per_hour": progress and progress.positions_per_hour,
         "remaining_s": progress.remaining_s if progress else stands.planned_s,
@@ -91,7 +95,7 @@ def _campaign_facts(
         "suspect_positions": suspect_rows(read_drift(bank)),
         "crosstalk": None if leak is None else to_record(leak) | {"sentence": leak.reason or sentence(leak)},
         "kept_positions": [{"position": position, "reason": reason} for position, reason in stands.kept.items()],
-    }
+    }  # fmt: skip
 
 
 def _bank_sentences(facts: Mapping[str, Any]) -> Iterator[str]:
@@ -199,21 +203,6 @@ def _pace_sentences(stands: CampaignStatus, to_go: int) -> Iterator[str]:
         yield f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})"
 
 
-def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
-    if beat is None:
-        return None
-    return {
-        "at": beat.at.isoformat(),
-        "age_s": round(beat.age_s(), 1),
-        "state": beat.state,
-        "reason": beat.reason,
-        "position": beat.position,
-        "remaining_s": beat.remaining_s,
-        "finish_at": beat.finish_at.isoformat() if beat.finish_at else None,
-        "fault": beat.fault or None,
-    }
-
-
 # The states in which an order is carried out, and those in which it will be, in words.
 _CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}
 WAITS_S = 15.0
@@ -231,46 +220,29 @@ def order(bank: Path, word: Word, *, as_json: bool) -> Exit:
 
     Raises InputError: no process owns the bank.
     """
-    owner = _owner(bank, word)
-    given = give_order(bank, word)
-    until_s = time.monotonic() + WAITS_S
+    if (owner := bank_owner(bank)) is None:
+        raise InputError(f"{bank}: no process owns the bank, so there is nothing to {word}")
+    given, until_s = give_order(bank, word), time.monotonic() + WAITS_S
     received, carried_out = None, False
-    while not carried_out:
+    while True:
         beat = read_heartbeat(bank)
         if beat is not None and beat.order == given.number:
-            received = beat
-            carried_out = beat.state in _CARRIED_OUT[word]
+            received, carried_out = beat, beat.state in _CARRIED_OUT[word]
         gone = bank_owner(bank) is None
-        if gone:
-            carried_out = carried_out or (word == "stop" and received is not None)
+        if carried_out or gone or time.monotonic() >= until_s:
             break
-        if time.monotonic() >= until_s:
-            break
-        if not carried_out:
-            time.sleep(0.1)
+        time.sleep(0.1)
+    carried_out = carried_out or (gone and word == "stop" and received is not None)
     if received is None:
         withdraw(bank, given)
-    line = _line(bank, owner, received, carried_out=carried_out)
-    say(line)
+        silent = "" if beat is None else f"; its last sign of life: {beat.age_words()}"
+        fate = f"does not answer within {WAITS_S:g} s{silent}; the order is withdrawn"
+    elif carried_out:
+        fate = f"{received.state}: {received.reason}"
+    else:
+        fate = f"has received it and is {received.state}: {received.reason}; see wavefocus status"
+    say(f"{bank}: process {owner.pid} on {owner.host}{':' if carried_out else ''} {fate}")
     if as_json:
         state = None if received is None else received.state
         print(json.dumps({"order": word, "heard": received is not None, "carried_out": carried_out, "state": state}))
     return Exit.DONE if received is not None else Exit.NOT_GOOD_ENOUGH
-
-
-def _owner(bank: Path, word: str) -> Owner:
-    owner = bank_owner(bank)
-    if owner is None:
-        raise InputError(f"{bank}: no process owns the bank, so there is nothing to {word}")
-    return owner
-
-
-def _line(bank: Path, owner: Owner, received: Heartbeat | None, *, carried_out: bool) -> str:
-    who = f"process {owner.pid} on {owner.host}"
-    if received is None:
-        beat = read_heartbeat(bank)
-        silent = "" if beat is None else f"; its last sign of life: {beat.age_words()}"
-        return f"{bank}: {who} does not answer within {WAITS_S:g} s{silent}; the order is withdrawn"
-    if carried_out:
-        return f"{bank}: {who}: {received.state}: {received.reason}"
-    return f"{bank}: {who} has received it and is {received.state}: {received.reason}; see wavefocus status"

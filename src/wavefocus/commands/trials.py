@@ -6,7 +6,7 @@ import json
 import platform
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, check_participant, write_facts
-from wavefocus.trials.design import TrialsDesign, load_trials
+from wavefocus.trials.design import FACTS_OF_A_STIMULUS, TrialsDesign, load_trials
 from wavefocus.trials.order import Experiment, resume_sequence
 from wavefocus.trials.presentation import MASKING_CREST, Masking, Onset, RigPresenter, Sound
 from wavefocus.trials.session import TrialsSession
@@ -44,7 +44,10 @@ def trials(trials_file: Path, bank: Path, rig_file: Path, out: Path, options: Tr
     if not options.only_prepare:
         check_participant(participant)
         if not options.as_lines:
-            return _in_window(trials_file, bank, rig_file, participant, out, fast=fast)
+            from wavefocus.commands.gui import open_trials
+
+            arguments = [str(trials_file), "--bank", str(bank), "--rig", str(rig_file), "--participant", participant]
+            return open_trials([*arguments, "--out", str(out), *(["--fast"] if fast else [])], say)
     line = None if options.only_prepare else _Line(LinesOut())
     with open_bank(bank) as view, AnswersFile(out) as answers:
         require_sound(view)
@@ -53,13 +56,11 @@ def trials(trials_file: Path, bank: Path, rig_file: Path, out: Path, options: Tr
         if fast and not rig.is_virtual:
             raise InputError(f"{rig_file}: --fast is for a virtual rig")
         _masking(design, rig)  # refused before anything is rendered
-        if line is None:
-            prepared = _prepared(design, view, rig, out, lambda done, of: None, anew=not answers.rows)
-        else:
+        if line is not None:
             resume_sequence(Experiment(design), participant, answers.rows)
             line.start()
-            with line.breakable():
-                prepared = _prepared(design, view, rig, out, line.show_prepared, anew=not answers.rows)
+        with nullcontext() if line is None else line.breakable():
+            prepared = _prepared(design, view, rig, out, line, anew=not answers.rows)
         experiment = Experiment(design, prepared.sha256, prepared.bank_sha256)
         if line is None:
             say(f"{out}: {len(design.stimuli)} stimuli are ready")
@@ -89,7 +90,9 @@ def _carried_out(
     complete, session = False, None
 
     def sound(name: str) -> Sound:
-        return sound_of(prepared, name, design.stimuli[name].plays)
+        """A stimulus as it is presented. Raises InputError: its drive file is missing or damaged."""
+        drive = prepared.drive(name)
+        return Sound(drive.drive_v, max(0, round(-drive.start_s * drive.sample_rate_hz)), design.stimuli[name].plays)
 
     try:
         with ending_at_once(), open_setup(rig, run, realtime=not fast, outputs=outputs) as setup:
@@ -109,12 +112,6 @@ def _carried_out(
     where = f"participant {participant}: {session.done}{of} trials are answered"
     say(f"{where}; the outputs are muted" + ("" if complete else "; the same command resumes"))
     return Exit.DONE if complete else Exit.STOPPED
-
-
-def sound_of(prepared: Prepared, name: str, plays: int) -> Sound:
-    """A stimulus as it is presented. Raises InputError: its drive file is missing or damaged."""
-    drive = prepared.drive(name)
-    return Sound(drive.drive_v, max(0, round(-drive.start_s * drive.sample_rate_hz)), plays)
 
 
 class _Line:
@@ -147,10 +144,6 @@ class _Line:
         finally:
             with self._lock:
                 self._breakable = False
-
-    def show_prepared(self, done: int, of: int) -> None:
-        """Publish how many stimuli are prepared."""
-        self.publish(Preparing(done, of))
 
     def next(self, timeout_s: float | None) -> Message | None:
         """The next order, as of `wavefocus.trials.session.Orders`."""
@@ -204,7 +197,7 @@ def _prepared(
     bank: Bank,
     rig: RigConfig,
     out: Path,
-    on_progress: Callable[[int, int], object],
+    line: _Line | None,
     *,
     anew: bool,
 ) -> Prepared:
@@ -213,7 +206,8 @@ def _prepared(
 
         def show(done: int, total: int) -> None:
             report(done, total)
-            on_progress(done, total)
+            if line is not None:
+                line.publish(Preparing(done, total))
 
         interface = interface_of(rig)
         prepared = prepare(design, bank, out, limits=limits, interface=interface, on_progress=show, anew=anew)
@@ -236,24 +230,7 @@ def _facts(design: TrialsDesign, bank: Bank, rig: RigConfig, prepared: Prepared)
         | {"python": platform.python_version()},
         "design": design.config.model_dump(mode="json", exclude_none=True),
         "stimuli": {
-            one.name: {
-                "path": one.path,
-                "signal": one.signal,
-                "speed_mm_s": one.speed_mm_s,
-                "amplitude": one.amplitude,
-                "plays": one.plays,
-                "correct": one.correct,
-                "track": one.track,
-                "sha256": prepared.sha256[one.name],
-            }
-            for one in design.stimuli.values()
+            name: {key: getattr(one, key) for key in FACTS_OF_A_STIMULUS} | {"sha256": prepared.sha256[name]}
+            for name, one in design.stimuli.items()
         },
     }
-
-
-def _in_window(trials_file: Path, bank: Path, rig_file: Path, participant: str, out: Path, *, fast: bool) -> int:
-    from wavefocus.commands.gui import open_trials
-
-    arguments = [str(trials_file), "--bank", str(bank), "--rig", str(rig_file), "--participant", participant]
-    arguments += ["--out", str(out), *(["--fast"] if fast else [])]
-    return open_trials(arguments, say)

@@ -15,6 +15,7 @@ from wavefocus.storage.errors import InputError
 MAX_STIMULI = 1000
 MAX_TRIALS = 10_000
 FACTORS: tuple[Factor, ...] = ("path", "speed_mm_s", "signal", "amplitude")
+FACTS_OF_A_STIMULUS = ("path", "signal", "speed_mm_s", "amplitude", "plays", "correct", "track")
 
 
 @dataclass(frozen=True, slots=True)

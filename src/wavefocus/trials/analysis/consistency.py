@@ -10,10 +10,8 @@ from wavefocus.config.loading import validated
 from wavefocus.config.trials import AdaptiveTable, TrialsConfig, TrialsTable
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import COLUMNS, DEFAULTS, Row
-from wavefocus.trials.design import Stimulus, TrialsDesign
+from wavefocus.trials.design import FACTS_OF_A_STIMULUS, Stimulus, TrialsDesign
 from wavefocus.trials.order import Order, order_of
-
-FACTS_OF_A_STIMULUS = ("path", "signal", "speed_mm_s", "amplitude", "plays", "track")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +41,7 @@ def stored_design(facts: Mapping[str, Any], file: Path) -> TrialsDesign:
     stimuli: dict[str, Stimulus] = {}
     try:
         for name, one in facts.get("stimuli", {}).items():
-            known = {key: one[key] for key in (*FACTS_OF_A_STIMULUS, "correct")}
+            known = {key: one[key] for key in FACTS_OF_A_STIMULUS}
             stimuli[name] = Stimulus(name=name, **known, scene=None)
     except (AttributeError, KeyError, TypeError):
         raise InputError(f"{file}: stimuli are damaged; put the file that `wavefocus trials` wrote back") from None
@@ -101,7 +99,7 @@ def _reasons(row: Row, design: TrialsDesign, facts: Mapping[str, Any], absent: s
         yield f"stimulus is {row.stimulus!r}, which the experiment does not have"
         return
     for name in FACTS_OF_A_STIMULUS:
-        if name not in absent and getattr(row, name) != getattr(stimulus, name):
+        if name not in ("correct", *absent) and getattr(row, name) != getattr(stimulus, name):
             yield f"{name} is {getattr(row, name)!r}; the stimulus {row.stimulus} has {getattr(stimulus, name)!r}"
     if row.stimulus_sha256 != facts["stimuli"][row.stimulus].get("sha256", row.stimulus_sha256):
         yield f"stimulus_sha256 is not that of the stimulus {row.stimulus}"
