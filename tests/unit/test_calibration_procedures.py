@@ -8,7 +8,6 @@ import pytest
 from tests.lab_files import setup_of
 from wavefocus.acquisition.calibrate_channels import (
     NotMeasuredError,
-    OutputsTask,
     Probe,
     listening_places,
     measure_actuators,
@@ -55,13 +54,12 @@ class Hands:
 
 def bench(**changes):
     rig = VirtualRig(replace(VirtualSettings(actuator_mm=ACTUATORS, dropout_probability=0.0), **changes))
-    setup = setup_of(rig)
+    setup = setup_of(rig, inter_channel_delay_s=5e-6)
     return rig, setup, Probe(setup, RATE_HZ, 1.0)
 
 
-def outputs(probe, hands):
-    task = OutputsTask((0, 1, 2), 3, (5.0,) * 4, 1.0, 5e-6)
-    return measure_outputs(task, probe, hands, lambda done, total: None)
+def outputs(probe, hands, box_gain=None):
+    return measure_outputs(probe, (5.0,) * 4, hands, lambda done, total: None, box_gain)
 
 
 @pytest.mark.parametrize("left", ["both", "output 2"])
@@ -80,12 +78,11 @@ def test_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it
     rig, _, probe = bench()
     rig.patch_bay.connect("both")
     hands = Hands(rig, forgets=("sum",), patience=patience)
-    task = OutputsTask((0, 1, 2), 3, (5.0,) * 4, 1.0, 5e-6, summing_box=True)
     if patience == 1:
         with pytest.raises(NotMeasuredError):
-            measure_outputs(task, probe, hands, lambda done, total: None)
+            outputs(probe, hands, 0.0)
     else:
-        assert len(measure_outputs(task, probe, hands, lambda done, total: None)) == 4
+        assert len(outputs(probe, hands, 0.0)) == 4
         assert hands.plugged == ["sum", "sum"]
 
 

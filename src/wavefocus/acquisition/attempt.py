@@ -289,22 +289,21 @@ def commit_attempt(
     Returns `result` without its recordings, and saying whether it was committed.
     """
     position = result.attempt.position
-    held = Status(int(bank.status[position]))
-    holds_data = bool(held & (Status.VALID | Status.OVER_RANGE | Status.POOR_SIGNAL))
-    if holds_data and not result.judgement.good:
+    held = int(bank.status[position])
+    if held & MEASURED and not result.judgement.good:
         if count_anyway:
             bank.amend(position, attempts=attempts)
         return replace(result, committed=False, recordings=())
     actuators, taps = len(bank.header.actuator_mm), bank.header.taps
-    estimate = result.estimate
+    estimate, before = result.estimate, bank.record(position) if held else None
     record = PointRecord(
         status=int(result.judgement.status),
         attempts=attempts,
         **bank_figures(estimate, actuators),
         moved_mm=math.hypot(*result.attempt.moved_mm),
         leak_db=leak_db,
-        neighbour_round=bank.record(position).neighbour_round if held else 0,
-        unjudgeable=bool(held) and bank.record(position).unjudgeable,
+        neighbour_round=before.neighbour_round if before else 0,
+        unjudgeable=before.unjudgeable if before else False,
     )
     green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
     if raw is not None and result.recordings:

@@ -60,7 +60,7 @@ class Probe:
     """
 
     def __init__(self, setup: Setup, sample_rate_hz: float, amplitude_v: float) -> None:
-        self._setup = setup
+        self.setup = setup
         self._rate_hz = sample_rate_hz
         band_hz = LOWEST_HZ, HIGHEST_SHARE * sample_rate_hz
         excitation = PlayedExcitation(sample_rate_hz, *band_hz, SWEEP_S, SILENCE_S, amplitude_v, averages=1)
@@ -119,7 +119,7 @@ class Probe:
     def _in_range(self, output: int | None, record: int) -> Recording:
         recording = self._played(output, record)
         for name, reached, range_v in zip(
-            ("reference", "response"), recording.over_range, self._setup.range_v, strict=True
+            ("reference", "response"), recording.over_range, self.setup.range_v, strict=True
         ):
             if reached:
                 raise NotMeasuredError(
@@ -129,10 +129,10 @@ class Probe:
         return recording
 
     def _played(self, output: int | None, record: int) -> Recording:
-        number = self._setup.loopback_channel if output is None else output
-        signals_v = dict.fromkeys(sorted({self._setup.loopback_channel, number}), self._signal_v)
+        number = self.setup.loopback_channel if output is None else output
+        signals_v = dict.fromkeys(sorted({self.setup.loopback_channel, number}), self._signal_v)
         label = RecordLabel(number, 1, record, "calibration")
-        return record_play(self._setup, Play(number, signals_v), self._rate_hz, label)
+        return record_play(self.setup, Play(number, signals_v), self._rate_hz, label)
 
 
 def _check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
@@ -197,57 +197,45 @@ class OutputFigures:
     spread_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class OutputsTask:
-    """Inputs of the measurement of outputs.
-
-    channels: The outputs to measure, the loopback not among them.
-    loopback_channel: The loopback output.
-    full_scale_v: Volts at full scale of every output from 0, as the rig believes.
-    reference_gain: Volts at the reference input per volt of the loopback output.
-    inter_channel_delay_s: How much later the response input is sampled.
-    summing_box: All outputs are plugged into the response input at once, through a box.
-    box_gain: Its gain, where it is given.
-    """
-
-    channels: tuple[int, ...]
-    loopback_channel: int
-    full_scale_v: Sequence[float]
-    reference_gain: float
-    inter_channel_delay_s: float
-    summing_box: bool = False
-    box_gain: float | None = None
-
-
 def measure_outputs(
-    task: OutputsTask, probe: Probe, operator: Operator, progress: Callable[[int, int], None]
+    probe: Probe,
+    full_scale_v: Sequence[float],
+    operator: Operator,
+    progress: Callable[[int, int], None],
+    box_gain: float | None = None,
 ) -> tuple[OutputFigures, ...]:
     """Compare each output with the loopback output.
 
-    task: Inputs of the measurement.
+    full_scale_v: Volts at full scale of every output from 0, as the rig believes.
     operator: Plugs the response input into each output in turn, or into the summing box.
     progress: Called with the outputs done and the outputs there are.
+    box_gain: Gain of the summing box that all outputs are plugged into at once, 0 where it is not known; None without.
 
     Returns figures of the outputs, the loopback's own first; an output that the operator gave up is left out.
     Raises NotMeasuredError: the loopback itself has no signal, the summing box is not there, or the probe is too loud.
     InstrumentError: of the instrument that failed for good.
     """
-    if task.summing_box:
+    setup, channels = probe.setup, probe.setup.actuator_channels
+    if box_gain is not None:
         _plug_box(probe, operator)
     measured: list[OutputFigures] = []
-    loopback: OutputFigures | None = None
-    for done, channel in enumerate(task.channels):
-        progress(done, len(task.channels))
-        figures = _heard(task, channel, probe, operator)
-        if figures is None:
+    for done, channel in enumerate(channels):
+        progress(done, len(channels))
+        found = _heard(channel, probe, operator, has_box=box_gain is not None)
+        if found is None:
             continue
-        measured.append(_of_output(task, channel, figures))
-        if loopback is None:
-            full_scale_v = task.full_scale_v[task.loopback_channel] * abs(figures.reference_gain) / task.reference_gain
-            sign: Literal[1, -1] = -1 if figures.reference_gain < 0 else 1
-            loopback = OutputFigures(task.loopback_channel, 0.0, full_scale_v, sign, 0.0)
-    progress(len(task.channels), len(task.channels))
-    return (*(() if loopback is None else (loopback,)), *measured)
+        if not measured:
+            loopback = setup.loopback_channel
+            own_v = full_scale_v[loopback] * abs(found.reference_gain) / setup.reference_gain
+            measured.append(OutputFigures(loopback, 0.0, own_v, -1 if found.reference_gain < 0 else 1, 0.0))
+        gain = 1.0 if box_gain is None else box_gain
+        volts = full_scale_v[channel] * abs(found.response_gain) / gain if gain else None
+        # The response input is sampled later, so all on it seems earlier.
+        latency_s = found.late_s + setup.inter_channel_delay_s
+        polarity: Literal[1, -1] = -1 if found.response_gain < 0 else 1
+        measured.append(OutputFigures(channel, latency_s, volts, polarity, found.spread_s))
+    progress(len(channels), len(channels))
+    return tuple(measured)
 
 
 def _plug_box(probe: Probe, operator: Operator) -> None:
@@ -260,13 +248,13 @@ def _plug_box(probe: Probe, operator: Operator) -> None:
             raise NotMeasuredError("the outputs need the summing box in the response input, which has the loopback")
 
 
-def _heard(task: OutputsTask, channel: int, probe: Probe, operator: Operator) -> Figures | None:
+def _heard(channel: int, probe: Probe, operator: Operator, *, has_box: bool) -> Figures | None:
     """An output compared with the loopback, as often as the operator tries; None when it is given up."""
     while True:
-        if not task.summing_box:
+        if not has_box:
             operator.connect(output(channel))
             # Played without it: a signal now comes by another cable.
-            other = next((candidate for candidate in task.channels if candidate != channel), None)
+            other = next((candidate for candidate in probe.setup.actuator_channels if candidate != channel), None)
             if probe.detects(other):
                 source = "the loopback" if other is None else f"output {other} or the loopback"
                 if operator.again(f"the response input carries {source}, not output {channel} alone"):
@@ -279,19 +267,6 @@ def _heard(task: OutputsTask, channel: int, probe: Probe, operator: Operator) ->
                 return None
         except ReferenceMissingError as missing:
             raise _check_loopback(missing) from None
-
-
-def _of_output(task: OutputsTask, channel: int, found: Figures) -> OutputFigures:
-    gain = task.box_gain if task.summing_box else 1.0
-    full_scale_v = None if gain is None else task.full_scale_v[channel] * abs(found.response_gain) / gain
-    # The response input is sampled later, so all on it seems earlier.
-    return OutputFigures(
-        channel=channel,
-        latency_s=found.late_s + task.inter_channel_delay_s,
-        full_scale_v=full_scale_v,
-        polarity=-1 if found.response_gain < 0 else 1,
-        spread_s=found.spread_s,
-    )
 
 
 Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]

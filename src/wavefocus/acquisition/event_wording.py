@@ -41,7 +41,9 @@ def sentence(event: Event) -> str:
             again = f", attempt {event.attempt}" if event.attempt > 1 else ""
             return f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
         case PositionCommitted():
-            parts = ", ".join([status_words(event.status).replace("+", ", "), *_quality(event)])
+            figures = ("record's signal-to-noise ratio", event.snr_db), ("residual", event.residual_db)
+            known = [f"{words} {value:.1f} dB" for words, value in figures if math.isfinite(value)]
+            parts = ", ".join([status_words(event.status).replace("+", ", "), *known])
             return f"position {event.position} is measured: {parts}{f': {event.reason}' if event.reason else ''}"
         case PositionRepeated():
             return f"position {event.position} is measured again{_otherwise(event)}: {event.reason}"
@@ -65,10 +67,13 @@ def sentence(event: Event) -> str:
                 return event.reason
             return f"{event.reason}; positions {row_ranges(event.marked)} are poor, and so are the next while it lasts"
         case Drift():
+            cause = f" ({event.cause})" if event.cause else ""
+            if math.isfinite(event.change):
+                cause += f"; rows measured now differ by {100 * event.change:.1f} % from the first"
             return (
                 f"sentinel position {event.position}: level {event.level_db:+.2f} dB, "
                 f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "
-                f"{event.verdict}{f' ({event.cause})' if event.cause else ''}{_drifted(event.change)}"
+                f"{event.verdict}{cause}"
             )
         case ConditionsSeen():
             return f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
@@ -79,17 +84,6 @@ def sentence(event: Event) -> str:
                 f"{hours(event.time_s)} on the rig's clock"
             )
     return tag(event)
-
-
-def _drifted(change: float) -> str:
-    """What slow drift means for the bank."""
-    return f"; rows measured now differ by {100 * change:.1f} % from the first" if math.isfinite(change) else ""
-
-
-def _quality(event: PositionCommitted) -> list[str]:
-    """Quality of a position in words; NaN, where nothing could be estimated, is left out."""
-    parts = (("record's signal-to-noise ratio", event.snr_db), ("residual", event.residual_db))
-    return [f"{words} {value:.1f} dB" for words, value in parts if math.isfinite(value)]
 
 
 def _otherwise(event: PositionRepeated) -> str:

@@ -1,5 +1,6 @@
 """The leak of the loopback into the response input: measured with the loopback alone, judged by the median row."""
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,6 +16,7 @@ from wavefocus.acquisition.setup import Setup, naming_role, point_at, take_recor
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.crosstalk import (
     MAX_DELAY_S,
+    NONE_DB,
     REMEDY,
     SPARE,
     UNKNOWN_ROWS_SHARE,
@@ -144,7 +146,8 @@ class LeakWatch:
     @property
     def level_db(self) -> float:
         """Level of the leak at the latest look as the bank keeps it; NaN before the first."""
-        return float("nan") if self._latest is None else self._latest.kept_db
+        latest = self._latest
+        return math.nan if latest is None else latest.level_db if latest.is_seen else NONE_DB
 
     def committed(self, position: int) -> None:
         """Note a position that was committed: the next look vouches for it, or does not."""

@@ -73,16 +73,15 @@ class Plan:
         left: Int64Array = self.order[status[self.order] == 0]
         return left
 
-    def _record_s(self, margins: RecordMargins) -> float:
-        """Seconds that one record takes."""
-        rate = self.excitation.sample_rate_hz
-        if self.staggered is None:
-            return record_samples(margins, self.excitation.averages * self.excitation.period_samples, rate) / rate
-        return margins.pre_roll_s + (lead_samples(self.staggered, margins) + self.staggered.used_samples) / rate
-
     def position_s(self, margins: RecordMargins) -> float:
         """Seconds that one position takes: its records and the overhead around them."""
-        return self.records * self._record_s(margins) + POSITION_OVERHEAD_S
+        rate = self.excitation.sample_rate_hz
+        if self.staggered is None:
+            record_s = record_samples(margins, self.excitation.averages * self.excitation.period_samples, rate) / rate
+        else:
+            used = lead_samples(self.staggered, margins) + self.staggered.used_samples
+            record_s = margins.pre_roll_s + used / rate
+        return self.records * record_s + POSITION_OVERHEAD_S
 
     def campaign_s(self, rows: Int64Array, margins: RecordMargins) -> float:
         """Seconds that some positions take; sentinel, second looks and looks at the leak included."""

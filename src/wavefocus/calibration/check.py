@@ -160,15 +160,12 @@ def _check_moved(bank: Bank) -> Iterator[BankProblem]:
         yield BankProblem(farthest, None, message, "warning")
 
 
-def _suspect_positions(rows: VerifiedRows) -> list[int]:
-    """Positions that were measured when the sentinel position had changed, and not again since."""
-    marked = rows.figures.suspect & (rows.figures.status & Status.VALID == 0)
-    return [int(position) for position in np.flatnonzero(marked)]
-
-
 def _check_suspects(bank: Bank) -> Iterator[BankProblem]:
-    """One finding for all rows whose scale may be another one than the sentinel's."""
-    suspects = _suspect_positions(bank.rows) if isinstance(bank.rows, VerifiedRows) else []
+    """One finding for all rows that were measured when the sentinel had changed, and not again since."""
+    if not isinstance(bank.rows, VerifiedRows):
+        return
+    figures = bank.rows.figures
+    suspects = np.flatnonzero(figures.suspect & (figures.status & Status.VALID == 0)).tolist()
     if suspects:
         message = (
             f"positions {row_ranges(suspects)} are suspect: the sentinel position had changed when it was measured"

@@ -51,11 +51,6 @@ class Crosstalk:
         """Level from which on a leak would have been seen, in dB re the loopback."""
         return _decibel(SIGMAS * self.error)
 
-    @property
-    def kept_db(self) -> float:
-        """Its level as a bank keeps it: `NONE_DB` where none is seen."""
-        return self.level_db if self.is_seen else NONE_DB
-
     def reaches(self, share: float) -> bool:
         """Whether it is seen and as large as this share of the loopback."""
         return self.is_seen and abs(self.share) >= SPARE * share

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.calibrate_channels import (
     REMEDIES,
-    OutputsTask,
     Probe,
     listening_places,
     measure_actuators,
@@ -213,18 +212,10 @@ class CalibrationSession:
 
     def _outputs(self, setup: Setup, operator: Operator) -> Setup:
         player, request = self._rig.player, self._request
-        task = OutputsTask(
-            channels=player.channels,
-            loopback_channel=player.loopback_channel,
-            full_scale_v=player.output_full_scale_v,
-            reference_gain=setup.reference_gain,
-            inter_channel_delay_s=setup.inter_channel_delay_s,
-            summing_box=request.summing_box is not None,
-            box_gain=request.summing_box or None,
-        )
         # Cable by cable the person sees how far it is, and a bar would write over what is typed.
-        with progress("outputs", len(player.channels)) if task.summing_box else nullcontext(_silent) as report:
-            found = measure_outputs(task, self._probe(setup), operator, report)
+        box_gain = request.summing_box
+        with nullcontext(_silent) if box_gain is None else progress("outputs", len(player.channels)) as report:
+            found = measure_outputs(self._probe(setup), player.output_full_scale_v, operator, report, box_gain)
         given_up = sorted(set(player.channels) - {one.channel for one in found})
         if given_up:
             self.problems.append(f"outputs: {_listed(given_up)} no signal: check the cables, then --only outputs")

@@ -76,7 +76,7 @@ class Campaign:
         self._session = session = Session(setup.instruments.clock, publish, stop)
         self._report = CampaignReport(plan, setup, bank, session)
         self._station = station = Station(plan, setup, session, bank.reference_before_db)
-        self._drift = DriftWatch(station, bank, self._report, self._mark_suspects, unvouched)
+        self._drift = DriftWatch(station, bank, self._report, self._marked_suspects, unvouched)
         conditions = Conditions(setup.watch, setup, plan.excitation)
         self._suspension = Suspension(setup, session, conditions, station.plays, station.probe)
         self._neighbours = NeighbourWatch(plan, bank)
@@ -234,8 +234,7 @@ class Campaign:
         self._neighbours_judged = True
         self._marked(lambda: self._neighbours.mark(self._rows_of_session))
 
-    def _mark_suspects(self, positions: Sequence[int], reason: str) -> None:
-        """Mark what was measured at another scale than the bank's; no Ctrl-C lands in the worker."""
+    def _marked_suspects(self, positions: Sequence[int], reason: str) -> None:
         self._marked(lambda: mark_suspects(self._bank, positions, reason))
 
     def _marked(self, marks: Callable[[], Iterable[tuple[int, Judgement]]]) -> None:

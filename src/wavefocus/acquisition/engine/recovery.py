@@ -66,10 +66,6 @@ class Conditions:
         reasons = (self.watch.bands[name].left(value) for name, value in values.items())
         return "; ".join(reason for reason in reasons if reason)
 
-    def _are_back(self, values: Mapping[str, float]) -> bool:
-        """Whether all measured conditions are back."""
-        return all(self.watch.bands[name].is_back(value) for name, value in values.items())
-
     @property
     def settle_s(self) -> float:
         """The longest settling time of all bands."""
@@ -317,7 +313,7 @@ class Suspension:
                 self.pause()
                 return
             values = self._probe(attempt)
-            back = self._conditions._are_back(values)
+            back = all(watch.bands[name].is_back(value) for name, value in values.items())
             self._session.publish(ConditionsSeen, dict(values), back, self._conditions.left(values) or reason)
             back_since_s = (clock.now_s() if back_since_s is None else back_since_s) if back else None
             waited_s = clock.now_s() - since_s

@@ -154,12 +154,6 @@ class Station:
             attempt = attempt.next()
 
 
-def _check_position(plan: Plan) -> int:
-    """The position nearest to the middle of the grid."""
-    middle = (plan.position_mm.min(axis=0) + plan.position_mm.max(axis=0)) / 2
-    return int(np.argmin(np.hypot(*(plan.position_mm - middle).T)))
-
-
 def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda event: None) -> ScheduleSettled:
     """Measure one position by a staggered plan and one actuator after the other.
 
@@ -171,7 +165,10 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
     Raises InputError: sequential sweeps show responses longer than the taps, or no attempt has a usable reference.
     InstrumentError: an instrument failed for good.
     """
-    clock, position, sweep = setup.instruments.clock, _check_position(plan), plan.excitation
+    clock, sweep = setup.instruments.clock, plan.excitation
+    # The position nearest to the middle of the grid.
+    middle = (plan.position_mm.min(axis=0) + plan.position_mm.max(axis=0)) / 2
+    position = int(np.argmin(np.hypot(*(plan.position_mm - middle).T)))
     began_s, session = clock.now_s(), Session(clock, publish, StopRequest())
     plans = plan, replace(plan, staggered=None)
     asked, plain = (
@@ -196,14 +193,13 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
 
 
 def _measured(station: Station, attempt: Attempt) -> Estimate:
-    result = station.measure(attempt, "trial", _is_spoilt)
+    def is_spoilt(found: AttemptResult) -> bool:
+        return found.estimate is None or any(any(recording.over_range) for recording in found.recordings)
+
+    result = station.measure(attempt, "trial", is_spoilt)
     if result.estimate is None:
         raise InputError(f"the position that is measured by both schedules failed: {result.judgement.reason}")
     for defect in result.judgement.defects:
         if defect.name == "tail":
             raise InputError(defect.sentence)
     return result.estimate
-
-
-def _is_spoilt(result: AttemptResult) -> bool:
-    return result.estimate is None or any(any(recording.over_range) for recording in result.recordings)

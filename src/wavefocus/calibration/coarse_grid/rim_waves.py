@@ -240,13 +240,11 @@ class RimWaves:
         _, near = cKDTree(self.position_mm).query(points_mm)
         n1, n2 = np.exp(self.shares[number, 2:])
         other = self.power[number] * (n1 * self.relative_level[near] + n2)
-        return np.asarray(self._waves(number).variance(points_mm, self.shares[number]) + other)
-
-    def _waves(self, number: int) -> FrequencyWaves:
-        return FrequencyWaves(
+        waves = FrequencyWaves(
             self.wavenumber[number], self.pressure_share, self.position_mm, self.actuator_mm, self.ring_mm,
             self.power[number], self.relative_level, np.zeros(self.relative_level.shape, dtype=np.complex128),
         )  # fmt: skip
+        return np.asarray(waves.variance(points_mm, self.shares[number]) + other)
 
 
 class _Fit:
