@@ -170,14 +170,10 @@ def _tables_at(text: str, position: int, model: type[Table]) -> list[type[BaseMo
         path.append(inline[1])
         inner = text[position - len(inline[2]) :].partition("}")[0]
     tables = tables_of(model, ".".join(path))
-    kind = re.search(r"\bkind\s*=\s*\"([\w-]+)\"", inner)
-    of_kind = [table for table in tables if kind and _is_of_kind(table, kind[1])]
-    return of_kind or tables
-
-
-def _is_of_kind(table: type[BaseModel], kind: str) -> bool:
-    field = table.model_fields.get("kind")
-    return field is not None and kind in get_args(field.annotation)
+    if kind := re.search(r"\bkind\s*=\s*\"([\w-]+)\"", inner):
+        kinds = [(table, table.model_fields.get("kind")) for table in tables]
+        return [table for table, key in kinds if key and kind[1] in get_args(key.annotation)] or tables
+    return tables
 
 
 def _headings(model: type[Table]) -> list[Completion]:

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,10 +83,8 @@ class ScanJournal(Closing):
         for number in range(self._entries):
             entry = self._read(number)
             assert entry is not None
-            yield ScannedPosition(
-                int(entry["row"]), int(entry["status"]), int(entry["attempts"]), float(entry["noise_rms"]),
-                float(entry["clock_ratio"]), float(entry["playback_gain"]), entry["response"],
-            )  # fmt: skip
+            figures: dict[str, Any] = {field.name: entry[field.name].item() for field in fields(ScannedPosition)[:-1]}
+            yield ScannedPosition(**figures, response=entry["response"])
 
     def append(self, scanned: ScannedPosition) -> None:
         """Keep one more position for good. Raises OSError: it cannot be written."""

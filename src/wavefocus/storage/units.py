@@ -75,9 +75,7 @@ def quantity(number: str, unit: str) -> str:
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "in": 0.0254, "ft": 0.3048}
 MOTIONS = {
-    **{name: (0, metres) for name, metres in _LENGTHS.items()},
-    **{f"{name}/s": (1, metres) for name, metres in _LENGTHS.items()},
-    **{f"{name}/s^2": (2, metres) for name, metres in _LENGTHS.items()},
+    **{f"{name}{per}": (order, m) for order, per in enumerate(("", "/s", "/s^2")) for name, m in _LENGTHS.items()},
     "g": (2, 9.80665),
 }
 """Units of motion: derivatives of a displacement (1: velocity), and their size in m, m/s or m/s^2."""

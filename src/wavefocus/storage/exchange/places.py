@@ -106,7 +106,7 @@ def read_places(path: Path, options: ImportOptions) -> list[Place]:
     try:
         header = [name.strip().lower() for name in next(lines, [])]
         number_of = _Numbers(path, has_decimal_commas=delimiter != ",")
-        columns = _columns(header, path, options)
+        columns, is_spherical = _columns(header, path, options)
         places = []
         for number, cells in enumerate(lines, start=2 + skipped):
             if not any(cell.strip() for cell in cells):
@@ -118,6 +118,7 @@ def read_places(path: Path, options: ImportOptions) -> list[Place]:
                 )
             words = {name: cell.strip() for name, cell in zip(header, cells, strict=False)}
             found = _place(columns, words, number_of, number)
+            found = from_spherical(found[None])[0] if is_spherical else found
             if words.get("role", "") not in ("", "position", "actuator"):
                 raise InputError(f"{path}: line {number}: role is {words['role']!r}; position or actuator is needed")
             for name, word in words.items():
@@ -160,19 +161,15 @@ def table_of(options: ImportOptions, path: Path, count: int, actuators: int) -> 
     return position_m, actuator_m if len(actuator_m) else np.full((actuators, 3), np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class _Columns:
-    """Columns of coordinates.
+_Columns = tuple[list[tuple[str, float]], ...]
+"""Of each coordinate, its columns and the size of their units: in metres, or 1 for angles in degrees.
 
-    named: Of each coordinate, its columns and the size of their units: in metres, or 1 for angles in degrees. Of
-        several columns all must agree. None: the coordinate is 0.
-    """
-
-    named: tuple[list[tuple[str, float]], ...]
-    is_spherical: bool
+Of several columns all must agree. None: the coordinate is 0.
+"""
 
 
-def _columns(header: list[str], path: Path, options: ImportOptions) -> _Columns:
+def _columns(header: list[str], path: Path, options: ImportOptions) -> tuple[_Columns, bool]:
+    """Columns of coordinates, and whether they are spherical."""
     if len(set(header)) < len(header):
         raise InputError(f"{path}: its header names a column twice; each may be there once")
     named = {
@@ -180,20 +177,20 @@ def _columns(header: list[str], path: Path, options: ImportOptions) -> _Columns:
         for axis in ("x", "y", "z", "radius")
     }
     if named["x"] and named["y"]:
-        return _Columns((named["x"], named["y"], named["z"]), is_spherical=False)
+        return (named["x"], named["y"], named["z"]), False
     if {*_SPHERICAL} <= set(header) and named["radius"]:
-        return _Columns((*([(name, 1.0)] for name in _SPHERICAL), named["radius"]), is_spherical=True)
+        return (*([(name, 1.0)] for name in _SPHERICAL), named["radius"]), True
     if {"x", "y"} <= set(header):
         metres = length_unit(options, path)
         third = named["z"] or ([("z", metres)] if "z" in header else [])
-        return _Columns(([("x", metres)], [("y", metres)], third), is_spherical=False)
+        return ([("x", metres)], [("y", metres)], third), False
     raise InputError(f"{path}: its header is {','.join(header)[:200]!r}; columns {_WANTED} are needed")
 
 
 def _place(columns: _Columns, words: dict[str, str], number_of: _Numbers, line: int) -> Float64Array:
-    """Coordinates of a line in metres, (3,)."""
+    """Coordinates of a line in the units of its columns' sizes, (3,)."""
     found = np.zeros(3)
-    for axis, named in enumerate(columns.named):
+    for axis, named in enumerate(columns):
         values = [number_of(words.get(name, ""), line, name) * size for name, size in named]
         known = [value for value in values if not np.isnan(value)]
         if known and max(known) - min(known) > 1e-6 * max(map(abs, known)) + 1e-9:
@@ -202,7 +199,7 @@ def _place(columns: _Columns, words: dict[str, str], number_of: _Numbers, line: 
                 " one of the columns out"
             )
         found[axis] = known[0] if known else np.nan if named else 0.0
-    return from_spherical(found[None])[0] if columns.is_spherical else found
+    return found
 
 
 class _Numbers:

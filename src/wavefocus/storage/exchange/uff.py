@@ -6,6 +6,7 @@ and others.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -200,11 +201,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             f"{path}: its frequency responses (type {kind}) are real, without a phase; complex ones are needed"
         )
     missing = len(rows) * len(columns) - len(pairs)
-    others = [
-        f"{sum(function.kind == other for function in held.functions)} functions of type {other}"
-        for other in kinds
-        if other != kind
-    ]
+    counts = Counter(function.kind for function in held.functions if function.kind != kind)
+    others = [f"{count} functions of type {other}" for other, count in sorted(counts.items())]
     sets = [f"{count} sets {number}" for number, count in sorted(held.skipped.items()) if number != 151]
     return Measured(
         rows=_rows(pairs, (len(rows), len(columns), samples)),
@@ -308,12 +306,8 @@ def _rows(pairs: dict[tuple[int, int], NDArray[Any]], shape: tuple[int, int, int
     """Rows of responses; NaN throughout where a pair is missing."""
     kind = next(iter(pairs.values())).dtype
     for row in range(shape[0]):
-        values = np.full(shape[1:], np.nan, kind)
-        found = [pairs.get((row, column)) for column in range(shape[1])]
-        for column, response in enumerate(found):
-            if response is not None and all(other is not None for other in found):
-                values[column] = response
-        yield values
+        found = [pairs[row, column] for column in range(shape[1]) if (row, column) in pairs]
+        yield np.stack(found) if len(found) == shape[1] else np.full(shape[1:], np.nan, kind)
 
 
 def _status(functions: list[Function], rows: dict[int, int]) -> NDArray[np.uint8] | None:
@@ -378,11 +372,12 @@ def _unit_of(function: Function, held: Contents) -> str:
         return function.unit
     if held.per_metre is None or not set(function.quantities) <= set(_MOTION):
         return ""
-    lengths = {round(1 / metres, 4): name for name, metres in METRES.items()}
-    forces = {1.0: "N", 1e3: "mN", 0.224809: "lbf"}
-    length = lengths.get(round(held.per_metre, 4)) or next(
-        (name for per, name in lengths.items() if math.isclose(per, held.per_metre, rel_tol=1e-4)), ""
+    length, force = (
+        next((name for name, per in units.items() if math.isclose(per, found, rel_tol=1e-4)), "")
+        for found, units in (
+            (held.per_metre, {name: 1 / metres for name, metres in METRES.items()}),
+            (held.per_newton, {"N": 1.0, "mN": 1e3, "lbf": 0.224809}),
+        )
     )
-    force = next((name for per, name in forces.items() if math.isclose(per, held.per_newton, rel_tol=1e-4)), "")
     over, under = (_MOTION[quantity].format(length, force) for quantity in function.quantities)
     return f"{over}/{under}" if length and force else ""

@@ -215,10 +215,6 @@ def contents(file: IO[bytes], path: Path) -> Contents:
     return held
 
 
-def _size(file: IO[bytes]) -> int:
-    return os.fstat(file.fileno()).st_size
-
-
 def _lines(file: IO[bytes]) -> Iterator[bytes]:
     """Lines up to the end of a set."""
     while (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
@@ -283,18 +279,9 @@ def _function(file: IO[bytes], title: bytes, path: Path) -> Function:
         raise InputError(f"{path}: a function (58) has the step {step:g} of its axis; more than 0 is needed")
     with np.errstate(over="ignore"):  # what is beyond single precision becomes infinite and is refused
         values = flat.view(np.complex128).astype(np.complex64) if is_complex else flat.astype(np.float32)
-    quantities = tuple(_int(line[:10]) for line in head[8:10])
-    labels = [require_plain(_decoded(line[47:67]), path, "a unit") for line in head[8:10]]
-    return Function(
-        kind,
-        response,
-        reference,
-        values,
-        (start, step),
-        _labelled(*labels),
-        (quantities[0], quantities[1]),
-        *_own_facts(head[:3], step),
-    )
+    unit = _labelled(*(require_plain(_decoded(line[47:67]), path, "a unit") for line in head[8:10]))
+    quantities = (_int(head[8][:10]), _int(head[9][:10]))
+    return Function(kind, response, reference, values, (start, step), unit, quantities, *_own_facts(head[:3], step))
 
 
 def _decoded(text: bytes) -> str:
@@ -343,7 +330,7 @@ def _binary(
     mixed = np.dtype([("x", f"{byte}f4"), ("y", kind, (numbers // count - 1,))])  # the standard's uneven axis is single
     is_mixed = not even and double and size == count * mixed.itemsize
     needed = count * mixed.itemsize if is_mixed else numbers * kind.itemsize
-    content = file.read(min(needed, _size(file)))
+    content = file.read(min(needed, os.fstat(file.fileno()).st_size))
     if len(content) != needed:
         raise InputError(f"{path} is truncated: a function (58b) needs {needed} bytes and {len(content)} are there")
     if is_mixed:
@@ -359,14 +346,10 @@ def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -
         words += _words(line, widths)
         if len(words) >= numbers:
             break
-    return _without_padding(np.array(words), numbers, len(widths), path)
-
-
-def _without_padding(found: Float64Array, numbers: int, a_line: int, path: Path) -> Float64Array:
-    """Numbers without the zeros that some programs fill the last line with."""
-    if not numbers <= len(found) < numbers + a_line or found[numbers:].any():
-        raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(found)}")
-    return found[:numbers]
+    # Some programs fill the last line with zeros.
+    if not numbers <= len(words) < numbers + len(widths) or any(words[numbers:]):
+        raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(words)}")
+    return np.array(words[:numbers])
 
 
 def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:

@@ -214,7 +214,9 @@ def create_file(
             with created(place.temporary, laid_out_once=True) as file:
                 layout = lay_out(file)
                 hdf5_digest.seal_contents(file, later_datasets(layout))
-            _reserve(place.temporary, layout.file_bytes, open_file)
+            with open_file(place.temporary, write=True) as disk:
+                disk.reserve(max(-(-disk.size() // PAGE) * PAGE, layout.file_bytes))
+                disk.sync()
             place.complete()
             durable.publish_new(place.temporary, path)
     except FileExistsError as error:
@@ -224,12 +226,6 @@ def create_file(
     except (OSError, RuntimeError, ValueError) as error:
         _require_space(path, about_bytes, error)
         raise InputError(f"{path} cannot be made: {getattr(error, 'strerror', None) or error}") from error
-
-
-def _reserve(path: Path, size: int, open_file: durable.OpenFile) -> None:
-    with open_file(path, write=True) as file:
-        file.reserve(max(-(-file.size() // PAGE) * PAGE, size))
-        file.sync()
 
 
 def _require_space(path: Path, needed: int, error: Exception | None = None) -> None:
