@@ -25,7 +25,7 @@ from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import sample_times
 from wavefocus.storage.ledger.layout import JOURNAL, LEDGER, LedgerLayout, has_ledger
-from wavefocus.storage.ledger.reader import DamagedError, LedgerReader, damage_of
+from wavefocus.storage.ledger.reader import LedgerReader, damage_of
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -237,80 +237,13 @@ _STATED = (
 """What `Bank` takes from the header as it is."""
 
 
-class CopiedRows:
-    """Rows of a bank of this program that lies otherwise in its file, read by HDF5 and checked against its ledger."""
-
-    dtype = np.dtype(np.float32)
-
-    def __init__(self, content: h5py.File, path: Path, header: BankHeader, stack: ExitStack) -> None:
-        self._path, self._shape = path, header.rows
-        rows = _bytes_of(content, LEDGER, (header.positions, self._shape.row_bytes))
-        journal = _bytes_of(content, JOURNAL, (self._shape.journal_bytes,))
-        self._replacing = self._shape.decode_journal(journal)
-        if self._replacing is not None and self._replacing.position < header.positions:
-            at = self._replacing.position * self._shape.row_bytes
-            rows[at : at + self._shape.row_bytes] = self._replacing.row
-        self.ledger = self._shape.decode(rows)
-        self.figures: LedgerFigures = figures_of(self.ledger.rows, self.ledger.holds, header.actuators)
-        measured = hdf5_reading.has(content, "/status")
-        noted = _bytes_of(content, "/status", (header.positions,)) if measured else bytes(header.positions)
-        self._erased = self.ledger.empty & (np.frombuffer(noted, np.uint8) != 0)
-        self._green = hdf5_reading.plain_dataset(content, "/green", shape=(header.positions, *self._shape.dimensions))
-        if self._green.dtype != np.float32:
-            raise InputError(f"{path}: /green is of type {self._green.dtype}; float32 is needed")
-        hdf5_reading.require_rows(self._green)
-        self._open = stack.pop_all()
-
-    def status(self) -> NDArray[np.uint8]:
-        """Status bits (P,) that the ledger holds."""
-        return self.figures.status.copy()
-
-    def read(self, position: int) -> Float32Array:
-        """Green's functions of a position; zeros where the ledger holds nothing for it."""
-        if self.ledger.empty[position] and not self._erased[position]:
-            return np.zeros(self._shape.dimensions, np.float32)
-        if self._replacing is not None and self._replacing.position == position:
-            values = self._replacing.chunks[0][: self._shape.data_bytes]
-        else:
-            row = hdf5_reading.read_part(self._green, position, f"{self._path}: /green at position {position}")
-            values = np.ascontiguousarray(row, "<f4").tobytes()
-        crcs = self.ledger.crcs[position].tolist()
-        if not self.ledger.holds[position] or not self._shape.holds(crcs, [values]):
-            raise DamagedError(damage_of(self._path, BANK, position))
-        return np.frombuffer(values, "<f4").reshape(self._shape.dimensions).astype(np.float32, copy=False)
-
-    def damaged(self) -> tuple[int, ...]:
-        """Positions whose checksums do not hold."""
-        return tuple(row for row in np.flatnonzero(~self.ledger.empty | self._erased).tolist() if not self._holds(row))
-
-    def broken(self) -> NDArray[np.bool_]:
-        """Positions (P,) that were measured and whose ledger row does not hold or is zeros."""
-        return np.asarray(self.ledger.damaged | self._erased)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._open.close()
-
-    def _holds(self, position: int) -> bool:
-        try:
-            self.read(position)
-        except InputError:
-            return False
-        return True
-
-
-def _bytes_of(content: h5py.File, name: str, shape: tuple[int, ...]) -> bytearray:
-    dataset = hdf5_reading.plain_dataset(content, name, shape=shape)
-    return bytearray(np.ascontiguousarray(hdf5_reading.read_whole(dataset), np.uint8).tobytes())
-
-
-class VerifiedRows(LedgerReader):
+class LedgerRows(LedgerReader):
     """Rows of a bank of this program, checked against its ledger."""
 
     dtype = np.dtype(np.float32)
 
-    def __init__(self, path: Path, layout: LedgerLayout) -> None:
-        super().__init__(path, layout)
+    def __init__(self, path: Path, layout: LedgerLayout, file: Any = None) -> None:
+        super().__init__(path, layout, file)
         self.figures: LedgerFigures = figures_of(self.ledger.rows, self.ledger.holds, layout.header.actuators)
 
     def status(self) -> NDArray[np.uint8]:
@@ -324,6 +257,10 @@ class VerifiedRows(LedgerReader):
             return np.zeros(shape.dimensions, np.float32)
         return np.frombuffer(chunks[0], "<f4").reshape(shape.dimensions).astype(np.float32, copy=False)
 
+
+class VerifiedRows(LedgerRows):
+    """Rows of a bank that lies in its file as this program laid it out."""
+
     def differing(self) -> NDArray[np.bool_]:
         """Positions (P,) whose ``/status`` or ``/quality`` in the file are not those of the ledger."""
         noted_status = np.frombuffer(self.figure("/status"), np.uint8)
@@ -335,6 +272,54 @@ class VerifiedRows(LedgerReader):
                 held = np.ascontiguousarray(self.figures.quality[name], "<f4").view("<u4").reshape(len(differs), -1)
                 differs |= (noted != held).any(axis=1)
         return differs
+
+
+class CopiedRows(LedgerRows):
+    """Rows of a bank that lies otherwise in its file, as after a copy object by object; HDF5 reads them."""
+
+    def __init__(self, content: h5py.File, path: Path, header: BankHeader, stack: ExitStack) -> None:
+        file = _CopiedFile(content, path, header, stack)
+        super().__init__(path, file.layout, file)
+
+
+class _CopiedFile(Closing):
+    """The datasets of a bank as one file: ledger, journal, status where there is one, rows one after the other."""
+
+    def __init__(self, content: h5py.File, path: Path, header: BankHeader, stack: ExitStack) -> None:
+        self._path, self._shape, count = path, header.rows, header.positions
+        ledger = _bytes_of(content, LEDGER, (count, self._shape.row_bytes))
+        journal = _bytes_of(content, JOURNAL, (self._shape.journal_bytes,))
+        status = _bytes_of(content, "/status", (count,)) if hdf5_reading.has(content, "/status") else bytearray()
+        self._head = ledger + journal + status
+        self._green = hdf5_reading.plain_dataset(content, "/green", shape=(count, *self._shape.dimensions))
+        if self._green.dtype != np.float32:
+            raise InputError(f"{path}: /green is of type {self._green.dtype}; float32 is needed")
+        hdf5_reading.require_rows(self._green)
+        rows_at = len(self._head) + self._shape.data_bytes * np.arange(count)[None]
+        figures = {"/status": (len(ledger) + len(journal), 1)} if status else {}
+        self.layout = LedgerLayout(header, self._shape, rows_at, 0, len(ledger), figures)
+        self._open = stack.pop_all()
+
+    def read(self, offset: int, size: int) -> bytearray:
+        """Bytes of what comes before the rows, or those of a row."""
+        if offset < len(self._head):
+            return self._head[offset : offset + size]
+        position = (offset - len(self._head)) // self._shape.data_bytes
+        row = hdf5_reading.read_part(self._green, position, f"{self._path}: /green at position {position}")
+        return bytearray(np.ascontiguousarray(row, "<f4").tobytes())
+
+    def read_into(self, offset: int, buffer: memoryview) -> None:
+        """Fill a buffer of a row's size."""
+        buffer[:] = self.read(offset, len(buffer))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._open.close()
+
+
+def _bytes_of(content: h5py.File, name: str, shape: tuple[int, ...]) -> bytearray:
+    dataset = hdf5_reading.plain_dataset(content, name, shape=shape)
+    return bytearray(np.ascontiguousarray(hdf5_reading.read_whole(dataset), np.uint8).tobytes())
 
 
 @dataclass(frozen=True, slots=True)

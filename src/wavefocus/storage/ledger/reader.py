@@ -2,6 +2,7 @@
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,15 @@ class DamagedError(InputError):
 
 
 class LedgerReader:
-    """Positions of a file of this program, checked against its ledger."""
+    """Positions of a file of this program, checked against its ledger.
 
-    def __init__(self, path: Path, layout: LedgerLayout) -> None:
+    file: What the layout's offsets are in, read as a `PositionedFile` is; by default the file itself.
+    """
+
+    def __init__(self, path: Path, layout: LedgerLayout, file: Any = None) -> None:
         self._path, self._layout, self._shape = path, layout, layout.shape
         try:
-            self._file = open_file(path)
+            self._file = file or open_file(path)
         except OSError as error:
             raise InputError(f"{path} may not be read: {error.strerror}") from error
         try:
