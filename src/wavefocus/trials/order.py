@@ -325,8 +325,6 @@ def order_of(design: TrialsDesign, participant: str) -> Order:
     """Make the order of a participant, at its first trial; give it the answers that are stored to go on."""
     if design.config.adaptive is None:
         return FixedOrder(design, participant)
-    from wavefocus.trials.order import AdaptiveOrder
-
     return AdaptiveOrder(design, participant)
 
 
