@@ -74,16 +74,6 @@ def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_na
     assert told["scale"] == pytest.approx(drive.scale / 2, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("options", "named"), [(("--focusing", "inverse"), "--focusing"), (("--rig", "virtual"), "actuators")]
-)
-def test_given_options_that_do_not_go_together_then_one_sentence_names_them(lab, capsys, options, named):
-    assert render(lab, *options) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert named in told[-1]
-    assert not (lab / "drive.h5").exists()
-
-
 def test_given_a_field_then_the_movie_command_draws_it(lab, capsys):
     told = figures(lab, capsys)
     bank = ["--bank", str(lab / "bank.h5")]

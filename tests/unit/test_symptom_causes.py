@@ -77,7 +77,7 @@ def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named():
     assert speed == pytest.approx(2.0, abs=0.2)
 
 
-@pytest.mark.parametrize("cause", [later("damping"), later("cubic"), "finger"])
+@pytest.mark.parametrize("cause", [later("damping"), later("cubic"), later("finger")])
 @pytest.mark.parametrize("plate", ["mirrors", later("bending")])
 def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_made(plate, cause):
     found = verified(plate, plates.unlisted(plate)[cause], chance())

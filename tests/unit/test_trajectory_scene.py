@@ -195,23 +195,3 @@ def test_knots_that_are_dropped_or_added_then_places_between_others_are_same_bit
     sample = np.arange(int(rest.sample[0]), int(rest.sample[-1]) + 1)
     for some, other in zip(whole.at(sample), rest.at(sample), strict=True):
         assert some.tobytes() == other.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("sample", "x_mm", "amplitude"),
-    [
-        ([], [], []),
-        ([0, 1], [0.0], [1.0, 1.0]),
-        ([0, 1], [0.0, 1.0], [1.0]),
-        ([1, 1], [0.0, 1.0], [1.0, 1.0]),
-        ([2, 1], [0.0, 1.0], [1.0, 1.0]),
-        ([0, 2**53 + 1], [0.0, 1.0], [1.0, 1.0]),
-        ([0, 1], [0.0, np.nan], [1.0, 1.0]),
-        ([0, 1], [0.0, 1e300], [1.0, 1.0]),
-        ([0, 1], [0.0, 1.0], [1.0, np.inf]),
-    ],
-)
-def test_given_knots_that_make_no_course_then_they_are_refused(sample, x_mm, amplitude):
-    at_mm = np.stack([np.array(x_mm), np.zeros(len(x_mm))], axis=1)
-    with pytest.raises(InputError):
-        Trajectory(np.array(sample, dtype=np.int64), at_mm, np.array(amplitude))
