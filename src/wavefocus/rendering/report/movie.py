@@ -129,22 +129,19 @@ class Foci:
         magnitude.
         """
         row_of = {int(position): row for row, position in enumerate(field.position_index.tolist())}
-        windows: dict[int, list[tuple[int, int, int]]] = {}
-        for focus in range(len(self.position)):
-            first = round((self.start_s[focus] - field.start_s) * field.sample_rate_hz)
-            last = max(first + 1, round((self.stop_s[focus] - field.start_s) * field.sample_rate_hz))
-            row = row_of.get(int(self.position[focus]))
-            if row is not None and 0 <= first < field.samples:
-                windows.setdefault(row, []).append((focus, first, min(last, field.samples)))
-        found: dict[int, tuple[int, float]] = {}
+        ends = (np.stack([self.start_s, self.stop_s]) - field.start_s) * field.sample_rate_hz
+        firsts, lasts = np.rint(ends).astype(np.int64).tolist()
+        found: list[tuple[int, int, float]] = []
         for start, values in field.blocks():
-            for row in range(start, start + len(values)):
-                for focus, first, last in windows.get(row, ()):
-                    magnitude = np.abs(values[row - start, first:last])
-                    found[focus] = (first + int(np.argmax(magnitude)), float(magnitude.max()))
-        held = sorted(found, key=lambda focus: (found[focus][0], focus))
-        sample = np.array([found[focus][0] for focus in held], dtype=np.int64)
-        return np.array(held, dtype=np.int64), sample, np.array([found[focus][1] for focus in held])
+            for focus, (position, first, last) in enumerate(zip(self.position.tolist(), firsts, lasts, strict=True)):
+                row = row_of.get(position, -1) - start
+                if 0 <= row < len(values) and 0 <= first < field.samples:
+                    magnitude = np.abs(values[row, first : max(first + 1, last)])
+                    found.append((first + int(np.argmax(magnitude)), focus, float(magnitude.max())))
+        found.sort()
+        held = np.array([focus for _, focus, _ in found], dtype=np.int64)
+        sample = np.array([sample for sample, _, _ in found], dtype=np.int64)
+        return held, sample, np.array([peak for _, _, peak in found])
 
 
 def read_frames(field: FieldRowReader, sample: Int64Array) -> Float32Array:

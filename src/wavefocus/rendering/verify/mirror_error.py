@@ -134,13 +134,8 @@ class _DisplacedField:
         return found
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Predicted responses around a block's positions, at some of its frequencies."""
-
-    field: _DisplacedField
-    values: Complex128Array
-    frequencies: Int64Array
+_Part = tuple[_DisplacedField, Complex128Array, Int64Array]
+"""Predicted responses around a block's positions, at some of its frequencies."""
 
 
 class MirrorFit:
@@ -162,7 +157,7 @@ class MirrorFit:
         field = _DisplacedField(self._surface, self._rows, frequency_hz)
         green = self._surface.green(field.used, frequency_hz)
         values = np.einsum("kua,ak->ku", green, self._block.drive[0][:, frequencies])
-        return _Part(field, values[..., None], frequencies)
+        return field, values[..., None], frequencies
 
     def best(self) -> tuple[_MirrorError, float]:
         """The error, and the share of the squares that it leaves where the field is known."""
@@ -185,12 +180,13 @@ class MirrorFit:
         known = self._surface.is_known(self._place_mm + by_mm)
         if np.mean(known) < MOST:
             return np.inf
-        own = energy(self._block.difference[known][:, part.frequencies])
+        own = energy(self._block.difference[known][:, part[2]])
         return energy(self._difference(by_mm, part)[known]) / max(own, 1e-300)
 
     def _difference(self, by_mm: Float64Array, part: _Part) -> Complex128Array:
-        predicted = part.field.at(by_mm, part.values)[..., 0].T
-        return np.asarray(self._block.response[:, part.frequencies] - predicted * self._block.weight[:, None])
+        field, values, frequencies = part
+        predicted = field.at(by_mm, values)[..., 0].T
+        return np.asarray(self._block.response[:, frequencies] - predicted * self._block.weight[:, None])
 
     def _refined(self, numbers: Float64Array, part: _Part) -> Float64Array:
         """Gauss-Newton steps, halved where they do not help."""
