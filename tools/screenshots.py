@@ -221,7 +221,7 @@ class Pictures:
         from wavefocus.gui.scene.tab import SceneTab
 
         tab, left, none = self.tab(SceneTab), Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
-        surface, rig = tab.live_surface, tab.results.bar.rig_field
+        surface, rig = tab.live_surface, tab.results.rig_field
         rig.show_path(self.file.with_name("rig.toml"))
         rig.chosen.emit(rig.path)
         tab.use_mode(PAGE)
@@ -257,21 +257,21 @@ class Pictures:
         tab = self.tab(RigTab)
         page, hand = tab.examination, tab.manual_page
         self.until(page.examine.isEnabled)
-        page.examine.click()
-        self.until(lambda: page.findings and not tab.examination.running)
+        page.examine.trigger()
+        self.until(lambda: page.findings and not tab.examination.command.running)
         for row, finding in enumerate(page.findings):
             page.table.setRowHidden(row, finding.instrument == "disk")  # it names the folder of this machine
         self.keep("rig-examination")
         tab.pages.setCurrentWidget(hand)
         self.until(hand.take.isEnabled)
-        hand.take.click()
+        hand.take.trigger()
         self.until(lambda: tab.session.state == "ready" and hand.sound.sweep.isEnabled())
         tab.session.jog_to(40.0, 25.0)
         self.until(lambda: tab.session.place_mm is not None)
         hand.sound.sounds.click()
         hand.sound.listen.click()
         self.until(lambda: tab.session.levels is not None)
-        hand.sound.sweep.click()
+        hand.sound.sweep.trigger()
         self.until(lambda: tab.session.sweep is not None)
         self.keep("rig-hand")
         tab.pages.setCurrentWidget(tab.calibration_page)

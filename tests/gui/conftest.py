@@ -1,7 +1,5 @@
 """Windows that are real but for the screen, and campaigns on the virtual rig in processes of their own."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import shutil
@@ -18,7 +16,7 @@ os.environ.setdefault("QT_FONT_DPI", "96")
 
 from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt
 from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QApplication, QComboBox, QWidget
+from PyQt5.QtWidgets import QAction, QApplication, QComboBox, QToolButton, QWidget
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
@@ -52,7 +50,7 @@ def write_lab(folder: Path, columns: int, rows: int, *, raw: bool = False) -> Pa
 
 
 @pytest.fixture(scope="session")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def measured(tmp_path_factory):
     """A folder with a finished campaign of 4 x 3 positions whose recordings were kept; to be copied."""
     run_file = write_lab(tmp_path_factory.mktemp("measured"), 4, 3, raw=True)
     assert run(["capture", str(run_file), "--bank", str(run_file.with_name("plate.h5"))]) == 0
@@ -60,26 +58,26 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def finished(measured: Path, tmp_path: Path) -> Path:
+def finished(measured, tmp_path):
     """The bank of a finished campaign, with all that lies beside it."""
     shutil.copytree(measured, tmp_path / "lab")
     return tmp_path / "lab" / "plate.h5"
 
 
 @pytest.fixture
-def long_run(tmp_path: Path) -> Path:
+def long_run(tmp_path):
     """The run file of a campaign that takes longer than any order on a busy machine; no test waits for its end."""
     return write_lab(tmp_path / "lab", 50, 40)
 
 
 @pytest.fixture
-def memory(tmp_path: Path) -> Settings:
+def memory(tmp_path):
     """What the windows of a test remember."""
     return Settings(QSettings(str(tmp_path / "memory.ini"), QSettings.Format.IniFormat))
 
 
 @pytest.fixture
-def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Window]]:
+def open_window(qtbot, memory):
     """Opens windows, and fails when anything went wrong in them that the test did not ask for."""
     opened: list[Window] = []
     require_fonts()
@@ -104,7 +102,7 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
 
 
 @pytest.fixture(scope="module")
-def shared_window(qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Generator[Window]:
+def shared_window(qapp, tmp_path_factory):
     """One window for the tests of a module that neither close nor crash it."""
     with kept_window(tmp_path_factory.mktemp("window")) as window:
         yield window
@@ -151,8 +149,10 @@ def wait(qtbot: QtBot, true: Callable[[], object], within_ms: int = SOON_MS) -> 
         pytest.fail(f"it did not come about; the windows show {shown}")
 
 
-def press(qtbot: QtBot, button: QWidget) -> None:
-    """Click a button as soon as it can be clicked."""
+def press(qtbot: QtBot, button: QWidget | QAction) -> None:
+    """Click a button, or that of an action, as soon as it can be clicked."""
+    if isinstance(button, QAction):
+        button = next(one for one in button.associatedWidgets() if isinstance(one, QToolButton))
     wait(qtbot, lambda: button.isVisible() and button.isEnabled())
     qtbot.mouseClick(button, LEFT)
 
@@ -165,7 +165,7 @@ def choose(box: QComboBox, value: str) -> None:
 
 def answer(window: Window, word: str) -> None:
     """Press a button of the message bar."""
-    next(button for button in window.messages.buttons() if button.text() == word).click()
+    next(button for button in window.messages.buttons if button.text() == word).click()
 
 
 def edit(document: SceneDocument, draft: SceneConfig, chosen: int | None = None) -> None:

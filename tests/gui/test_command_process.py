@@ -1,16 +1,12 @@
 """Child processes of the window: messages, ends, escalation, log files."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import tempfile
 import time
-from pathlib import Path
 
 import pytest
 from PyQt5.QtCore import QObject
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import SOON_MS
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
@@ -36,11 +32,11 @@ def started(script: str, owner: QObject, **options: object) -> CommandProcess:
 
 
 @pytest.fixture
-def owner(qapp: object) -> QObject:
+def owner(qapp):
     return QObject()
 
 
-def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot: QtBot, owner: QObject) -> None:
+def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot, owner):
     process, received = started(ECHO, owner), []
     process.received.connect(received.append)
     with qtbot.waitSignal(process.received, timeout=SOON_MS):
@@ -54,7 +50,7 @@ def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot: QtBot, 
     assert process.last_message == {"order": "mute"}
 
 
-def test_a_message_written_before_anybody_listens_is_received(qtbot: QtBot, owner: QObject, tmp_path: Path) -> None:
+def test_a_message_written_before_anybody_listens_is_received(qtbot, owner, tmp_path):
     written = tmp_path / "written"
     process = started(ECHO.replace("for line", f"open({str(written)!r}, 'w').close()\nfor line", 1), owner)
     while not written.exists():
@@ -75,16 +71,14 @@ def test_a_message_written_before_anybody_listens_is_received(qtbot: QtBot, owne
         (f"raise SystemExit({STOPPED_BY_USER})", STOPPED_BY_USER, f"the test ended with exit code {STOPPED_BY_USER}"),
     ],
 )
-def test_given_a_failure_then_its_last_line_says_why(
-    qtbot: QtBot, owner: QObject, script: str, code: int, failure: str
-) -> None:
+def test_given_a_failure_then_its_last_line_says_why(qtbot, owner, script, code, failure):
     process = started(script, owner, name="the test")
     with qtbot.waitSignal(process.finished, timeout=SOON_MS):
         pass
     assert (process.exit_code, process.failure) == (code, failure)
 
 
-def test_given_a_process_that_ignores_everything_then_stop_kills_it(qtbot: QtBot, owner: QObject) -> None:
+def test_given_a_process_that_ignores_everything_then_stop_kills_it(qtbot, owner):
     process = started(STUBBORN, owner, advice="look at it")
     with qtbot.waitSignal(process.received, timeout=SOON_MS):
         pass
@@ -94,7 +88,7 @@ def test_given_a_process_that_ignores_everything_then_stop_kills_it(qtbot: QtBot
     assert process.failure.endswith("; look at it")
 
 
-def test_given_a_command_that_is_not_there_then_it_ends_with_127(qtbot: QtBot, owner: QObject) -> None:
+def test_given_a_command_that_is_not_there_then_it_ends_with_127(qtbot, owner):
     process = CommandProcess(["status"], owner, program=("/nowhere/wavefocus",))
     with qtbot.waitSignal(process.finished, timeout=SOON_MS):
         pass
@@ -103,9 +97,7 @@ def test_given_a_command_that_is_not_there_then_it_ends_with_127(qtbot: QtBot, o
 
 
 @pytest.mark.parametrize("folder", ["lab", "missing"])
-def test_given_a_link_in_place_of_the_log_file_then_its_target_stays(
-    qtbot: QtBot, owner: QObject, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
-) -> None:
+def test_given_a_link_in_place_of_the_log_file_then_its_target_stays(qtbot, owner, tmp_path, monkeypatch, folder):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     precious = tmp_path / "precious"
     precious.write_text("precious", encoding="utf-8")

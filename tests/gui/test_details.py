@@ -1,16 +1,12 @@
 """The map and what it shows of a position, by mouse and by keyboard."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pyqtgraph
 import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import click, drag, pixel, shown_tab, wait
 from wavefocus.acquisition.limits import DriftPoint
@@ -19,7 +15,6 @@ from wavefocus.config.run import DriftLimits
 from wavefocus.gui.campaign.model import DAMAGED, LOOKS
 from wavefocus.gui.campaign.position_panel import DriftPlot
 from wavefocus.gui.campaign.tab import CampaignTab
-from wavefocus.gui.window import Window
 from wavefocus.storage.bank.ledger import STATUS_WORDS
 from wavefocus.storage.bank.reading import open_bank
 
@@ -27,7 +22,7 @@ CTRL = Qt.KeyboardModifier.ControlModifier
 
 
 @pytest.fixture
-def tab(qtbot: QtBot, shared_window: Window, measured: Path) -> CampaignTab:
+def tab(qtbot, shared_window, measured):
     """The Campaign tab with the measured bank; nothing is shown of a position, and none is selected."""
     tab = shown_tab(shared_window, CampaignTab)
     tab.follow(measured / "plate.h5")
@@ -40,9 +35,7 @@ def tab(qtbot: QtBot, shared_window: Window, measured: Path) -> CampaignTab:
     return tab
 
 
-def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_shown(
-    qtbot: QtBot, tab: CampaignTab
-) -> None:
+def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_shown(qtbot, tab):
     panel, shown = tab.position_panel, tab.map_panel.map
     click(shown, pixel(shown, 3.0, 1.5))
     for plot in (panel.green_plot, panel.spectrum_plot):
@@ -66,9 +59,7 @@ def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_sh
     assert "position 6: actuator 1" in panel.spectrum_plot.getPlotItem().titleLabel.text
 
 
-def test_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mouse(
-    qtbot: QtBot, tab: CampaignTab
-) -> None:
+def test_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mouse(qtbot, tab):
     shown = tab.map_panel.map
     for key, position in (
         (Qt.Key.Key_Right, 5),  # the middle of the grid
@@ -88,7 +79,7 @@ def test_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mous
     assert shown.selected == set(range(12))
 
 
-def test_given_ctrl_clicks_and_a_rectangle_then_those_positions_are_selected(qtbot: QtBot, tab: CampaignTab) -> None:
+def test_given_ctrl_clicks_and_a_rectangle_then_those_positions_are_selected(qtbot, tab):
     shown = tab.map_panel.map
     shown.box.setRange(xRange=(-2, 7), yRange=(-2, 5))
     for at_mm in ((0, 0), (4.5, 3), (3, 1.5), (3, 1.5)):  # the last click hits the mark of the one before
@@ -100,23 +91,19 @@ def test_given_ctrl_clicks_and_a_rectangle_then_those_positions_are_selected(qtb
     assert tab.controls.actions_by_name["selected"].text() == "Remeasure selected (4)"
 
 
-def test_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_holds(
-    qtbot: QtBot, tab: CampaignTab
-) -> None:
+def test_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_holds(qtbot, tab):
     tab.map_panel.colour_by.setCurrentIndex(1)
     with open_bank(tab.campaign.surface.bank) as bank:
         snr_db = np.median(bank.quality["snr_db"], axis=1)
-    np.testing.assert_allclose(tab.map_panel.map.levels, (snr_db.min(), snr_db.max()), rtol=1e-6)
+    np.testing.assert_allclose(tab.map_panel.levels, (snr_db.min(), snr_db.max()), rtol=1e-6)
     assert "(dB)" in tab.map_panel.bar.accessibleName()
     tab.map_panel.colour_by.setCurrentIndex(0)
-    assert tab.map_panel.map.levels is None
+    assert tab.map_panel.levels is None
     words = {look.word: look.bit for look in LOOKS if look.bit not in (0, DAMAGED)}
     assert words == {word: int(bit) for word, bit in STATUS_WORDS.items() if bit}
 
 
-def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_listed(
-    qtbot: QtBot, tab: CampaignTab
-) -> None:
+def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_listed(qtbot, tab):
     events = tab.events
     notes = events.lines.rowCount()
     events.weight.setCurrentIndex(0)
@@ -140,9 +127,7 @@ LIMITS = DriftLimits(warn_level_db=0.4, stop_level_db=2.0, warn_correlation=0.97
     ("level_db", "drawn"),
     [(0.1, [-0.4, 0.0, 0.4]), (1.0, [-2.0, -0.4, 0.0, 0.4, 2.0]), (9.0, [-2.0, -0.4, 0.0, 0.4, 2.0])],
 )
-def test_given_points_then_the_limits_that_matter_are_drawn_and_in_view(
-    qtbot: QtBot, level_db: float, drawn: list[float]
-) -> None:
+def test_given_points_then_the_limits_that_matter_are_drawn_and_in_view(qtbot, level_db, drawn):
     plot = DriftPlot()
     qtbot.addWidget(plot)
     at = datetime(2026, 11, 26, 2, tzinfo=UTC)

@@ -1,30 +1,23 @@
 """The editor of run, rig and scene files: completion, insertion, meaning, files that change outside."""
 
-from __future__ import annotations
-
-from collections.abc import Generator
-from pathlib import Path
-
 import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 
 import wavefocus as wf
-from tests.gui.conftest import Opens, answer, line_scene, shown_tab, wait, write_lab
+from tests.gui.conftest import answer, line_scene, shown_tab, wait, write_lab
 from wavefocus.config.scene import PathTable, SignalTable, tables_by_kind
 from wavefocus.gui.editor.document import TextDocument
 from wavefocus.gui.editor.tab import FilesTab
 from wavefocus.gui.editor.text_edit import insert_menu, source_on_path, source_with_signal
-from wavefocus.gui.files import FileKind, Settings
+from wavefocus.gui.files import FileKind
 from wavefocus.gui.scene.document import SceneDocument, scene_toml
 from wavefocus.gui.scene.tab import SceneTab
-from wavefocus.gui.window import Window
 
 
 @pytest.fixture
-def tab(shared_window: Window) -> Generator[FilesTab]:
+def tab(shared_window):
     """The Files tab, with empty texts."""
     shown = shown_tab(shared_window, FilesTab)
     for page in shown.pages.values():
@@ -35,7 +28,7 @@ def tab(shared_window: Window) -> Generator[FilesTab]:
     assert shared_window.tracebacks == []
 
 
-def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot: QtBot, tab: FilesTab) -> None:
+def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot, tab):
     page = tab.pages[FileKind.RUN]
     text = page.editor.text
     text.setFocus()
@@ -53,7 +46,7 @@ def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot: QtBot,
     assert "must be above 0" in page.editor.problem.text()
 
 
-def test_given_ctrl_f_then_the_text_is_searched_and_escape_closes_no_message(qtbot: QtBot, tab: FilesTab) -> None:
+def test_given_ctrl_f_then_the_text_is_searched_and_escape_closes_no_message(qtbot, tab):
     page, messages = tab.pages[FileKind.RUN], tab.context.messages
     page.document.replace("[grid]\nspacing_mm = 4.0\n")
     with qtbot.waitActive(tab.window()):
@@ -70,9 +63,7 @@ def test_given_ctrl_f_then_the_text_is_searched_and_escape_closes_no_message(qtb
     assert messages.sentence == "something is wrong"
 
 
-def test_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_that_it_names(
-    qtbot: QtBot, tab: FilesTab, tmp_path: Path
-) -> None:
+def test_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_that_it_names(qtbot, tab, tmp_path):
     run = write_lab(tmp_path / "lab", 4, 3)
     page = tab.pages[FileKind.RUN]
     page.files.open(run)
@@ -90,7 +81,7 @@ def test_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_that_it_n
     assert rig.table.item(0, 2).text() == "0"
 
 
-def test_a_file_that_another_program_writes_is_read_again_unsaved_text_is_kept(tab: FilesTab, tmp_path: Path) -> None:
+def test_a_file_that_another_program_writes_is_read_again_unsaved_text_is_kept(tab, tmp_path):
     page, file = tab.pages[FileKind.RUN], tmp_path / "run.toml"
     file.write_text("[grid]\nspacing_mm = 4.0\n", encoding="utf-8")
     page.files.open(file)
@@ -102,17 +93,15 @@ def test_a_file_that_another_program_writes_is_read_again_unsaved_text_is_kept(t
     file.write_text("[grid]\nspacing_mm = 6.125\n", encoding="utf-8")
     page.files.look()
     assert "[sweep]" in page.document.toml()
-    assert "changed on disk" in page.name.text()
+    assert "changed on disk" in page.bar.name.text()
     page.files.save()
     assert "another program" in tab.context.messages.sentence
     answer(tab.window(), "Save over it")
     assert file.read_text(encoding="utf-8") == page.document.toml()
-    assert "changed on disk" not in page.name.text()
+    assert "changed on disk" not in page.bar.name.text()
 
 
-def test_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_next_window(
-    open_window: Opens, memory: Settings
-) -> None:
+def test_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_next_window(open_window, memory):
     window = open_window()
     tab = shown_tab(window, FilesTab)
     run, rig = (tab.pages[kind].document for kind in (FileKind.RUN, FileKind.RIG))
@@ -128,7 +117,7 @@ def test_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_next_windo
     assert texts == ["[sweep]\n", '[mirror]\ndriver = "virt\u00a0ual"\n']
 
 
-def test_each_kind_of_path_and_signal_is_inserted_and_written_as_the_same_scene() -> None:
+def test_each_kind_of_path_and_signal_is_inserted_and_written_as_the_same_scene():
     kinds = [source_on_path(kind) for kind in tables_by_kind(PathTable)]
     for text in kinds + [source_with_signal(kind) for kind in tables_by_kind(SignalTable)]:
         document = SceneDocument()
@@ -145,7 +134,7 @@ def test_each_kind_of_path_and_signal_is_inserted_and_written_as_the_same_scene(
         assert draft.scene.name == 'abc "XYZ" \\ é☺#{}'
 
 
-def test_given_the_menu_of_a_rig_then_each_section_is_added_in_a_step_that_is_undone() -> None:
+def test_given_the_menu_of_a_rig_then_each_section_is_added_in_a_step_that_is_undone():
     document = TextDocument("rig")
     menu = insert_menu(document)
     actions = menu.actions()
@@ -156,9 +145,7 @@ def test_given_the_menu_of_a_rig_then_each_section_is_added_in_a_step_that_is_un
     assert document.toml() == ""
 
 
-def test_given_a_field_file_then_it_is_played_on_its_bank_until_it_is_closed(
-    qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
-) -> None:
+def test_given_a_field_file_then_it_is_played_on_its_bank_until_it_is_closed(qtbot, open_window, finished, tmp_path):
     scene, file = tmp_path / "scene.toml", tmp_path / "field.h5"
     scene.write_text(scene_toml(line_scene()), encoding="utf-8")
     field = wf.predict(wf.render(scene, finished), finished, [1, 5, 6])

@@ -1,16 +1,14 @@
 """What goes wrong is a sentence; the window lives, and a run is not touched."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, campaign_of, wait
+from tests.gui.conftest import campaign_of, wait
+from wavefocus.campaign.control import read_heartbeat
+from wavefocus.gui.campaign.follower import Follower
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="about X servers and fontconfig")
 WITHOUT = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
@@ -39,19 +37,17 @@ def refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
 
 
 @LINUX
-@pytest.mark.may_skip("Windows and macOS always have a display")
-def test_given_no_display_or_a_dead_one_then_exit_2_and_a_sentence() -> None:
+@pytest.mark.may_skip("Windows and macOS always have a display and fonts")
+def test_given_no_display_a_dead_one_or_no_font_then_exit_2_and_what_to_do(tmp_path):
     refused(gui(), "needs a display", "DISPLAY")
     refused(gui(DISPLAY=":4711"), "no X server answers at DISPLAY=:4711")
+    none = tmp_path / "fonts.conf"
+    none.write_text("<?xml version='1.0'?><fontconfig></fontconfig>", encoding="utf-8")
+    done = gui(QT_QPA_PLATFORM="offscreen", FONTCONFIG_FILE=str(none), FONTCONFIG_PATH=str(tmp_path))
+    refused(done, "no font", "fonts-dejavu-core")
 
 
-def test_given_no_pyqt5_then_exit_2_and_the_command_that_installs_it() -> None:
-    done = gui(code="import sys\nsys.modules['PyQt5'] = None", QT_QPA_PLATFORM="offscreen")
-    refused(done, 'pip install "wavefocus[window]"')
-
-
-def test_given_a_library_that_qt_misses_then_exit_2_and_the_packages() -> None:
-    code = """
+BROKEN_QT = """
 import sys
 class Broken:
     def find_spec(self, name, path=None, target=None):
@@ -59,21 +55,20 @@ class Broken:
             raise ImportError("libGL.so.1: cannot open shared object file: No such file or directory")
 sys.meta_path.insert(0, Broken())
 """
-    refused(gui(code=code, QT_QPA_PLATFORM="offscreen"), "libGL.so.1", "apt-get install", "libgl1")
 
 
-@LINUX
-@pytest.mark.may_skip("Windows and macOS always have fonts")
-def test_given_no_font_then_exit_2_and_the_package(tmp_path: Path) -> None:
-    none = tmp_path / "fonts.conf"
-    none.write_text("<?xml version='1.0'?><fontconfig></fontconfig>", encoding="utf-8")
-    done = gui(QT_QPA_PLATFORM="offscreen", FONTCONFIG_FILE=str(none), FONTCONFIG_PATH=str(tmp_path))
-    refused(done, "no font", "fonts-dejavu-core")
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("import sys\nsys.modules['PyQt5'] = None", ['pip install "wavefocus[window]"']),
+        (BROKEN_QT, ["libGL.so.1", "apt-get install", "libgl1"]),
+    ],
+)
+def test_given_no_pyqt5_or_a_library_that_it_misses_then_exit_2_and_what_to_install(code, words):
+    refused(gui(code=code, QT_QPA_PLATFORM="offscreen"), *words)
 
 
-def test_a_bank_deleted_under_the_window_is_told_and_followed_when_it_is_back(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_a_bank_deleted_under_the_window_is_told_and_followed_when_it_is_back(qtbot, open_window, finished):
     window = open_window(finished)
     tab = campaign_of(window)
     wait(qtbot, lambda: tab.campaign.measured == 12)
@@ -87,8 +82,21 @@ def test_a_bank_deleted_under_the_window_is_told_and_followed_when_it_is_back(
     wait(qtbot, lambda: tab.position_panel.greens is not None)
 
 
-def test_given_a_file_that_is_no_bank_then_a_sentence(qtbot: QtBot, open_window: Opens, tmp_path: Path) -> None:
+def test_given_a_file_that_is_no_bank_then_a_sentence(qtbot, open_window, tmp_path):
     (tmp_path / "no.h5").write_bytes(b"nothing of the kind" * 100)
     window = open_window(tmp_path / "no.h5")
     wait(qtbot, lambda: "no.h5" in window.messages.sentence)
     assert "Traceback" not in window.messages.sentence
+
+
+def test_defect_while_bank_is_followed_then_window_says_so_and_goes_on_following(qtbot, open_window, finished):
+    broken = [True]
+    window = open_window()
+    tab = campaign_of(window)
+    tab.bank_field.show_path(finished)
+    tab.follower = Follower(finished, lambda bank: 1 / 0 if broken else read_heartbeat(bank))
+    wait(qtbot, lambda: "is not followed" in window.messages.sentence)
+    assert [button.text() for button in window.messages.buttons] == ["Copy details"]
+    broken.clear()
+    wait(qtbot, lambda: tab.campaign.trouble[0] == "")
+    assert window.messages.sentence == ""

@@ -1,20 +1,17 @@
 """The window from nothing: a new lab, files shared across tabs, files of a wrong kind, messages that no longer hold."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PyQt5.QtCore import QSettings
 from PyQt5.QtWidgets import QFileDialog
-from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, answer, campaign_of, edit, shown_tab, tab_of, wait, write_lab
+from tests.gui.conftest import answer, campaign_of, edit, shown_tab, tab_of, wait, write_lab
 from tests.lab_files import change_text
 from wavefocus.config.scene import LineTable
 from wavefocus.gui.field_map import ColourBar
-from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
+from wavefocus.gui.files import FileKind, PathField, misplaced
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.document import new_source
 from wavefocus.gui.scene.tab import SceneTab
@@ -36,9 +33,7 @@ def type_path(field: PathField, path: Path) -> None:
 
 
 @pytest.mark.parametrize(("word", "table"), [("Virtual rig", "[virtual]"), ("Own instruments", "[mirror]")])
-def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path, word: str, table: str
-) -> None:
+def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, open_window, tmp_path, word, table):
     window = open_window()
     window._choose_lab()
     (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
@@ -56,9 +51,7 @@ def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(
         wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
 
 
-def test_given_a_folder_that_holds_a_lab_then_a_new_lab_touches_nothing_in_it(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path
-) -> None:
+def test_given_a_folder_that_holds_a_lab_then_a_new_lab_touches_nothing_in_it(qtbot, open_window, tmp_path):
     run = write_lab(tmp_path / "lab", 4, 3)
     before = run.read_bytes()
     window = open_window()
@@ -68,9 +61,7 @@ def test_given_a_folder_that_holds_a_lab_then_a_new_lab_touches_nothing_in_it(
     assert campaign_of(window).run_field.path is None
 
 
-def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_bank(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path
-) -> None:
+def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_bank(qtbot, open_window, tmp_path):
     run = write_lab(tmp_path / "lab", 4, 3)
     window = open_window()
     tab = campaign_of(window)
@@ -97,9 +88,7 @@ def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_ban
     assert "averages" not in window.messages.sentence  # the error holds no longer
 
 
-def test_given_a_rig_without_a_bank_then_scenes_are_drawn_on_its_surface(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path
-) -> None:
+def test_given_a_rig_without_a_bank_then_scenes_are_drawn_on_its_surface(qtbot, open_window, tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text('[rig]\nname = "disc"\n[surface]\nlength_mm = 180.0\nwidth_mm = 120.0\n', encoding="utf-8")
     window = open_window(rig)
@@ -107,22 +96,20 @@ def test_given_a_rig_without_a_bank_then_scenes_are_drawn_on_its_surface(
     assert np.ptp(outline_mm, axis=0) == pytest.approx([180.0, 120.0], abs=0.1)
 
 
-def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(qtbot, open_window, finished):
     lab = finished.parent
     window = open_window()
     campaign, rig = campaign_of(window), tab_of(window, RigTab)
     scene, verification = tab_of(window, SceneTab), tab_of(window, VerificationTab)
     type_path(campaign.run_field, lab / "run.toml")
     assert rig.rig_field.path == lab / "rig.toml"
-    assert scene.results.bar.rig_field.path == verification.form.rig.path == lab / "rig.toml"
+    assert scene.results.rig_field.path == verification.form.rig.path == lab / "rig.toml"
     assert campaign.bank_field.path == scene.document.bank == verification.form.bank.path == finished
     other = write_lab(lab / "other", 2, 2).with_name("rig.toml")
-    for field in (rig.rig_field, scene.results.bar.rig_field, verification.form.rig):
+    for field in (rig.rig_field, scene.results.rig_field, verification.form.rig):
         for chosen in (other, lab / "rig.toml"):
             type_path(field, chosen)
-            shown = {rig.rig_field.path, scene.results.bar.rig_field.path, verification.form.rig.path}
+            shown = {rig.rig_field.path, scene.results.rig_field.path, verification.form.rig.path}
             assert shown == {chosen}
     copy = lab / "copy.h5"
     copy.write_bytes(finished.read_bytes())
@@ -132,7 +119,7 @@ def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(
             assert {scene.document.bank, verification.form.bank.path, campaign.bank_field.path} == {chosen}
 
 
-def test_given_a_saved_scene_then_it_is_the_one_to_verify(open_window: Opens, finished: Path) -> None:
+def test_given_a_saved_scene_then_it_is_the_one_to_verify(open_window, finished):
     window = open_window(finished.with_name("run.toml"), finished)
     drawn, tab = draw(window), tab_of(window, VerificationTab)
     assert tab.form.missing() == "choose a scene file"  # what is not in a file cannot be verified
@@ -148,9 +135,7 @@ WRONG = (
 )  # fmt: skip
 
 
-def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_stays(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_stays(qtbot, open_window, finished):
     finished.with_name("trials.toml").write_text('[trials]\nname = "direction"\n', encoding="utf-8")
     window = open_window()
     fields = {
@@ -175,9 +160,7 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
         assert window.messages.sentence == ""  # it holds no longer
 
 
-def test_given_a_bank_that_is_gone_and_comes_back_then_the_message_goes(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_given_a_bank_that_is_gone_and_comes_back_then_the_message_goes(qtbot, open_window, finished):
     window = open_window(finished)
     tab = shown_tab(window, SceneTab)
     wait(qtbot, lambda: tab.live.backdrop.surface is not None)
@@ -190,15 +173,15 @@ def test_given_a_bank_that_is_gone_and_comes_back_then_the_message_goes(
 
 
 def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path, memory: Settings
-) -> None:
+    qtbot, open_window, tmp_path, memory
+):
     (tmp_path / "file").write_text("", encoding="utf-8")
     blocked = QSettings(str(tmp_path / "file" / "memory.ini"), QSettings.Format.IniFormat)
     memory._settings = blocked
     window = open_window()
     draw(window)
     window.close()
-    words = [button.text() for button in window.messages.buttons()]
+    words = [button.text() for button in window.messages.buttons]
     assert words == ["Save and close", "Close without saving", "Do not close"]
     assert str(tmp_path / "file") in window.messages.sentence
     assert window.isVisible()
@@ -211,7 +194,7 @@ def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_s
     assert "[[source]]" in kept.value("scene/unsaved")
 
 
-def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot: QtBot, open_window: Opens) -> None:
+def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, open_window):
     window = open_window()
     shown_tab(window, SceneTab)
     bars = window.findChildren(ColourBar)
@@ -224,3 +207,30 @@ def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot: QtBot, open_win
         label = bar._bar.axis.label
         inside = label.mapRectToScene(label.boundingRect()).bottom() - label.document().documentMargin()
         assert inside <= bar.height()
+
+
+def test_given_another_run_file_then_the_bank_of_the_former_one_is_let_go(qtbot, open_window, finished, tmp_path):
+    run_file, other = finished.with_name("run.toml"), write_lab(tmp_path / "other", 2, 2)
+    window = open_window(run_file)
+    tab = campaign_of(window)
+    wait(qtbot, lambda: tab.campaign.measured == 12)
+    window.messages.warn("something about the first run")
+    window.open_file(other)
+    assert tab.bank_field.path == other.with_name("plate.h5")
+    assert window.messages.sentence == ""
+    wait(qtbot, lambda: tab.campaign.surface is None)
+    window.open_file(finished)
+    window.open_file(other)  # the same run again: the bank that was chosen stays
+    assert tab.bank_field.path == finished
+
+
+def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(qtbot, open_window):
+    window = open_window()
+    scene = tab_of(window, SceneTab)
+    window._pages.setCurrentWidget(scene)
+    bar = scene.results
+    for text, rig in (("virtual", "virtual"), ("rig.toml", str(Path("rig.toml").absolute())), ("virtual", "virtual")):
+        bar.rig_field.line.setText(text)
+        bar.rig_field.line.editingFinished.emit()
+        assert bar.rig == rig
+    assert bar.rig_field.line.text() == "virtual"

@@ -1,8 +1,5 @@
 """The tail of a log and the reading model, without any window."""
 
-from __future__ import annotations
-
-import json
 import math
 import threading
 import time
@@ -11,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pytestqt.qtbot import QtBot
 
 from wavefocus.campaign.status import CampaignStatus, Heartbeat
 from wavefocus.commands.status import _pace_sentences
@@ -28,7 +24,6 @@ from wavefocus.config.messages.campaign import (
     SessionStarted,
     State,
     StateChanged,
-    event_line,
 )
 from wavefocus.gui.campaign.follower import Follower, LogTail
 from wavefocus.gui.campaign.model import (
@@ -38,19 +33,17 @@ from wavefocus.gui.campaign.model import (
     Extra,
     ShownState,
     Weight,
-    line_of,
     per_position,
     read_record,
 )
 from wavefocus.gui.campaign.panels import Controls, pace_text
 from wavefocus.gui.surface import raster_of
-from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.ledger.owner import Owner
 
 AT = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-def test_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path: Path) -> None:
+def test_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_over(tmp_path):
     log = tmp_path / "plate.events.jsonl"
     tail = LogTail(log)
     assert tail.read() == ([], False)
@@ -62,7 +55,7 @@ def test_a_growing_log_then_only_whole_new_lines_are_read_and_torn_ones_passed_o
     assert tail.read() == ([{"event": "b"}, {"event": "c"}], False)
 
 
-def test_given_a_log_that_was_replaced_then_it_is_read_anew(tmp_path: Path) -> None:
+def test_given_a_log_that_was_replaced_then_it_is_read_anew(tmp_path):
     log = tmp_path / "plate.events.jsonl"
     log.write_text('{"event": "a"}\n{"event": "b"}\n', encoding="utf-8")
     tail = LogTail(log)
@@ -87,7 +80,7 @@ def _asked(campaign: CampaignModel, *, owned: bool, silent: bool = False) -> Non
     campaign.show_owner(owner, Heartbeat(at, 7, "here", State.RUNNING), time.monotonic() + 1.0)
 
 
-def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_gone() -> None:
+def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_gone():
     campaign = CampaignModel()
     assert campaign.state().word is Extra.NO_BANK
     assert campaign.state(starting=True).word is Extra.STARTING
@@ -119,9 +112,7 @@ AGAIN = {"Start", "Remeasure selected (1)", "Remeasure poor (2)"}
         (Extra.SILENT, 3, {"Stop after this position"}),
     ],
 )
-def test_given_a_state_then_only_buttons_that_make_sense_can_be_pressed(
-    qtbot: QtBot, word: State | Extra, left: int, buttons: set[str]
-) -> None:
+def test_given_a_state_then_only_buttons_that_make_sense_can_be_pressed(qtbot, word, left, buttons):
     controls = Controls(dict.fromkeys(("start", "resume", "pause", "stop", "selected", "poor"), lambda: None))
     qtbot.addWidget(controls)
     controls.show_possible(ShownState(word), has_run=True, has_bank=True, left=left, selected=1, poor=2)
@@ -131,7 +122,7 @@ def test_given_a_state_then_only_buttons_that_make_sense_can_be_pressed(
 LOST = Fault(1.0, "virtual player", "playing", "no answer", "look", 25, 1, retried=True)
 
 
-def test_given_a_fault_then_it_is_shown_until_that_instrument_works_again() -> None:
+def test_given_a_fault_then_it_is_shown_until_that_instrument_works_again():
     campaign = CampaignModel()
     _said(campaign, SessionStarted(0.0, "plate.h5", 6, 3, 0, 6, 60.0, ("virtual mirror, 250 mrad", "virtual player")))
     _said(campaign, PositionStarted(0.5, 25, 1, 0.0, 0.0), LOST)
@@ -145,7 +136,7 @@ def test_given_a_fault_then_it_is_shown_until_that_instrument_works_again() -> N
     assert campaign.instrument_faults == {}
 
 
-def test_given_a_player_that_is_lost_for_good_then_it_is_shown_as_lost_after_the_end() -> None:
+def test_given_a_player_that_is_lost_for_good_then_it_is_shown_as_lost_after_the_end():
     campaign = CampaignModel()
     _said(campaign, PositionStarted(0.5, 24, 1, 0.0, 0.0), PositionStarted(0.9, 25, 1, 0.0, 0.0), LOST)
     _said(campaign, PositionCommitted(1.1, 24, 1, 1, 60.0, -60.0, 0.0, 0.0))  # was being written meanwhile
@@ -153,7 +144,7 @@ def test_given_a_player_that_is_lost_for_good_then_it_is_shown_as_lost_after_the
     assert campaign.instrument_faults["virtual player"].startswith("playing: no answer")
 
 
-def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> None:
+def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept():
     campaign = CampaignModel()
     for _ in range(30):
         _said(campaign, *[PositionRepeated(0.0, 1, 1, "a burst")] * 1000)
@@ -170,9 +161,7 @@ def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> No
         {},
     ],
 )
-def test_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_nothing(
-    record: dict[str, object],
-) -> None:
+def test_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_nothing(record):
     campaign = CampaignModel()
     line = read_record({"at": AT.isoformat(), **record})
     assert isinstance(line, EventLine)
@@ -183,13 +172,7 @@ def test_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_nothing
     assert campaign.state().word is Extra.NO_BANK
 
 
-@pytest.mark.smoke
-def test_given_an_event_then_its_line_is_a_sentence() -> None:
-    logged = read_record(json.loads(event_line(SessionEnded(17.0, State.FINISHED, 6, 6, {"valid": 6}))))
-    assert line_of(logged).text == "finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
-
-
-def test_each_position_has_its_own_figures_per_actuator_and_unmeasured_ones_none() -> None:
+def test_each_position_has_its_own_figures_per_actuator_and_unmeasured_ones_none():
     quality = {
         "snr_db": np.array([[1, 2, 3], [4, 5, np.nan], [0, 0, 0]], np.float32),
         "attempts": np.ones(3, np.float32),
@@ -200,7 +183,7 @@ def test_each_position_has_its_own_figures_per_actuator_and_unmeasured_ones_none
     assert np.isnan(found["coherence"]).all()
 
 
-def test_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_finds_it() -> None:
+def test_any_grid_then_every_position_has_pixels_but_checks_and_a_click_finds_it():
     square = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
     shifted = square + np.where(square[:, 1:] % 8 == 0, 0.0, 2.0) * [1, 0]
     for position_mm in (square, shifted, np.array([[3.0, 4.0]])):
@@ -208,19 +191,13 @@ def test_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_finds_it
         assert set(np.unique(raster.index)) == set(range(len(position_mm) + 1))
         assert [raster.nearest(*point) for point in position_mm.tolist()] == list(range(len(position_mm)))
         assert raster.nearest(1e4, 0.0) == -1
+    checked, bare = raster_of(np.vstack([square, [[1.0, 1.0], [9.5, 6.5]]]), [35, 36]), raster_of(square)
+    pixels = [int((checked.index == row).sum()) for row in range(37)]
+    assert pixels == [*(int((bare.index == row).sum()) for row in range(35)), 0, 0]
+    assert checked.nearest(9.5, 6.5) == 36
 
 
-def test_check_positions_take_no_pixels_from_neighbours_and_a_click_finds_them() -> None:
-    grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
-    with_checks = np.vstack([grid, [[1.0, 1.0], [9.5, 6.5]]])
-    raster, bare = raster_of(with_checks, [35, 36]), raster_of(grid)
-    assert [int((raster.index == row).sum()) for row in range(37)] == [
-        *(int((bare.index == row).sum()) for row in range(35)), 0, 0,
-    ]  # fmt: skip
-    assert raster.nearest(9.5, 6.5) == 36
-
-
-def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(tmp_path: Path) -> None:
+def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(tmp_path):
     hangs, continues = threading.Event(), threading.Event()
 
     def hanging(_bank: Path) -> None:
@@ -237,42 +214,19 @@ def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(t
     continues.set()
 
 
-POOR = 4
-
-
-def committed(status: int, snr_db: float, residual_db: float, reason: str = "") -> Logged:
-    event = PositionCommitted(0.0, 7, status, 2, snr_db, residual_db, 0.0, 0.0, reason=reason)
-    return Logged(datetime.now(UTC), event)
-
-
-def test_given_a_position_without_figures_then_its_reason_is_said_and_no_nan() -> None:
-    logged = committed(POOR, math.nan, math.nan, "no sweep found in record 3")
-    line = line_of(logged)
-    assert line is not None
-    assert line.text.endswith(": no sweep found in record 3")
-    assert "nan" not in line.text
-    good = line_of(committed(Status.VALID, 41.25, -52.0))
-    assert good is not None
-    assert "41.2 dB" in good.text
-    assert "-52.0 dB" in good.text
-
-
 def paced(per_hour: float, left_s: float) -> CampaignStatus:
     return CampaignStatus().after(Logged(datetime.now(UTC), Progress(0.0, 3, 10, 1.0, left_s, left_s, per_hour)))
 
 
 @pytest.mark.parametrize("state", [*State, *Extra])
-def test_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measured(state: State | Extra) -> None:
+def test_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measured(state):
     text = pace_text(paced(120.0, 4.0), going_on=ShownState(state).going_on)
     assert ("left" in text) is (state is State.RUNNING)
     assert text.startswith("120 positions an hour")
-
-
-def test_given_a_rate_that_is_not_known_then_nothing_is_said_about_it() -> None:
     assert pace_text(paced(math.nan, math.nan), going_on=True) == ""
 
 
-def test_given_the_last_position_then_the_rate_stands_without_an_empty_part() -> None:
+def test_given_the_last_position_then_the_rate_stands_without_an_empty_part():
     progress = Progress(
         time_s=1.0, done=9, total=9, elapsed_s=1.0, remaining_s=0.0, wall_remaining_s=0.0, positions_per_hour=57_400.0
     )

@@ -1,7 +1,5 @@
 """Live sources in a real window: mouse, fingers and keys hold them, and the real command on the virtual rig sounds."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ from PyQt5.QtCore import QEvent, QPointF, Qt
 from PyQt5.QtGui import QTouchEvent
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import NO_KEY, Opens, edit, line_scene, mouse, pixel, press, shown_tab, wait
+from tests.gui.conftest import NO_KEY, edit, line_scene, mouse, pixel, press, shown_tab, wait
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.gui.scene.document import changed
 from wavefocus.gui.scene.exports import IDLE
@@ -30,8 +28,8 @@ def live_page(qtbot: QtBot, window: Window, bank: Path, rig: str = "") -> SceneT
     """The Live page with a bank of the virtual rig, ready to start."""
     tab = shown_tab(window, SceneTab)
     tab._bank_chosen(bank)
-    tab.results.bar.rig_field.line.setText(rig or str(bank.with_name("rig.toml")))
-    tab.results.bar.rig_field.line.editingFinished.emit()
+    tab.results.rig_field.line.setText(rig or str(bank.with_name("rig.toml")))
+    tab.results.rig_field.line.editingFinished.emit()
     tab.modes[LIVE_PAGE].click()
     wait(qtbot, lambda: tab.live.backdrop.surface is not None)
     return tab
@@ -45,13 +43,13 @@ def started(qtbot: QtBot, tab: SceneTab) -> None:
 
 def sounds(tab: SceneTab, name: str) -> bool:
     """Whether a source was reported last, perhaps as one that is left out because the machine is busy."""
-    state = tab.live_run.states[-1] if tab.live_run.states else None
+    state = tab.live_run.latest
     return state is not None and (name in state.dropped or any(one.name == name for one in state.sources))
 
 
 def sounds_at(tab: SceneTab, name: str, x_mm: float, y_mm: float) -> bool:
     """Whether a source was reported last, and at a place unless it is left out."""
-    sources = tab.live_run.states[-1].sources if tab.live_run.states else ()
+    sources = tab.live_run.latest.sources if tab.live_run.latest else ()
     at_mm = next((one.at_mm for one in sources if one.name == name), (x_mm, y_mm))
     return sounds(tab, name) and at_mm == pytest.approx((x_mm, y_mm), abs=SHORT_MM)
 
@@ -96,8 +94,8 @@ def shown(tab: SceneTab) -> str:
 
 
 def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes(
-    qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
-) -> None:
+    qtbot, open_window, finished, tmp_path
+):
     window = open_window()
     tab = live_page(qtbot, window, finished)
     edit(tab.document, line_scene(amplitude=1000.0))
@@ -110,7 +108,7 @@ def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes
     wait(qtbot, lambda: sounds_at(tab, MOUSE, 0.0, 1.5))
     mouse(surface, QEvent.Type.MouseMove, pixel(surface, 4.5, 1.5), NO_KEY, held=True)
     wait(qtbot, lambda: sounds_at(tab, MOUSE, 4.5, 1.5))
-    assert not tab.live_run.states[-1].sources[0].fading  # at rest it gets positions, too
+    assert not tab.live_run.latest.sources[0].fading  # at rest it gets positions, too
     assert surface._labels[0].toPlainText() == MOUSE
     wait(qtbot, lambda: "▲ limiter: -" in shown(tab))
     mouse(surface, QEvent.Type.MouseMove, pixel(surface, 40.0, 1.5), NO_KEY, held=True)
@@ -146,9 +144,7 @@ def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes
     assert scene.read_text(encoding="utf-8").count("[[source]]") >= 4  # late positions begin another
 
 
-def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(qtbot, open_window, finished):
     window = open_window()
     tab = live_page(qtbot, window, finished)
     scene = line_scene()
@@ -170,9 +166,7 @@ def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(
     assert os.waitstatus_to_exitcode(status) == 0
 
 
-def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_sounds(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_sounds(qtbot, open_window, finished):
     window = open_window()
     tab = live_page(qtbot, window, finished, VIRTUAL)  # it has 20 actuators, the bank three
     press(qtbot, tab.live_panel.buttons["start"])
@@ -181,7 +175,7 @@ def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_so
     assert not tab.live_run.busy
 
 
-def test_figures_then_latency_underruns_limiter_and_what_is_left_out_are_marked() -> None:
+def test_figures_then_latency_underruns_limiter_and_what_is_left_out_are_marked():
     ready = LiveReady("player", "bank", 3, 5.0, 50.0, 215.0, 12.0, (0.0, 4.5), (0.0, 3.0))
     good = LiveState(2.0, 6.0, 9.0, 0.4, 0, "none", None, (), 0.0, ())
     late = LiveState(2.0, 30.0, 25.0, 1.3, 2, "sources", None, ("finger 2",), -3.0, ())

@@ -1,7 +1,5 @@
 """Every action of every menu, triggered in every tab, and what File > Open opens."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,7 +23,7 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, campaign_of, tab_of, wait
+from tests.gui.conftest import campaign_of, tab_of, wait
 from wavefocus.config.scene import LineTable, SceneConfig
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.rig.tab import RigTab
@@ -74,8 +72,8 @@ def write_scene(folder: Path) -> Path:
 
 @pytest.mark.parametrize(("tabs", "with_files"), [((0,), False), ((0,), True), ((1, 2, 3), True)])
 def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
-    qtbot: QtBot, open_window: Opens, finished: Path, tabs: tuple[int, ...], with_files: bool
-) -> None:
+    qtbot, open_window, finished, tabs, with_files
+):
     files = [finished.with_name("run.toml"), finished.with_name("rig.toml"), write_scene(finished.parent), finished]
     window = open_window(*(files if with_files else ()))
     campaign, rig = campaign_of(window), tab_of(window, RigTab)
@@ -96,9 +94,9 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
                 assert window.tracebacks == [], action.text()
         assert triggered > 10
         window.refresh()
-        rig.examination.cancel.click()
+        rig.examination.cancel.trigger()
         rig.session.release()
-        wait(qtbot, lambda: not (rig.session.running or rig.examination.running))
+        wait(qtbot, lambda: not (rig.session.running or rig.examination.command.running))
 
 
 def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
@@ -112,7 +110,7 @@ def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
             yield tab, page
 
 
-def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(open_window: Opens) -> None:
+def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(open_window):
     window = open_window()
     bar = window.menuBar()
     assert bar is not None
@@ -124,7 +122,7 @@ def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(open_win
         assert sorted(letters) == sorted(set(letters)), f"page {page} of {tab.title}"
 
 
-def test_given_help_then_the_documentation_beside_the_program_is_opened(open_window: Opens) -> None:
+def test_given_help_then_the_documentation_beside_the_program_is_opened(open_window):
     window, opened = open_window(), Opened()
     QDesktopServices.setUrlHandler("file", opened.open)
     try:
@@ -138,9 +136,7 @@ def test_given_help_then_the_documentation_beside_the_program_is_opened(open_win
     assert page.name in ("index.html", "README.md")
 
 
-def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(qtbot, open_window, finished):
     scene = write_scene(finished.parent)
     window = open_window()
     for tab in range(4):
@@ -161,9 +157,7 @@ def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(
 
 
 @pytest.mark.timeout(500)
-def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(qtbot, open_window, finished):
     window = open_window(finished.with_name("run.toml"), finished, finished.with_name("rig.toml"))
     campaign = tab_of(window, CampaignTab)
     wait(qtbot, lambda: campaign.campaign.measured == 12)

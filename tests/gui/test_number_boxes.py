@@ -1,21 +1,15 @@
 """Numbers typed into the window's boxes, in every box and in three locales."""
 
-from __future__ import annotations
-
-from collections.abc import Generator
-
 import pytest
 from PyQt5.QtCore import QEvent, QLocale, Qt
 from PyQt5.QtGui import QKeyEvent
 from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWidget
-from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, kept_window, tab_of
+from tests.gui.conftest import kept_window, tab_of
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.widgets import NumberBox, typed_number
-from wavefocus.gui.window import Window
 
 LOCALES = ("C", "en_US", "de_DE")
 # Texts, and the number that each is; None for those that are refused.
@@ -30,9 +24,7 @@ ONCE_MORE = ("0,2", "3", "1.234,5", "nan")
 
 
 @pytest.fixture(scope="module", params=LOCALES)
-def window(
-    qapp: QApplication, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Generator[Window]:
+def window(qapp, request, tmp_path_factory):
     """A window whose widgets have a locale."""
     former = QLocale()
     QLocale.setDefault(QLocale(request.param))
@@ -49,11 +41,11 @@ def type_into(box: QAbstractSpinBox, text: str, end: Qt.Key = Qt.Key.Key_Return)
     QTest.keyClick(box, end)
 
 
-def test_given_texts_then_point_and_comma_separate_decimals_and_all_else_is_refused() -> None:
+def test_given_texts_then_point_and_comma_separate_decimals_and_all_else_is_refused():
     assert {text: typed_number(text) for text in TYPED} == TYPED
 
 
-def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(qtbot: QtBot, window: Window) -> None:
+def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(qtbot, window):
     boxes = window.findChildren(QAbstractSpinBox)
     with_boxes = {type(tab) for tab in window.tabs if tab.findChildren(QAbstractSpinBox)}
     assert with_boxes >= {RigTab, SceneTab}, "the boxes of all tabs are there, shown or not"
@@ -81,7 +73,7 @@ def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(qtbo
             assert box.text() == f"{box.prefix()}{box.textFromValue(box.value())}{box.suffix()}", case
 
 
-def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reported(qtbot: QtBot) -> None:
+def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reported(qtbot):
     box, values = NumberBox(3, 0.001, 4.0, suffix=" V"), []
     qtbot.addWidget(box)
     box.setValue(0.5)
@@ -96,12 +88,11 @@ def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reporte
     assert (box.value(), values) == (0.5, [])
     box.selectAll()
     QTest.keyClicks(box, "0,25")
-    assert (box.value(), values) == (0.25, [])  # used by a key, F5, before it was finished
-    QTest.keyClick(box, Qt.Key.Key_Return)
-    assert values == [0.25]
+    assert values == []
+    assert (box.value(), values) == (0.25, [0.25])  # used by a key, F5, before it was finished
 
 
-def test_given_numbers_of_the_last_session_then_the_boxes_show_them(qtbot: QtBot, open_window: Opens) -> None:
+def test_given_numbers_of_the_last_session_then_the_boxes_show_them(qtbot, open_window):
     first = open_window()
     tab = tab_of(first, SceneTab)
     tab.live_panel.look_ahead.setValue(120)

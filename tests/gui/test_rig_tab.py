@@ -1,7 +1,5 @@
 """The Rig tab in a real window: examine, operate by hand, calibrate, on the virtual rig; and kinds of TOML files."""
 
-from __future__ import annotations
-
 import os
 import signal
 import tomllib
@@ -12,10 +10,10 @@ from msgspec.structs import replace
 from PyQt5.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, SOON_MS, Opens, pixel, press, shown_tab, wait, write_lab
+from tests.gui.conftest import LEFT, SOON_MS, pixel, press, shown_tab, wait, write_lab
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.rig_checks import Act, AskJog, Finding
-from wavefocus.gui.files import FileKind, kind_of, names_virtual_rig, runs_on_virtual_rig
+from wavefocus.gui.files import FileKind, kind_of, names_virtual_rig, rig_of_run
 from wavefocus.gui.rig.tab import RigTab, button_of, read_rig_file, remedy_of
 from wavefocus.gui.window import Window
 
@@ -40,7 +38,7 @@ REAL_RIG = '[rig]\nname = "lab"\n\n[mirror]\ndriver = "mirrorcle"\n\n[player]\nl
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
+def rig(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     return tmp_path / "rig.toml"
 
@@ -55,13 +53,11 @@ def in_hands(qtbot: QtBot, window: Window) -> RigTab:
 
 
 @pytest.mark.smoke
-def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(
-    qtbot: QtBot, open_window: Opens, rig: Path
-) -> None:
+def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(qtbot, open_window, rig):
     window = open_window(rig)
     tab, page = shown_tab(window, RigTab), shown_tab(window, RigTab).examination
     press(qtbot, page.examine)
-    wait(qtbot, lambda: page.findings and not tab.examination.running)
+    wait(qtbot, lambda: page.findings and not tab.examination.command.running)
     good = sum(one.verdict == "ok" for one in page.findings)
     assert good > 10
     assert page.summary.text().startswith("1 not good enough, ")  # where nothing keeps a computer awake, 1 is skipped
@@ -78,9 +74,7 @@ def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(
     assert [name for name, box in parts.items() if box.isChecked()] == ["actuators"]
 
 
-def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_back(
-    qtbot: QtBot, open_window: Opens, rig: Path
-) -> None:
+def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_back(qtbot, open_window, rig):
     window = open_window(rig)
     tab = in_hands(qtbot, window)
     jog, sound, hands = tab.manual_page.jog, tab.manual_page.sound, tab.session
@@ -109,7 +103,7 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     quiet_v = hands.levels.response.rms_v
     sound.sounds.click()
     wait(qtbot, lambda: hands.levels.response.rms_v > 5 * quiet_v)
-    wait(qtbot, lambda: sound.meter.held_v.get("reference", 0.0) > 0.1)
+    wait(qtbot, lambda: hands.levels.reference.peak_v > 0.1)
     assert "response" in sound.meter.accessibleName()
 
     sound.actuator.setCurrentIndex(2)
@@ -132,9 +126,7 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     wait(qtbot, lambda: hands.state == "released")
 
 
-def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(
-    qtbot: QtBot, open_window: Opens, rig: Path
-) -> None:
+def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(qtbot, open_window, rig):
     window = open_window(rig)
     tab = shown_tab(window, RigTab)
     page, calibration = tab.calibration_page, tab.calibration
@@ -157,7 +149,7 @@ def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(
     assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == file.name
 
 
-def test_a_wizard_without_moves_says_what_to_do_and_writes_nothing(qtbot: QtBot, open_window: Opens, rig: Path) -> None:
+def test_a_wizard_without_moves_says_what_to_do_and_writes_nothing(qtbot, open_window, rig):
     window = open_window(rig)
     tab, page = shown_tab(window, RigTab), shown_tab(window, RigTab).calibration_page
     tab.pages.setCurrentWidget(page)
@@ -176,9 +168,7 @@ def test_a_wizard_without_moves_says_what_to_do_and_writes_nothing(qtbot: QtBot,
     assert page.options.isVisible()
 
 
-def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(
-    qtbot: QtBot, open_window: Opens, rig: Path
-) -> None:
+def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(qtbot, open_window, rig):
     window = open_window(rig)
     tab = in_hands(qtbot, window)
     os.kill(tab.session.own.pid, signal.SIGKILL)
@@ -191,9 +181,7 @@ def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(
     qtbot.waitUntil(lambda: _ended(pid), timeout=SOON_MS)
 
 
-def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_lives(
-    qtbot: QtBot, open_window: Opens, rig: Path
-) -> None:
+def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_lives(qtbot, open_window, rig):
     rig.write_text(RIG + "[mirror]\nlimit_mrad = -5\n", encoding="utf-8")
     window = open_window(rig)
     tab = shown_tab(window, RigTab)
@@ -205,7 +193,7 @@ def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_li
     assert f"{rig}: not TOML" in window.messages.sentence
 
 
-def test_given_a_run_file_then_the_rig_that_it_names_is_taken(open_window: Opens, tmp_path: Path) -> None:
+def test_given_a_run_file_then_the_rig_that_it_names_is_taken(open_window, tmp_path):
     run = write_lab(tmp_path / "lab", 2, 2)
     window = open_window(run)
     tab = shown_tab(window, RigTab)
@@ -213,9 +201,7 @@ def test_given_a_run_file_then_the_rig_that_it_names_is_taken(open_window: Opens
     assert tab.rig.actuator_mm == [(110.0, 0.0), (0.0, 60.0), (-110.0, 10.0)]
 
 
-def test_given_no_rig_or_free_instruments_then_neither_sweep_nor_mute_can_be_pressed(
-    qtbot: QtBot, open_window: Opens, rig: Path
-) -> None:
+def test_given_no_rig_or_free_instruments_then_neither_sweep_nor_mute_can_be_pressed(qtbot, open_window, rig):
     window = open_window()
     tab = shown_tab(window, RigTab)
     window.refresh()
@@ -227,7 +213,7 @@ def test_given_no_rig_or_free_instruments_then_neither_sweep_nor_mute_can_be_pre
     assert enabled == {"E&xamine", "&Open instruments"}
 
 
-def test_given_findings_then_a_button_is_offered_where_the_window_can_do_something() -> None:
+def test_given_findings_then_a_button_is_offered_where_the_window_can_do_something():
     finding = Finding("player", "latency", "warn", "30 ms", "raise it")
     assert button_of(finding) == ("again", "Check again")
     assert remedy_of(finding) == "raise it"
@@ -256,7 +242,7 @@ def test_given_findings_then_a_button_is_offered_where_the_window_can_do_somethi
         (None, None),
     ],
 )
-def test_the_kind_of_a_file_follows_from_its_tables(tmp_path: Path, text: str | None, kind: FileKind | None) -> None:
+def test_the_kind_of_a_file_follows_from_its_tables(tmp_path, text, kind):
     file = tmp_path / "file.toml"
     if text is not None:
         file.write_text(text, encoding="utf-8")
@@ -264,12 +250,12 @@ def test_the_kind_of_a_file_follows_from_its_tables(tmp_path: Path, text: str | 
 
 
 @pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "with a byte-order mark"])
-def test_real_instruments_are_known_whatever_editor_wrote_the_files(tmp_path: Path, mark: str) -> None:
+def test_real_instruments_are_known_whatever_editor_wrote_the_files(tmp_path, mark):
     rig, run = tmp_path / "rig.toml", tmp_path / "run.toml"
     rig.write_text(mark + REAL_RIG, encoding="utf-8")
     run.write_text(mark + 'rig = "rig.toml"\n', encoding="utf-8")
     assert not names_virtual_rig(rig)
-    assert not runs_on_virtual_rig(run)
+    assert rig_of_run(run) == rig
     assert not read_rig_file(rig).is_virtual
 
 

@@ -1,15 +1,10 @@
 """Captures of the window and of others, orders, closing; the run in a real process."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from pathlib import Path
 
-from pytestqt.qtbot import QtBot
-
-from tests.gui.conftest import Opens, answer, campaign_of, press, wait, write_lab
+from tests.gui.conftest import answer, campaign_of, press, wait, write_lab
 from tests.lab_files import change_text
 from wavefocus.__main__ import run
 from wavefocus.storage.ledger.owner import bank_owner
@@ -23,9 +18,7 @@ with BankWriter.open(sys.argv[1]):
 """
 
 
-def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_closing(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path
-) -> None:
+def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_closing(qtbot, open_window, tmp_path):
     run_file = write_lab(tmp_path / "lab", 8, 5)
     bank = run_file.with_name("other.h5")
     window = open_window(bank)
@@ -42,9 +35,7 @@ def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_clo
     assert sorted(one["position"] for one in records if one["event"] == "position_committed") == list(range(40))
 
 
-def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(qtbot, open_window, finished):
     window = open_window(finished)
     tab = campaign_of(window)
     with subprocess.Popen(
@@ -60,9 +51,7 @@ def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(
         owner.communicate(timeout=20)
 
 
-def test_given_orders_that_fail_then_their_sentences_are_messages(
-    qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
-) -> None:
+def test_given_orders_that_fail_then_their_sentences_are_messages(qtbot, open_window, finished, tmp_path):
     window = open_window(finished)
     campaign_of(window).run.order("pause", finished)
     wait(qtbot, lambda: "no process owns the bank" in window.messages.sentence)
@@ -74,9 +63,7 @@ def test_given_orders_that_fail_then_their_sentences_are_messages(
     assert "Traceback" not in window.messages.sentence
 
 
-def test_given_an_own_run_then_closing_can_leave_it_to_continue(
-    qtbot: QtBot, open_window: Opens, long_run: Path
-) -> None:
+def test_given_an_own_run_then_closing_can_leave_it_to_continue(qtbot, open_window, long_run):
     window = open_window(long_run)
     tab, bank = campaign_of(window), long_run.with_name("plate.h5")
     press(qtbot, tab.controls.buttons["start"])

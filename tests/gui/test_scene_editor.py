@@ -1,10 +1,6 @@
 """The editor of the Scene tab: paths drawn, shaped, undone and saved, and read by commands as they were drawn."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Generator
-from pathlib import Path
 
 import pytest
 from PyQt5.QtCore import Qt
@@ -12,13 +8,12 @@ from PyQt5.QtGui import QTextDocument
 from PyQt5.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, Opens, click, drag, edit, pixel, scene_of, shown_tab, wait
+from tests.gui.conftest import LEFT, NO_KEY, click, drag, edit, pixel, scene_of, shown_tab, wait
 from wavefocus.config.scene import LineTable, NoiseTable, PathTable, PointTable, SceneConfig, SceneTable, TextTable
-from wavefocus.gui.files import Settings, kind_of
+from wavefocus.gui.files import kind_of
 from wavefocus.gui.scene.canvas import SceneCanvas
 from wavefocus.gui.scene.document import NEW_SCENE, NOTHING, changed, new_source
 from wavefocus.gui.scene.tab import SceneTab
-from wavefocus.gui.window import Window
 from wavefocus.rendering.scene import paths
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.storage.errors import InputError
@@ -41,7 +36,7 @@ signal = { kind = "sine", frequency_hz = 200, duration_s = 0.1 }
 
 
 @pytest.fixture
-def tab(qtbot: QtBot, shared_window: Window) -> Generator[SceneTab]:
+def tab(qtbot, shared_window):
     """The Scene tab of the window, shown and empty."""
     shown = shown_tab(shared_window, SceneTab)
     shown.document.clear()
@@ -57,7 +52,7 @@ def tab(qtbot: QtBot, shared_window: Window) -> Generator[SceneTab]:
 
 
 @pytest.fixture
-def own_tab(qtbot: QtBot, open_window: Opens, memory: Settings, tmp_path: Path) -> SceneTab:
+def own_tab(qtbot, open_window, memory, tmp_path):
     """The Scene tab of a window that may be closed."""
     memory.keep("folder/.toml", str(tmp_path))
     shown = shown_tab(open_window(), SceneTab)
@@ -93,7 +88,7 @@ def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathTable:
     return tab.document.draft.source[-1].path
 
 
-def test_each_tool_adds_its_table_to_the_text_and_the_cursor_chooses_a_source(qtbot: QtBot, tab: SceneTab) -> None:
+def test_each_tool_adds_its_table_to_the_text_and_the_cursor_chooses_a_source(qtbot, tab):
     canvas, document, text = tab.surface.canvas, tab.document, tab.editor.text
     line = draw(qtbot, tab, "line")
     assert near(line.start_mm, 5, 5)
@@ -105,10 +100,10 @@ def test_each_tool_adds_its_table_to_the_text_and_the_cursor_chooses_a_source(qt
     draw(qtbot, tab, "quiet")
     assert near(document.draft.quiet[0].at_mm, -20, 10)
     assert canvas.kind == ""
-    assert len(tab.live.preview.traces) == 3
+    assert len(tab.live.traces) == 3
     assert tab.surface.problem == ""
     assert scene_of(tab.document).sources[2].path == paths.Point(point.at_mm)
-    tab.actions_by_name["undo"].trigger()
+    tab.bar.actions_by_name["undo"].trigger()
     wait(qtbot, lambda: document.draft.quiet == ())
     click(canvas, pixel(canvas, 20, 5))  # the line
     assert document.chosen == ("source", 0)
@@ -134,7 +129,7 @@ at_mm = [ -20.0, # x
 """
 
 
-def test_dragged_points_change_only_their_numbers_in_the_text_and_are_undone(qtbot: QtBot, tab: SceneTab) -> None:
+def test_dragged_points_change_only_their_numbers_in_the_text_and_are_undone(qtbot, tab):
     canvas, document = tab.surface.canvas, tab.document
     document.begin(COMMENTED, None)
     settled(qtbot, tab)
@@ -151,11 +146,11 @@ def test_dragged_points_change_only_their_numbers_in_the_text_and_are_undone(qtb
     assert near(document.draft.quiet[0].at_mm, -40, 20)
     assert "# x\n" in document.toml()
     for _ in range(2):
-        tab.actions_by_name["undo"].trigger()
+        tab.bar.actions_by_name["undo"].trigger()
     assert document.toml() == COMMENTED
 
 
-def test_the_scene_follows_typing_and_mistakes_are_told_beside_the_last_scene(qtbot: QtBot, tab: SceneTab) -> None:
+def test_the_scene_follows_typing_and_mistakes_are_told_beside_the_last_scene(qtbot, tab):
     document, text = tab.document, tab.editor.text
     draw(qtbot, tab, "line")
     text.find("speed_mm_s = 80.0", QTextDocument.FindFlag.FindBackward)
@@ -168,9 +163,7 @@ def test_the_scene_follows_typing_and_mistakes_are_told_beside_the_last_scene(qt
     wait(qtbot, lambda: tab.surface.problem == "")
 
 
-def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene(
-    qtbot: QtBot, tab: SceneTab, tmp_path: Path
-) -> None:
+def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene(qtbot, tab, tmp_path):
     file = tmp_path / "two.toml"
     file.write_text(SCENE, encoding="utf-8")
     assert kind_of(file) in tab.kinds
@@ -181,7 +174,7 @@ def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene
     cursor = document.text.find("80.0")
     cursor.insertText("81.0")
     assert not document.saved
-    tab.actions_by_name["save"].trigger()
+    tab.bar.actions_by_name["save"].trigger()
     assert document.saved
     assert file.read_text(encoding="utf-8") == SCENE.replace("80.0", "81.0")  # comments, too
     wait(qtbot, lambda: document.draft.source[0].speed_mm_s == 81.0)
@@ -193,14 +186,12 @@ def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene
     assert document.draft == before
 
 
-def test_given_unsaved_changes_then_closing_asks_and_saving_closes(
-    qtbot: QtBot, own_tab: SceneTab, tmp_path: Path
-) -> None:
+def test_given_unsaved_changes_then_closing_asks_and_saving_closes(qtbot, own_tab, tmp_path):
     window = own_tab.window()
     draw(qtbot, own_tab, "line")
     window.close()
     assert window.isVisible()
-    answers = {button.text(): button for button in window.messages.buttons()}
+    answers = {button.text(): button for button in window.messages.buttons}
     assert "has unsaved changes" in window.messages.sentence
     qtbot.mouseClick(answers["Save and close"], LEFT)
     dialog = own_tab.findChild(QFileDialog)
@@ -213,8 +204,8 @@ def test_given_unsaved_changes_then_closing_asks_and_saving_closes(
 
 
 def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_them(
-    qtbot: QtBot, open_window: Opens, own_tab: SceneTab, memory: Settings, tmp_path: Path
-) -> None:
+    qtbot, open_window, own_tab, memory, tmp_path
+):
     file = tmp_path / "two.toml"
     file.write_text(SCENE, encoding="utf-8")
     own_tab.open_file(file)
@@ -224,7 +215,7 @@ def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_
     assert other.document.draft == own_tab.document.draft
     assert (other.document.path, other.document.saved) == (file, False)
     assert "two.toml" in other.context.messages.sentence
-    other.actions_by_name["save"].trigger()
+    other.bar.actions_by_name["save"].trigger()
     assert load_scene(file).name == "three"
     assert memory.text("scene/unsaved") == ""
 
@@ -237,9 +228,7 @@ def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_
         (SCENE.replace("radius_mm", "radius"), "did you mean radius_mm?"),
     ],
 )
-def test_a_wrong_scene_file_is_shown_with_its_mistakes_and_cannot_be_saved(
-    qtbot: QtBot, tab: SceneTab, tmp_path: Path, text: str, sentence: str
-) -> None:
+def test_a_wrong_scene_file_is_shown_with_its_mistakes_and_cannot_be_saved(qtbot, tab, tmp_path, text, sentence):
     file = tmp_path / "wrong.toml"
     file.write_text(text, encoding="utf-8")
     tab.open_file(file)
@@ -251,7 +240,7 @@ def test_a_wrong_scene_file_is_shown_with_its_mistakes_and_cannot_be_saved(
         tab.document.save(file)
 
 
-def test_given_a_text_without_a_source_then_its_other_tables_are_read_and_checked(tab: SceneTab) -> None:
+def test_given_a_text_without_a_source_then_its_other_tables_are_read_and_checked(tab):
     document = tab.document
     for text in ("", "[output]\nlimit_v = 0.5\n"):
         document.begin(text, None)
@@ -261,9 +250,7 @@ def test_given_a_text_without_a_source_then_its_other_tables_are_read_and_checke
     assert [mistake.line for mistake in document.mistakes] == [1]
 
 
-def test_scene_that_commands_would_refuse_then_window_says_so_and_does_not_write_it(
-    qtbot: QtBot, tab: SceneTab, tmp_path: Path
-) -> None:
+def test_scene_that_commands_would_refuse_then_window_says_so_and_does_not_write_it(qtbot, tab, tmp_path):
     document = tab.document
     with pytest.raises(InputError, match="has no source yet"):
         scene_of(document)
@@ -305,9 +292,7 @@ signal = { kind = "noise", band_hz = [0, 1], duration_s = 1e7 }
 """
 
 
-def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happens(
-    qtbot: QtBot, tab: SceneTab, finished: Path, tmp_path: Path
-) -> None:
+def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happens(qtbot, tab, finished, tmp_path):
     file = tmp_path / "wild.toml"
     file.write_text(WILD, encoding="utf-8")
     tab.open_file(file)
@@ -318,7 +303,7 @@ def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happe
     wait(qtbot, lambda: "at most 1000000 are allowed" in tab.surface.problem)
     tab.document.replace(point)
     wait(qtbot, lambda: "source 0" in tab.results.problem.text() and tab.surface.problem == "")
-    (trace,) = tab.live.preview.traces
+    (trace,) = tab.live.traces
     tab.document.replace(point + circle)
     wait(qtbot, lambda: "later than numbers reach" in tab.surface.problem)
-    assert tab.live.preview.traces == [trace]  # what was drawn last stays
+    assert tab.live.traces == [trace]  # what was drawn last stays

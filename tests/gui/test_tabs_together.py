@@ -1,17 +1,12 @@
 """What the tabs of one window owe each other: instruments, closing, a quick start, and one look."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from collections.abc import Generator
-from pathlib import Path
 
 import numpy as np
 import pytest
-from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, answer, campaign_of, edit, line_scene, press, tab_of, wait, write_lab
+from tests.gui.conftest import answer, campaign_of, edit, line_scene, press, tab_of, wait, write_lab
 from tests.gui.test_run import HOLDER
 from tests.lab_files import ABSENT_RIG
 from wavefocus.gui.rig.tab import RigTab
@@ -23,14 +18,14 @@ from wavefocus.storage.bank.writer import create_bank
 
 
 @pytest.fixture
-def real_rig(tmp_path: Path) -> Path:
+def real_rig(tmp_path):
     """A rig file of instruments that are not there."""
     (tmp_path / "real.toml").write_text(ABSENT_RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
     return tmp_path / "real.toml"
 
 
 @pytest.fixture
-def measured_now(tmp_path: Path) -> Generator[tuple[Path, int]]:
+def measured_now(tmp_path):
     """A bank of a real rig, and the process that owns it."""
     bank = tmp_path / "real.h5"
     header = BankHeader(
@@ -54,17 +49,17 @@ def measured_now(tmp_path: Path) -> Generator[tuple[Path, int]]:
 
 
 def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_busy(
-    qtbot: QtBot, open_window: Opens, measured_now: tuple[Path, int], real_rig: Path, tmp_path: Path
-) -> None:
+    qtbot, open_window, measured_now, real_rig, tmp_path
+):
     bank, owner = measured_now
     window = open_window(bank, real_rig)
     rig, scene, verification = tab_of(window, RigTab), tab_of(window, SceneTab), tab_of(window, VerificationTab)
-    wait(qtbot, lambda: bool(campaign_of(window).instruments_held()))
+    wait(qtbot, lambda: bool(campaign_of(window).run.held))
 
     def refused(word: str) -> None:
         assert f"process {owner} on " in window.messages.sentence
         assert window.messages.sentence.endswith(f"measures {bank}, so the instruments are busy: stop it first")
-        assert [button.text() for button in window.messages.buttons()] == [f"{word} anyway"]
+        assert [button.text() for button in window.messages.buttons] == [f"{word} anyway"]
         window.messages.dismiss()
 
     rig.examine()
@@ -73,8 +68,8 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
     refused("Open them")
     rig.calibrate([])
     refused("Calibrate")
-    assert [rig.examination.running, rig.session.running, rig.calibration.running] == [False, False, False]
-    scene.results.bar.rig_field.line.setText(str(real_rig))
+    assert [rig.examination.command.running, rig.session.running, rig.calibration.running] == [False, False, False]
+    scene.results.rig_field.line.setText(str(real_rig))
     scene.results.play()
     refused("Play")
     assert scene.results.playing.state == IDLE
@@ -94,14 +89,14 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
     form.rig.line.setText("virtual")
     verification.row.start.trigger()
     assert verification.run.running
-    assert verification.instruments_held() == ""
+    assert verification.run.held == ""
     verification.run.cancel()
     wait(qtbot, lambda: not verification.run.running)
 
 
 def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_word(
-    qtbot: QtBot, open_window: Opens, real_rig: Path, tmp_path: Path
-) -> None:
+    qtbot, open_window, real_rig, tmp_path
+):
     run = write_lab(tmp_path / "lab", 4, 3)
     text = run.read_text(encoding="utf-8").partition("[virtual]")[0]
     run.write_text(text.replace('"rig.toml"', f'"{real_rig}"'), encoding="utf-8")
@@ -119,9 +114,7 @@ def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_wo
     wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
 
 
-def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(
-    qtbot: QtBot, open_window: Opens, long_run: Path
-) -> None:
+def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(qtbot, open_window, long_run):
     window = open_window(long_run)
     tab, scene = campaign_of(window), tab_of(window, SceneTab)
     press(qtbot, tab.controls.buttons["start"])
@@ -143,9 +136,7 @@ def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_a
     wait(qtbot, lambda: "session_ended" in log.read_text(encoding="utf-8"))
 
 
-def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
-    qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
-) -> None:
+def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(qtbot, open_window, finished, tmp_path):
     other = write_lab(tmp_path / "other", 2, 2)
     window = open_window(other)
     tab, scene = campaign_of(window), tab_of(window, SceneTab)

@@ -1,11 +1,8 @@
 """The window of trials over the real command, on the virtual rig without its waits."""
 
-from __future__ import annotations
-
 import os
 import signal
-from collections.abc import Callable, Generator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 from PyQt5.QtCore import QEvent, QPointF, Qt
@@ -17,7 +14,7 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import LEFT, NO_KEY, SOON_MS
 from wavefocus.gui.trials.start import TrialsStart
 from wavefocus.gui.trials.window import TrialsWindow
-from wavefocus.gui.window import Window, require_fonts
+from wavefocus.gui.window import require_fonts
 from wavefocus.trials.answers import read_answers
 
 TRIALS = """
@@ -58,7 +55,7 @@ Opens = Callable[..., TrialsWindow]
 
 
 @pytest.fixture
-def start(qtbot: QtBot, measured: Path, tmp_path: Path) -> Generator[Opens]:
+def start(qtbot, measured, tmp_path):
     """Opens the window for a participant, on the measured bank."""
     require_fonts()
     opened: list[TrialsWindow] = []
@@ -107,9 +104,7 @@ def press(button: QWidget, source: Qt.MouseEventSource) -> None:
         QApplication.sendEvent(button, event)
 
 
-def test_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_input(
-    start: Opens, qtbot: QtBot, tmp_path: Path
-) -> None:
+def test_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_input(start, qtbot, tmp_path):
     window = start()
     waits_for(qtbot, window, "go_on")
     assert window.isVisible()
@@ -145,9 +140,7 @@ def test_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_input(
     assert [row.replays for row in rows] == [0, 0, 0, 1, 0, 0]
 
 
-def test_it_is_closed_in_trial_then_second_window_resumes_there_and_shows_crash(
-    start: Opens, qtbot: QtBot, tmp_path: Path
-) -> None:
+def test_it_is_closed_in_trial_then_second_window_resumes_there_and_shows_crash(start, qtbot, tmp_path):
     window = start()
     begin(qtbot, window)
     key(window, Qt.Key.Key_Left)
@@ -170,8 +163,8 @@ def test_it_is_closed_in_trial_then_second_window_resumes_there_and_shows_crash(
 
 
 def test_trials_file_then_window_shows_what_is_left_and_starts_participants_window(
-    start: Opens, open_window: Callable[..., Window], qtbot: QtBot, tmp_path: Path, measured: Path
-) -> None:
+    start, open_window, qtbot, tmp_path, measured
+):
     window = start()
     begin(qtbot, window)
     key(window, Qt.Key.Key_Left)
@@ -202,7 +195,7 @@ def test_trials_file_then_window_shows_what_is_left_and_starts_participants_wind
 
 
 @pytest.mark.smoke
-def test_given_a_wrong_file_then_no_window_is_shown(start: Opens, qtbot: QtBot) -> None:
+def test_given_a_wrong_file_then_no_window_is_shown(start, qtbot):
     window = start(TRIALS.replace("question =", "ask ="))
     qtbot.waitUntil(lambda: not window.process.running, timeout=SOON_MS)
     assert window.process.exit_code == 2

@@ -1,7 +1,5 @@
 """A whole campaign with the mouse only: measured, interrupted, resumed, corrected, drawn, rendered, verified."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path
@@ -11,9 +9,9 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, click, drag, pixel, press, tab_of, wait
+from tests.gui.conftest import LEFT, NO_KEY, campaign_of, click, drag, pixel, press, tab_of, wait
 from wavefocus.__main__ import run
-from wavefocus.gui.files import PathField, Settings
+from wavefocus.gui.files import PathField
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window
@@ -103,9 +101,7 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 
 @pytest.mark.timeout(1200)
 @pytest.mark.long
-def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone(
-    qtbot: QtBot, open_window: Opens, memory: Settings, tmp_path: Path
-) -> None:
+def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone(qtbot, open_window, memory, tmp_path):
     assert run(["init", str(tmp_path / "lab")]) == 0
     lab = tmp_path / "lab"
     (lab / "scene.toml").unlink()
@@ -161,7 +157,7 @@ def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone
     press(qtbot, _named(scene, "Save"))
     take(qtbot, "", window)
     wait(qtbot, (lab / "scene.toml").exists)
-    press(qtbot, scene.results.bar.buttons["drive"])
+    press(qtbot, scene.results.buttons["drive"])
     take(qtbot, "", window)
     wait(qtbot, (lab / "scene-drive.h5").exists, A_NIGHT_MS)
 

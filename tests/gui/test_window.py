@@ -1,9 +1,6 @@
 """The window's frame: errors, messages, files, size, theme, settings, accessibility, fast start."""
 
-from __future__ import annotations
-
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,13 +20,11 @@ from PyQt5.QtWidgets import (
     QTabBar,
     QTableView,
 )
-from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
+from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
 from tests.system.test_options import loaded_by
-from wavefocus.gui.files import Settings
 from wavefocus.gui.scene.tab import SceneTab
-from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
+from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, palette_of
 from wavefocus.gui.window import Window
 from wavefocus.storage.errors import InputError
 
@@ -49,9 +44,7 @@ assert len(window.tabs) == 5
 """
 
 
-def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(qtbot, open_window, finished):
     window = open_window(finished)
 
     def slip() -> None:
@@ -63,7 +56,7 @@ def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives
     QTimer.singleShot(0, slip)
     wait(qtbot, lambda: "a slip" in window.messages.sentence)
     assert "in slip" in window.tracebacks.pop()
-    assert [button.text() for button in window.messages.buttons()] == ["Copy details"]
+    assert [button.text() for button in window.messages.buttons] == ["Copy details"]
     QTimer.singleShot(0, mistake)
     wait(qtbot, lambda: window.messages.sentence == "plate.h5: this and that is wrong")
     window.messages.dismiss()
@@ -76,9 +69,7 @@ def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives
     wait(qtbot, lambda: campaign_of(window).campaign.measured == 12)
 
 
-def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(
-    qtbot: QtBot, open_window: Opens
-) -> None:
+def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(qtbot, open_window):
     window = open_window()
     messages, button, answers = window.messages, campaign_of(window).run_field.browse, []
     place = button.mapTo(window, button.rect().center())
@@ -92,17 +83,15 @@ def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(
     messages.ask("now or never?", ("Now", lambda: answers.append("now")))
     messages.fault("something else")
     assert messages.sentence == "now or never?"
-    assert window.focusWidget() is messages.buttons()[0]  # Space answers
-    messages.buttons()[0].click()
+    assert window.focusWidget() is messages.buttons[0]  # Space answers
+    messages.buttons[0].click()
     assert answers == ["now"]
     assert messages.sentence == "something else"
     messages.dismiss()
     assert messages.sentence == ""
 
 
-def test_given_files_then_a_tab_opens_each_and_they_are_remembered(
-    open_window: Opens, finished: Path, memory: Settings, tmp_path: Path
-) -> None:
+def test_given_files_then_a_tab_opens_each_and_they_are_remembered(open_window, finished, memory, tmp_path):
     window = open_window()
     rig, run = tmp_path / "rig.toml", write_lab(tmp_path / "other", 2, 2)
     rig.write_text("[rig]\n", encoding="utf-8")
@@ -116,9 +105,7 @@ def test_given_files_then_a_tab_opens_each_and_they_are_remembered(
     assert "no tab opens such a file" in window.messages.sentence
 
 
-def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
+def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(qtbot, open_window, finished):
     font = QApplication.font()
     large = QFont(font)
     large.setPointSize(font.pointSize() + 6)
@@ -138,9 +125,7 @@ def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen
         QApplication.setFont(font)
 
 
-def test_given_size_run_and_bank_then_the_next_window_has_them_again(
-    qtbot: QtBot, open_window: Opens, finished: Path, memory: Settings
-) -> None:
+def test_given_size_run_and_bank_then_the_next_window_has_them_again(qtbot, open_window, finished, memory):
     window = open_window(finished.with_name("run.toml"))
     assert campaign_of(window).bank_field.path == finished
     window.resize(780, 560)
@@ -155,9 +140,7 @@ def test_given_size_run_and_bank_then_the_next_window_has_them_again(
     again.close_at_once()
 
 
-def test_splitters_that_were_moved_then_next_window_has_them_in_their_own_direction(
-    open_window: Opens, memory: Settings
-) -> None:
+def test_splitters_that_were_moved_then_next_window_has_them_in_their_own_direction(open_window, memory):
     window = open_window()
     splitters = {name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QSplitter)}
     assert len(splitters) >= 6
@@ -178,7 +161,7 @@ def test_splitters_that_were_moved_then_next_window_has_them_in_their_own_direct
 
 
 @pytest.mark.smoke
-def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(open_window: Opens) -> None:
+def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(open_window):
     window = open_window()
     with_tip = (QAbstractButton, QAbstractSpinBox, QComboBox)
     kinds = (*with_tip, QLineEdit, QProgressBar, QTableView)
@@ -208,7 +191,7 @@ def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(o
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
-def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot: QtBot, theme: Theme) -> None:
+def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot, theme):
     style, option = BoxStyle(), QStyleOptionButton()
     box = QCheckBox("Snap")
     qtbot.addWidget(box)
@@ -232,7 +215,7 @@ def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot: QtBo
 
 
 @pytest.mark.smoke
-def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
+def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path):
     loaded = loaded_by(OPEN_WINDOW, tmp_path)
     assert "wavefocus.gui.verification.tab" in loaded
     assert not loaded & {

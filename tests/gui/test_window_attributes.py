@@ -3,8 +3,6 @@
 The type checker cannot see it: the types of PyQt5 give QObject a `__getattr__`, so any name passes.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import os
@@ -49,14 +47,12 @@ def missing(node: ast.ClassDef, kind: type, set_in: dict[type, set[str]]) -> set
 
 
 @pytest.fixture(scope="module")
-def set_in() -> dict[type, set[str]]:
+def set_in():
     """What the methods of each class of the window set."""
     return {kind: attributes(node, ast.Store) for path in MODULES for node, kind in classes_in(path)}
 
 
-def test_given_all_classes_of_the_window_then_what_they_read_of_themselves_exists(
-    set_in: dict[type, set[str]],
-) -> None:
+def test_given_all_classes_of_the_window_then_what_they_read_of_themselves_exists(set_in):
     assert len(set_in) > 60
     found = {
         f"{path.as_posix()}: {node.name}": names

@@ -147,11 +147,5 @@ def _sentence(message: Message) -> str:
         case Refused(sentence) | LiveNotice(_, sentence):
             return sentence
         case LiveEnded():
-            late = message.latency_p999_ms
-            latency = "" if late is None else f", latency {late:.1f} ms (99.9 %)"
-            recorded = f", recorded in {message.recorded}" if message.recorded else ""
-            return (
-                f"played {message.played_s:.1f} s, {message.positions} positions{latency}, {message.underruns}"
-                f" underruns{recorded}; the outputs are muted"
-            )
+            return message.sentence
     return ""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
-from PyQt5.QtCore import QSize, Qt
+from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QFrame, QSizePolicy
 
 from wavefocus.gui.surface import PlotSurface
@@ -16,8 +16,8 @@ from wavefocus.rendering.arrays import Float64Array
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 
-# More columns than a screen has pixels show nothing more.
-MAX_COLUMNS = 2000
+
+_MOST_TICKS = 12
 
 
 class Plot(Themed, pyqtgraph.PlotWidget):
@@ -41,6 +41,8 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         if axis_px is not None:
             plot.getAxis("left").setWidth(axis_px)
         plot.hideButtons()
+        # Lines are thinned to what can be seen, with their peaks: noise is painted a hundred times faster.
+        plot.setDownsampling(auto=True, mode="peak")
         for side in ("left", "bottom"):
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.setToolTip("Wheel: zoom. Drag: pan. Double click: show everything.")
@@ -58,40 +60,28 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         colour = self.theme.faint if faint else self.theme.text
         self.getPlotItem().setTitle(words, color=colour, **({} if size is None else {"size": size}))
 
-    def line(self, x: Real, y: Real, colour: str, width: float = 1.0, name: str | None = None) -> None:
-        """Draw a line, thinned to what can be seen without losing a peak; `name` for the legend."""
-        x, y = decimate(x, y)
-        self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name)
+    def line(
+        self, x: Real, y: Real, colour: str, width: float = 1.0, name: str | None = None
+    ) -> pyqtgraph.PlotDataItem:
+        """Draw a line and return it; `name` for the legend."""
+        return self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name)
+
+    def stack(self, x: Real, rows: Real, room: float, emphasised: int = -1) -> float:
+        """Draw rows one above the other, the largest value `room` of a step high; return that value."""
+        largest = float(np.abs(rows).max(initial=0.0))
+        for number, row in enumerate(rows):
+            colour, width = (self.theme.fault, 1.6) if number == emphasised else (self.theme.traces[0], 1.0)
+            self.line(x, number + room / (largest or 1.0) * row, colour, width)
+        every = max(1, -(-len(rows) // _MOST_TICKS))
+        ticks = [(float(number), str(number)) for number in range(0, len(rows), every)]
+        self.getPlotItem().getAxis("left").setTicks([ticks, []])
+        self.getPlotItem().setYRange(-1.0, len(rows), padding=0.0)
+        return largest
 
     def mark_band(self, low_hz: float, high_hz: float) -> None:
         pen = pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine)
         for edge_hz in (low_hz, high_hz):
             self.getPlotItem().addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pen))
-
-
-def decimate(x: Real, y: Real) -> tuple[Real, Real]:
-    """Return the smallest and the largest value of each column of pixels, in the order of x."""
-    step = len(y) // MAX_COLUMNS
-    if step < 2:
-        return x, y
-    used = len(y) // step * step
-    blocks = y[:used].reshape(-1, step)
-    ends = np.sort(np.stack([blocks.argmin(axis=1), blocks.argmax(axis=1)], axis=1), axis=1)
-    kept = np.append((ends + np.arange(0, used, step)[:, None]).ravel(), np.arange(used, len(y)))
-    return x[kept], y[kept]
-
-
-def decimating_curve() -> pyqtgraph.PlotDataItem:
-    """Return a curve that is thinned again at each zoom; it must stay in its plot.
-
-    Without antialiasing: noise over the height of a plot takes 0.03 s to paint instead of 3 s.
-    """
-    return pyqtgraph.PlotDataItem(autoDownsample=True, downsampleMethod="peak", clipToView=True, skipFiniteCheck=True)
-
-
-def whole_ticks(count: int, most: int = 12) -> list[tuple[float, str]]:
-    """Return ticks at whole numbers from 0 on, as many as have room."""
-    return [(float(one), str(one)) for one in range(0, count, max(1, -(-count // most)))]
 
 
 # Blue and orange differ for every kind of colour vision, and in brightness from the middle on. In the dark theme the
@@ -103,7 +93,7 @@ _WITH_PREFIX = ("m/s", "m", "m/s²", "m/s^2", "V", "Pa")
 _PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9), ("p", 1e12))
 
 
-def signed_map(theme: Theme) -> pyqtgraph.ColorMap:
+def _signed_map(theme: Theme) -> pyqtgraph.ColorMap:
     """Return the map from negative (blue) over zero (the window's base colour) to positive (orange)."""
     colours = _ON_DARK if theme.name == "dark" else _ON_LIGHT
     return pyqtgraph.ColorMap(np.linspace(0.0, 1.0, len(colours)), list(colours))
@@ -126,42 +116,25 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
 
     def __init__(self, colour_map: pyqtgraph.ColorMap) -> None:
         super().__init__()
-        self._bar = pyqtgraph.ColorBarItem(
-            values=(0.0, 1.0),
-            width=12,
-            colorMap=colour_map,
-            interactive=False,
-            orientation="h",
-            colorMapMenu=False,
-        )
+        fixed = {"interactive": False, "colorMapMenu": False}
+        self._bar = pyqtgraph.ColorBarItem((0.0, 1.0), 12, colour_map, orientation="h", **fixed)
         self.setCentralItem(self._bar)
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setMinimumWidth(160)
         self._bar.axis.enableAutoSIPrefix(False)
         self.setBackground(self.theme.window)
         theme_axes(self._bar)
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        needed = self._bar.effectiveSizeHint(Qt.SizeHint.MinimumSize).height()
-        return QSize(300, math.ceil(needed) + _CAPTION_BELOW_PX)
-
-    def minimumSizeHint(self) -> QSize:  # noqa: N802
-        return QSize(160, self.sizeHint().height())
-
-    def show_range(
-        self, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool] = (False, False)
-    ) -> None:
-        """Set title, unit and ends of the scale; `beyond`: whether values lie below and above the ends."""
+    def show_range(self, title: str, unit: str, levels: tuple[float, float]) -> None:
+        """Set title, unit and ends of the scale."""
         title = f"{title} ({unit})" if unit else title
-        low, high = (
-            f"{sign if there else ''}{level:.4g}"
-            for sign, there, level in zip(("≤ ", "≥ "), beyond, levels, strict=True)
-        )
         self._bar.setLevels(levels)
         self._bar.axis.setLabel(title)
-        self.updateGeometry()
-        self.setAccessibleName(f"Colour bar: {title} from {low} to {high}")
-        self.setToolTip(f"{title}: {low} at the left end, {high} at the right end")
+        self.setFixedHeight(
+            math.ceil(self._bar.effectiveSizeHint(Qt.SizeHint.MinimumSize).height()) + _CAPTION_BELOW_PX
+        )
+        self.setAccessibleName("Colour bar: {} from {:.4g} to {:.4g}".format(title, *levels))
 
 
 class FieldMap(SurfaceView):
@@ -177,7 +150,7 @@ class FieldMap(SurfaceView):
     def __init__(self, name: str) -> None:
         self.values: Float64Array = np.zeros(0)
         super().__init__(name)
-        self._colour_map = signed_map(self.theme)
+        self._colour_map = _signed_map(self.theme)
         self.bar = ColourBar(self._colour_map)
 
     def show_surface(self, surface: PlotSurface | None) -> None:
@@ -193,7 +166,7 @@ class FieldMap(SurfaceView):
         end = largest if np.isfinite(largest) and largest > 0.0 else 1.0
         self._factor, self._unit = scaled_unit(unit, end)
         self.levels = -self._factor * end, self._factor * end
-        self.bar.show_range(title, self._unit, self.levels, (True, True))
+        self.bar.show_range(title, self._unit, self.levels)
 
     def show_values(self, values: NDArray[np.floating[Any]]) -> None:
         """Colour the positions by values in the scale's unit; NaN where there is no value."""

@@ -2,16 +2,16 @@
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 
-from PyQt5.QtCore import QByteArray, QSettings, Qt, pyqtSignal
-from PyQt5.QtWidgets import QCheckBox, QFileDialog, QLineEdit, QSplitter, QWidget
+from PyQt5.QtCore import QByteArray, QMetaProperty, QSettings, Qt, pyqtSignal
+from PyQt5.QtWidgets import QFileDialog, QLineEdit, QSplitter, QWidget
 
 from wavefocus.config.loading import hdf5_kind, kind_of_tables, read_toml
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.surface import VIRTUAL, is_virtual
-from wavefocus.gui.widgets import NumberBox, typed_number
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
 
@@ -25,12 +25,6 @@ class Settings:
     def text(self, key: str, default: str = "") -> str:
         value = self._settings.value(key, default)
         return value if isinstance(value, str) else default
-
-    def whole(self, key: str, default: int) -> int:
-        try:
-            return int(self.text(key, str(default)))
-        except ValueError:
-            return default
 
     def bytes(self, key: str) -> QByteArray:
         """A remembered geometry; empty when there is none."""
@@ -76,12 +70,8 @@ class Settings:
                 self.keep(key, str(widget.path or ""))
             case QSplitter():
                 self.keep(key, widget.saveState())
-            case QCheckBox():
-                self.keep(key, int(widget.isChecked()))
-            case NumberBox():
-                self.keep(key, str(widget.value()))
-            case QLineEdit():
-                self.keep(key, widget.text())
+            case _:
+                self.keep(key, str(_held(widget).read(widget)))
 
     def restore(self, key: str, widget: QWidget) -> None:
         """Show in a widget what `save` kept; it stays as it is where there is nothing."""
@@ -92,13 +82,15 @@ class Settings:
                 direction = widget.orientation()
                 widget.restoreState(self.bytes(key))
                 widget.setOrientation(direction)  # the state of another version may have the other one
-            case QCheckBox():
-                widget.setChecked(bool(self.whole(key, widget.isChecked())))
-            case NumberBox():
-                number = typed_number(self.text(key))
-                widget.setValue(widget.value() if number is None else number)
-            case QLineEdit():
-                widget.setText(self.text(key))
+            case _ if kept := self.text(key):
+                _held(widget).write(widget, kept)
+
+
+def _held(widget: QWidget) -> QMetaProperty:
+    """The property that a person changes: text, number or tick."""
+    kind = widget.metaObject()
+    assert kind is not None
+    return kind.userProperty()
 
 
 def make_dialog(owner: QWidget, title: str, folder: Path, kind: str, endings: Sequence[str]) -> QFileDialog:
@@ -139,10 +131,8 @@ class PathField(QWidget):
     words: Words allowed in place of a path.
     """
 
-    #: Another path is about to be reported: messages about the former one no longer hold.
-    changing = pyqtSignal()
     chosen = pyqtSignal(object)
-    #: A sentence: the file is of another kind, and the former one stays.
+    #: A sentence: the file is of another kind, and the former one stays. Empty before another path is reported.
     refused = pyqtSignal(str)
 
     def __init__(
@@ -163,7 +153,7 @@ class PathField(QWidget):
         self.line = QLineEdit()
         self.line.setAccessibleName(kind)
         self.line.setPlaceholderText(f"{kind}: type or choose")
-        self.browse = ui.tool_button("…", f"Choose {kind}", self.open_dialog, f"Choose {kind}")
+        self.browse = ui.tool_button("…", f"Choose {kind}", self._open_dialog, f"Choose {kind}")
         label = ui.labelled(word, self.line)[:1] if word else ()
         ui.row(*label, (self.line, 1), self.browse, owner=self)
         self.line.editingFinished.connect(self._typed)
@@ -196,7 +186,7 @@ class PathField(QWidget):
         elif path != self._last:
             self._choose(path)
 
-    def open_dialog(self) -> None:
+    def _open_dialog(self) -> None:
         """Choose a file in a dialog that does not block."""
         folder = self.path.parent if self.path else self._settings.folder(self._ending)
         dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending])
@@ -220,11 +210,10 @@ class PathField(QWidget):
         self._choose(Path(name))
 
     def _choose(self, path: Path) -> None:
-        self.changing.emit()
         refusal = "" if self._wanted is None else misplaced(path, self._wanted)
+        self.refused.emit(refusal)
         if refusal:
             self.show_text("" if self._last is None else str(self._last))
-            self.refused.emit(refusal)
             return
         self.show_path(path)
         self.chosen.emit(path)
@@ -313,27 +302,14 @@ def misplaced(path: Path, wanted: FileKind) -> str:
 
 def names_virtual_rig(rig: str | Path) -> bool:
     """Whether ``virtual``, or a rig file, is a virtual rig; a file that nobody can read opens no instruments either."""
-    if str(rig) == VIRTUAL:
-        return True
-    try:
-        return is_virtual(read_toml(Path(rig)))
-    except InputError:
-        return True
+    with suppress(InputError):
+        return str(rig) == VIRTUAL or is_virtual(read_toml(Path(rig)))
+    return True
 
 
 def rig_of_run(run: Path) -> Path | None:
-    """The rig file that a run file names, None where it names none.
-
-    Raises InputError: The run file cannot be read, or is no TOML.
-    """
-    named = read_toml(run).get("rig")
-    return run.parent / named if isinstance(named, str) and named != VIRTUAL else None
-
-
-def runs_on_virtual_rig(run: Path) -> bool:
-    """Whether a run file's campaign needs no instruments; the capture reports one that cannot be read."""
-    try:
-        rig = rig_of_run(run)
-    except InputError:
-        return True
-    return rig is None or names_virtual_rig(rig)
+    """The rig file that a run file names, None where it names none or cannot be read; the capture reports that."""
+    with suppress(InputError):
+        named = read_toml(run).get("rig")
+        return run.parent / named if isinstance(named, str) and named != VIRTUAL else None
+    return None

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
-from PyQt5.QtCore import Qt, QTimer, pyqtSignal
+from PyQt5.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QHideEvent, QKeyEvent, QMouseEvent
 from PyQt5.QtWidgets import QComboBox, QSlider, QStyle, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import FieldMap, Plot, Real, decimating_curve, scaled_unit
+from wavefocus.gui.field_map import FieldMap, Plot, Real, scaled_unit
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
@@ -43,6 +43,7 @@ class TimeSlider(QWidget):
         self.slider = _Slider(Qt.Orientation.Horizontal)
         self.slider.setAccessibleName("Instant of the field")
         self.slider.setMinimumWidth(120)
+        self.slider.setToolTip("Arrow keys: one sample; Space: play")
         self.previous = _button("|◀", "Previous focus instant (Page Down)", lambda: self.to_mark(-1))
         self.play = _button("▶", "Play (Space)", self.toggle)
         self.next = _button("▶|", "Next focus instant (Page Up)", lambda: self.to_mark(1))
@@ -86,17 +87,14 @@ class TimeSlider(QWidget):
         self._start_s, self._rate_hz = start_s, sample_rate_hz
         inside = np.unique(np.asarray(marks, np.int64))
         self._marks = inside[(inside >= 0) & (inside < samples)]
-        self.slider.blockSignals(True)
-        self.slider.setRange(0, max(0, samples - 1))
-        self.slider.setValue(int(self._marks[0]) if len(self._marks) else 0)
-        self.slider.blockSignals(False)
+        with QSignalBlocker(self.slider):
+            self.slider.setRange(0, max(0, samples - 1))
+            self.slider.setValue(int(self._marks[0]) if len(self._marks) else 0)
         self.setEnabled(samples > 1)
         for button in (self.previous, self.next):
             button.setEnabled(len(self._marks) > 0)
-        ends_ms = (1e3 * start_s, 1e3 * (start_s + max(0, samples - 1) / sample_rate_hz))
-        self.slider.setToolTip("{:.1f} ms to {:.1f} ms; arrow keys: one sample; Space: play".format(*ends_ms))
         # A fixed width: else each new text would lay out the whole window again.
-        widest = max((f"{end_ms:.2f} ms" for end_ms in ends_ms), key=len)
+        widest = f"{-1e3 * max(abs(start_s), abs(start_s + samples / sample_rate_hz)):.2f} ms"
         self.time_label.setFixedWidth(self.time_label.fontMetrics().horizontalAdvance(widest) + 8)
         self._moved(self.sample)
 
@@ -173,6 +171,7 @@ def _button(text: str, tip: str, act: Callable[[], object]) -> QToolButton:
 
 Frame = NDArray[np.floating[Any]]
 NOWHERE_MM = np.zeros((0, 2))
+NO_VALUES = np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,43 +199,34 @@ class Film:
     scales: Sequence[tuple[str, float]]
 
 
-class ResponsePlot(Plot):
+class _ResponsePlot(Plot):
     """The responses of one position.
 
     looks: Number of the colour and width of each line.
     """
 
-    #: A time of the film in seconds that was clicked.
-    time_wanted = pyqtSignal(float)
-
     def __init__(self, looks: Sequence[tuple[int, float]]) -> None:
-        words = "time (s); click: show that instant"
-        super().__init__("Response of the position that was clicked", words, "", axis_px=64)
+        super().__init__("Response of the position that was clicked", "time (s)", "", axis_px=64)
         self.setMinimumHeight(90)
-        self.curves = [decimating_curve() for _ in looks]
-        self._now = pyqtgraph.InfiniteLine(0.0)
-        self._now.setPen(pyqtgraph.mkPen(self.theme.fault, width=1.2))
-        for curve, (colour, width) in zip(self.curves, looks, strict=True):
-            curve.setPen(pyqtgraph.mkPen(self.theme.trace(colour), width=width))
-        for item in (*self.curves, self._now):
-            self.getPlotItem().addItem(item)
-        self.scene().sigMouseClicked.connect(self._clicked)
-        self.clear_response()
+        self.getPlotItem().setClipToView(True)
+        self.curves = [self.line(NO_VALUES, NO_VALUES, self.theme.trace(colour), width) for colour, width in looks]
+        self.now = self.getPlotItem().addLine(x=0.0, pen=pyqtgraph.mkPen(self.theme.fault, width=1.2))
+        self._clear_response()
 
-    def clear_response(self) -> None:
+    def _clear_response(self) -> None:
         for curve in self.curves:
-            curve.setData([], [])
-        self._now.hide()
+            curve.setData(NO_VALUES, NO_VALUES)
+        self.now.hide()
         self.title("click a position on the map for its response", faint=True, size="9pt")
 
-    def show_response(self, title: str, unit: str, time_s: Float64Array, lines: Sequence[Real]) -> None:
+    def _show_response(self, title: str, unit: str, time_s: Float64Array, lines: Sequence[Real]) -> None:
         """Draw the lines; one that is not known, NaN, is left out."""
-        known = [line for line in lines if np.isfinite(line).all()]
-        largest = max((float(np.abs(line).max(initial=0.0)) for line in known), default=0.0)
+        known = [bool(np.isfinite(line).all()) for line in lines]
+        largest = max((float(np.abs(line).max()) for line, one in zip(lines, known, strict=True) if one), default=0.0)
         factor, unit = scaled_unit(unit, largest)
-        for curve, line in zip(self.curves, lines, strict=True):
-            curve.setData(*((time_s, factor * line) if np.isfinite(line).all() else ([], [])))
-        self._now.show()
+        for curve, line, one in zip(self.curves, lines, known, strict=True):
+            curve.setData(*((time_s, factor * line) if one else (NO_VALUES, NO_VALUES)))
+        self.now.show()
         self.getPlotItem().setLabel("left", unit)
         self.title(title, size="9pt")
         self.setToolTip(f"{title}: largest {quantity(f'{factor * largest:.3g}', unit)}")
@@ -244,20 +234,12 @@ class ResponsePlot(Plot):
         end = 1.1 * factor * (largest or 1.0)
         self.getPlotItem().setYRange(-end, end, padding=0.0)
 
-    def show_time(self, time_s: float) -> None:
-        """Mark the instant that the maps show."""
-        self._now.setValue(time_s)
-
-    def _clicked(self, event) -> None:  # type: ignore[no-untyped-def]
-        if self._now.isVisible() and event.button() == Qt.MouseButton.LeftButton and not event.double():
-            self.time_wanted.emit(float(self.getPlotItem().getViewBox().mapSceneToView(event.scenePos()).x()))
-
 
 class FilmPlayer(Themed, QWidget):
     """Shows a film; the owner lays out `maps`, `time` and `response`.
 
     names: Of the maps.
-    looks: Of the lines of a position, as of `ResponsePlot`.
+    looks: Of the lines of a position, as of `_ResponsePlot`.
     """
 
     def __init__(self, names: Sequence[str], looks: Sequence[tuple[int, float]]) -> None:
@@ -265,8 +247,7 @@ class FilmPlayer(Themed, QWidget):
         self.film: Film | None = None
         self.maps = [FieldMap(name) for name in names]
         self.time = TimeSlider()
-        self.response = ResponsePlot(looks)
-        self.response.time_wanted.connect(self._go_to)
+        self.response = _ResponsePlot(looks)
         for one in self.maps:
             one.picked.connect(self.show_position)
             if one is not self.maps[0]:
@@ -283,7 +264,7 @@ class FilmPlayer(Themed, QWidget):
             for one in self.maps:
                 one.show_values(np.full(0 if one.surface is None else one.surface.positions, np.nan))
                 one.show_sources(NOWHERE_MM)
-            self.response.clear_response()
+            self.response._clear_response()
             return
         for one, (title, end) in zip(self.maps, film.scales, strict=True):
             one.show_surface(film.surface)
@@ -305,12 +286,11 @@ class FilmPlayer(Themed, QWidget):
             one.mark(place)
         film = self.film
         if film is None or not 0 <= place < film.surface.positions:
-            self.response.clear_response()
+            self.response._clear_response()
             return
         title, lines = film.response(place)
         time_s = film.start_s + np.arange(film.samples) / film.sample_rate_hz
-        self.response.show_response(title, film.unit, time_s, lines)
-        self.response.show_time(self.time.time_s)
+        self.response._show_response(title, film.unit, time_s, lines)
 
     def _moved(self, sample: int) -> None:
         if self.film is None:
@@ -319,8 +299,4 @@ class FilmPlayer(Themed, QWidget):
         for one, values in zip(self.maps, self.film.frames(sample), strict=True):
             one.show_values(values)
             one.show_sources(sources_mm)
-        self.response.show_time(self.time.time_s)
-
-    def _go_to(self, time_s: float) -> None:
-        if self.film is not None:
-            self.time.go_to(round((time_s - self.film.start_s) * self.film.sample_rate_hz))
+        self.response.now.setValue(self.time.time_s)

@@ -8,7 +8,7 @@ from functools import partial
 from types import TracebackType
 from typing import Any
 
-from PyQt5.QtCore import QObject, Qt, QTimer, pyqtSignal
+from PyQt5.QtCore import QObject, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QPalette, QResizeEvent
 from PyQt5.QtWidgets import QFrame, QPushButton, QSizePolicy
 
@@ -85,22 +85,17 @@ class MessageBar(Themed, QFrame):
         self._waiting: list[tuple[str, str, Sequence[Answer]]] = []
         self._kind = self.sentence = self._idle = ""
         """The message that is shown; empty when there is none."""
-        self._buttons: list[QPushButton] = []
+        self.buttons: list[QPushButton] = []
         self.label = ui.label(wraps=True, selectable=True)
         self.label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # no path widens the window
         self._close = ui.tool_button("✕", "Dismiss this message (Esc)", self.dismiss, "Dismiss the message")
         self._close.setAutoRaise(True)
         self._close.setShortcut("Esc")
         self._row = ui.row((self.label, 1), self._close, owner=self, margins=(10, 4, 6, 4))
-        self._fade = QTimer(self)
-        self._fade.setSingleShot(True)
-        self._fade.timeout.connect(self.dismiss)
+        self._fade = ui.later(self, 8000, self.dismiss)
         lines = _LINES * self.fontMetrics().lineSpacing()
         self.setFixedHeight(max(lines, QPushButton("Ag").sizeHint().height()) + 10 + 2 * self.frameWidth())
         self._show("", "", ())
-
-    def buttons(self) -> list[QPushButton]:
-        return self._buttons
 
     def note(self, sentence: str) -> None:
         """Report a success; it disappears by itself."""
@@ -117,8 +112,8 @@ class MessageBar(Themed, QFrame):
         """Ask a question, in place of any other message."""
         self._waiting.clear()
         self._show("question", sentence, answers)
-        self._buttons[0].show()  # what is not visible yet gets no focus
-        self._buttons[0].setFocus()  # Space answers
+        self.buttons[0].show()  # what is not visible yet gets no focus
+        self.buttons[0].setFocus()  # Space answers
 
     def dismiss(self) -> None:
         """Show the next waiting message, or none."""
@@ -153,22 +148,22 @@ class MessageBar(Themed, QFrame):
 
     def _show(self, kind: str, sentence: str, answers: Sequence[Answer]) -> None:
         self._kind, self.sentence = kind, sentence
-        for button in self._buttons:
+        for button in self.buttons:
             self._row.removeWidget(button)
             button.hide()
             button.deleteLater()
-        self._buttons = []
+        self.buttons = []
         for number, (word, act) in enumerate(answers, start=1):
             button = ui.push_button(word, "", partial(self._answered, act))
             self._row.insertWidget(number, button)
-            self._buttons.append(button)
+            self.buttons.append(button)
         self._close.setVisible(bool(sentence))
         self._colour()
         self._row.activate()
         self._fit()
         self._fade.stop()
         if kind == "note":
-            self._fade.start(8000)
+            self._fade.start()
 
     def _answered(self, act: Callable[[], object]) -> None:
         self.dismiss()

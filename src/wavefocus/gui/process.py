@@ -9,8 +9,9 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any
@@ -230,13 +231,12 @@ class Background(QObject):
     A newer request of the same name makes an older one void: only what was asked for last is shown.
     """
 
-    _finished = pyqtSignal(str, int, object, object)
+    _finished = pyqtSignal(str, object, object)
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="window work")
-        self._asked: dict[str, int] = {}
-        self._then: dict[str, tuple[Callable[[object], object], Callable[[Exception], object]]] = {}
+        self._asked: dict[str, tuple[Callable[[Any], object], Callable[[Exception], object]]] = {}
         self._finished.connect(self._deliver)  # emitted in another thread, and so queued for this one
 
     def ask(
@@ -247,33 +247,26 @@ class Background(QObject):
         failed: Callable[[Exception], object],
     ) -> None:
         """Do `work` in the thread and call `done` with its result, or `failed`, in the window's thread."""
-        number = self._asked.get(name, 0) + 1
-        self._asked[name] = number
-        self._then[name] = (done, failed)
-        self._pool.submit(self._run, name, number, work)
+        then = self._asked[name] = done, failed
+        self._pool.submit(lambda: work() if self._asked.get(name) is then else None).add_done_callback(
+            partial(self._report, name, then)
+        )
 
     def end(self) -> None:
         """Begin nothing more, and deliver nothing more."""
         self._asked.clear()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _run(self, name: str, number: int, work: Callable[[], object]) -> None:
-        if self._asked.get(name) != number:
-            return
-        result: object = None
-        failure: Exception | None = None
-        try:
-            result = work()
-        except Exception as problem:
-            failure = problem
+    def _report(self, name: str, then: object, future: Future[object]) -> None:
         with suppress(RuntimeError):  # the window is gone
-            self._finished.emit(name, number, result, failure)
+            self._finished.emit(name, then, future)
 
-    def _deliver(self, name: str, number: int, result: object, failure: Exception | None) -> None:
-        if self._asked.get(name) != number:
+    def _deliver(self, name: str, then: object, future: Future[object]) -> None:
+        if self._asked.get(name) is not then:
             return
-        done, failed = self._then[name]
-        if failure is not None:
+        done, failed = self._asked[name]
+        failure = future.exception()
+        if isinstance(failure, Exception):
             failed(failure)
         else:
-            done(result)
+            done(future.result())

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import QRectF, Qt, pyqtSignal
-from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEvent
-from PyQt5.QtWidgets import QGraphicsItem, QGraphicsPathItem
+from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPen, QResizeEvent
+from PyQt5.QtWidgets import QGraphicsItem
 
 from wavefocus.gui.surface import PlotSurface, Raster
 from wavefocus.gui.theme import Themed, theme_axes
@@ -27,7 +29,7 @@ STEPS = {
 MARK = "#ff7a1a"
 # Cells that fill less than this share of the view are shown nearer.
 _CLOSER_BELOW = 0.4
-_RING_PX, _CROSS_PX = 6.0, 9.5
+_NOWHERE_MM = np.zeros((0, 2))
 
 
 class Spots(pyqtgraph.ScatterPlotItem):
@@ -53,7 +55,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     _fits = False  # Qt resizes the widget before __init__ has ended
 
     def __init__(self, name: str) -> None:
-        self.box = SurfaceBox(self)
+        self.box = _SurfaceBox(self)
         super().__init__(viewBox=self.box)
         self.name = name
         self.setAccessibleName(name)
@@ -61,15 +63,15 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.marked = -1
         self._linked: list[SurfaceView] = []
-        self._rings: list[QGraphicsPathItem] = []
-        self._paths: list[pyqtgraph.PlotCurveItem] = []
+        theme = self.theme
         self._cells = pyqtgraph.ImageItem(axisOrder="row-major")
-        self._checks = Spots(symbol="o", size=8, pxMode=True)
-        self._outline = pyqtgraph.PlotCurveItem(antialias=True)
-        self._actuators = Spots(symbol="t1", size=9, pxMode=True)
-        self._cross = self._add_sign(_cross_path(), 90)
-        for depth, item in enumerate((self._cells, self._outline, self._actuators, self._checks)):
-            self.add_item(item, 10 * depth, bounds=item in (self._cells, self._outline))
+        self._add_item(self._cells, 0, bounds=True)
+        self._outline = self.add_line(10, pyqtgraph.mkPen(theme.faint, width=1), bounds=True)  # wider ones paint slowly
+        self._paths = self.add_line(15, pyqtgraph.mkPen(theme.text, width=1), bounds=True)
+        self._actuators = self.add_spots(20, "t1", 9, pyqtgraph.mkPen(theme.text, width=1), theme.base)
+        self._checks = self.add_spots(30, "o", 8, pyqtgraph.mkPen(theme.text))
+        self._sources = self.add_spots(80, "o", 12, pyqtgraph.mkPen(theme.text, width=2))
+        self._cross = self.add_spots(90, "crosshair", 19, pyqtgraph.mkPen(MARK, width=2.5))
         plot = self.getPlotItem()
         plot.hideButtons()
         plot.setLabel("bottom", "x (mm)")
@@ -78,16 +80,11 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         for side in ("left", "bottom"):  # no prefix: the unit is part of the label
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
-        theme = self.theme
         self.setBackground(theme.base)
         theme_axes(plot)
-        self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))  # wider ones take ten times longer to paint
-        self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1))
-        self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))
-        self._cross.setPen(pyqtgraph.mkPen(MARK, width=2.5))
         self._fits = True
 
-    def add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
+    def _add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
         """Add an item; only those with `bounds` count where everything is to be seen."""
         item.setZValue(depth)
         self.box.addItem(item, ignoreBounds=not bounds)
@@ -95,8 +92,21 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     def add_spots(self, depth: float, symbol: str, size: int, pen: object = None, brush: str | None = None) -> Spots:
         """Add spots of a size in pixels; `pen` as of `pyqtgraph.mkPen`, None for no rim or no filling."""
         spots = Spots(symbol=symbol, size=size, pxMode=True, pen=pen, brush=brush)
-        self.add_item(spots, depth)
+        self._add_item(spots, depth)
         return spots
+
+    def add_line(self, depth: float, pen: QPen, *, bounds: bool = False) -> pyqtgraph.PlotCurveItem:
+        """Add a line, which is shown by `draw_line`."""
+        line = pyqtgraph.PlotCurveItem(antialias=True, connect="finite", pen=pen)
+        self._add_item(line, depth, bounds=bounds)
+        return line
+
+    def add_text(self, text: str, at_mm: PointMm, anchor: PointMm) -> pyqtgraph.TextItem:
+        """Add a text beside a place; `anchor` as of `pyqtgraph.TextItem`."""
+        item = pyqtgraph.TextItem(text, color=self.theme.text, anchor=anchor)
+        item.setPos(*at_mm)
+        self._add_item(item, 95)
+        return item
 
     def link(self, other: SurfaceView) -> None:
         """Show the same part of the surface as another map."""
@@ -111,28 +121,19 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self._cells.clear()
         self._checks.clear()
         self.mark(-1)
-        self.show_sources(np.zeros((0, 2)))
-        for path in self._paths:
-            self.box.removeItem(path)
-        self._paths = []
+        self.show_sources(_NOWHERE_MM)
         for side in ("left", "bottom"):
             self.getPlotItem().showAxis(side, surface is not None)
-        outline_mm = None if surface is None else surface.outline_mm
-        self.show_outline(np.zeros((0, 2)) if outline_mm is None else outline_mm)
-        self.show_actuators(np.zeros((0, 2)) if surface is None else surface.actuator_mm)
-        if surface is None:
-            return
-        for points_mm in surface.paths_mm:
-            path = pyqtgraph.PlotCurveItem(points_mm[:, 0], points_mm[:, 1], antialias=True, connect="finite")
-            path.setPen(pyqtgraph.mkPen(self.theme.text, width=1))
-            self.add_item(path, 15, bounds=True)
-            self._paths.append(path)
-        self.paint(np.zeros((surface.positions, 4), np.uint8))
-        self.fit()
+        self.show_outline(_NOWHERE_MM if surface is None or surface.outline_mm is None else surface.outline_mm)
+        self.show_actuators(_NOWHERE_MM if surface is None else surface.actuator_mm)
+        draw_line(self._paths, () if surface is None else surface.paths_mm)
+        if surface is not None:
+            self.paint(np.zeros((surface.positions, 4), np.uint8))
+            self.fit()
 
     def show_outline(self, outline_mm: Float64Array) -> None:
         """Draw the rim, shape (points, 2)."""
-        self._outline.setData(outline_mm[:, 0], outline_mm[:, 1])
+        draw_line(self._outline, [outline_mm])
 
     def show_actuators(self, actuator_mm: Float64Array) -> None:
         """Draw the actuators that are not NaN, shape (actuators, 2)."""
@@ -149,32 +150,21 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         placed = self._cells.image is not None
         self._cells.setImage(picture, autoLevels=False, levels=None)
         checks = self.surface.checks
-        if len(checks) or len(self._checks.points()):
+        if len(checks):
             brushes = [pyqtgraph.mkBrush(*colour) for colour in colours[checks].tolist()]
-            self._checks.setData(
-                pos=self.surface.position_mm[checks], brush=brushes, pen=pyqtgraph.mkPen(self.theme.text)
-            )
+            self._checks.setData(pos=self.surface.position_mm[checks], brush=brushes)
         if not placed:
             self._cells.setRect(_rectangle(raster))
 
     def mark(self, position: int) -> None:
         """Mark a position; -1 for none."""
         self.marked = position
-        there = self.surface is not None and 0 <= position < self.surface.positions
-        self._cross.setVisible(there)
-        if there and self.surface is not None:
-            self._cross.setPos(*self.surface.position_mm[position].tolist())
+        inside = self.surface is not None and 0 <= position < self.surface.positions
+        self._cross.setData(pos=self.surface.position_mm[[position]] if self.surface and inside else _NOWHERE_MM)
 
     def show_sources(self, at_mm: Float64Array) -> None:
         """Draw a ring around each source, shape (sources, 2)."""
-        while len(self._rings) < len(at_mm):
-            ring = self._add_sign(_ring_path(), 80)
-            ring.setPen(pyqtgraph.mkPen(self.theme.text, width=2))
-            self._rings.append(ring)
-        for number, ring in enumerate(self._rings):
-            ring.setVisible(number < len(at_mm))
-            if number < len(at_mm):
-                ring.setPos(*at_mm[number].tolist())
+        self._sources.setData(pos=at_mm)
 
     @property
     def zoomed(self) -> bool:
@@ -227,7 +217,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         if self.surface is None or event.key() not in STEPS:
             super().keyPressEvent(event)
             return
-        position = next_position(self.surface.position_mm, self.marked, event.key())
+        position = _next_position(self.surface.position_mm, self.marked, event.key())
         if position != self.marked:
             self.picked.emit(position)
 
@@ -250,26 +240,14 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         for one in (self, *self._linked):
             one._fits = fits
 
-    def _add_sign(self, path: QPainterPath, depth: float) -> QGraphicsPathItem:
-        """A sign of constant size on the screen, hidden at first; moves ten times faster than a scatter of one spot."""
-        sign = QGraphicsPathItem(path)
-        sign.setFlag(QGraphicsItem.GraphicsItemFlag.ItemIgnoresTransformations)
-        sign.hide()
-        self.add_item(sign, depth)
-        return sign
 
-
-class SurfaceBox(pyqtgraph.ViewBox):
+class _SurfaceBox(pyqtgraph.ViewBox):
     """Passes clicks and claimed drags of the left button on to its view, in millimetres."""
 
     def __init__(self, view: SurfaceView) -> None:
         super().__init__(lockAspect=True, enableMenu=False)
         self._view = view
         self._claimed = False
-
-    @property
-    def mm_per_pixel(self) -> float:
-        return float(self.viewPixelSize()[0])
 
     def mouseClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
         if event.button() != Qt.MouseButton.LeftButton:
@@ -297,7 +275,7 @@ class SurfaceBox(pyqtgraph.ViewBox):
         return float(place.x()), float(place.y())
 
 
-def next_position(position_mm: Float64Array, here: int, key: int) -> int:
+def _next_position(position_mm: Float64Array, here: int, key: int) -> int:
     """Return the nearest position in an arrow key's direction, within 45 degrees of it.
 
     position_mm, float64 (positions, 2): The grid.
@@ -334,15 +312,8 @@ def _rectangle(raster: Raster) -> QRectF:
     return QRectF(raster.left_mm, raster.bottom_mm, raster.width_mm, raster.height_mm)
 
 
-def _ring_path(radius_px: float = _RING_PX) -> QPainterPath:
-    path = QPainterPath()
-    path.addEllipse(-radius_px, -radius_px, 2 * radius_px, 2 * radius_px)
-    return path
-
-
-def _cross_path() -> QPainterPath:
-    path = _ring_path(_CROSS_PX)
-    for x, y in ((_CROSS_PX, 0.0), (0.0, _CROSS_PX)):
-        path.moveTo(-x, -y)
-        path.lineTo(x, y)
-    return path
+def draw_line(line: pyqtgraph.PlotCurveItem, parts_mm: Sequence[Float64Array]) -> None:
+    """Draw parts (points, 2) with gaps between them, and where a point is NaN."""
+    gap_mm = np.full((1, 2), np.nan)
+    points_mm = np.concatenate([_NOWHERE_MM, *(one for part_mm in parts_mm for one in (part_mm, gap_mm))])[:-1]
+    line.setData(points_mm[:, 0], points_mm[:, 1])

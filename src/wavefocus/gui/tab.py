@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +16,10 @@ from wavefocus.gui.message_bar import Answer, MessageBar, error_text
 from wavefocus.gui.process import Background, CommandProcess, Message
 from wavefocus.storage.errors import WavefocusError
 
-# Module and class of each tab, from left to right.
-TABS = (
-    ("wavefocus.gui.campaign.tab", "CampaignTab"),
-    ("wavefocus.gui.rig.tab", "RigTab"),
-    ("wavefocus.gui.editor.tab", "FilesTab"),
-    ("wavefocus.gui.scene.tab", "SceneTab"),
-    ("wavefocus.gui.verification.tab", "VerificationTab"),
-)
 # Does what an answer says, then calls its argument, which continues closing.
 Act = Callable[[Callable[[], object]], object]
-
-
-@dataclass(frozen=True, slots=True)
-class ClosingQuestion:
-    """A question before the window closes; answers are texts of buttons with their actions."""
-
-    sentence: str
-    answers: Sequence[tuple[str, Act]]
+# A question before the window closes, and its answers: texts of buttons with their actions.
+ClosingQuestion = tuple[str, Sequence[tuple[str, Act]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,28 +33,9 @@ class TabContext:
     shared: dict[FileKind, Path] = field(default_factory=dict)
     """The run file, rig file and bank that were opened last in any tab."""
     tabs: list[Tab] = field(default_factory=list)
+    commands: list[OwnCommand] = field(default_factory=list)
     troubles: dict[str, str] = field(default_factory=dict)
     """Sentences about what failed, by topic."""
-    holders: list[Callable[[], str]] = field(default_factory=list)
-    """Dialogs' `Tab.instruments_held`."""
-
-    def run(
-        self,
-        arguments: Sequence[str],
-        done: Callable[[CommandProcess], Any],
-        received: Callable[[Message], None] | None = None,
-        **options: Any,
-    ) -> CommandProcess:
-        """Start a command; `received` is called with each JSON line, `done` with the process when it has ended.
-
-        options: As of `CommandProcess`.
-        """
-        process = CommandProcess(arguments, self.owner, **options)
-        if received is not None:
-            process.received.connect(received)
-
-        process.finished.connect(lambda: done(process))
-        return process
 
     def report_end(
         self, process: CommandProcess, done: str = "", stopped: str = "", why: str = "", *answers: Answer
@@ -80,15 +46,13 @@ class TabContext:
         stopped: Said where the user ended it.
         why, answers: Said where it failed, by default its last line; buttons of that message.
         """
-        if process.stopped and stopped:
-            self.messages.note(stopped)
-            return stopped
-        if process.failure:
+        if process.failure and not (process.stopped and stopped):
             self.messages.fault(why or process.failure, *answers)
             return why or process.failure
-        if done:
-            self.messages.note(done)
-        return done
+        said = stopped if process.stopped and stopped else done
+        if said:
+            self.messages.note(said)
+        return said
 
     def share(self, opened_in: QWidget, kind: FileKind, path: Path) -> None:
         """Show a run file, rig file or bank that was opened in one tab in all others that are not busy with another."""
@@ -99,17 +63,17 @@ class TabContext:
             if tab is not opened_in and not tab.isAncestorOf(opened_in):
                 tab.use_shared(kind, path)
 
-    def claim_instruments(self, asks: QWidget, word: str, act: Callable[[], object], *, virtual: bool) -> None:
-        """Call `act`, which uses the rig's instruments, unless another tab has them; then offer "`word` anyway".
+    def claim_instruments(
+        self, word: str, act: Callable[[], object], *, virtual: bool, but: OwnCommand | None = None
+    ) -> None:
+        """Call `act`, which uses the rig's instruments, unless a command has them; then offer "`word` anyway".
 
-        asks: The tab that wants the instruments, or a part of it.
         word: Name of the action.
         act: The action.
         virtual: Whether the rig is virtual: several programs can use it at once.
+        but: A command that the action itself ends.
         """
-        others = [tab for tab in self.tabs if tab is not asks and not tab.isAncestorOf(asks)]
-        holders = () if virtual else (*(tab.instruments_held for tab in others), *self.holders)
-        held = next((held for holder in holders if (held := holder())), "")
+        held = "" if virtual else next((one.held for one in self.commands if one is not but and one.held), "")
         if held:
             self.messages.warn(f"{held}, so the instruments are busy: stop it first", (f"{word} anyway", act))
         else:
@@ -125,12 +89,13 @@ class TabContext:
             raise failure
         self.report(topic, error_text(failure))
 
-    def report(self, topic: str, sentence: str) -> None:
+    def report(self, topic: str, sentence: str, *answers: Answer) -> None:
         """Show why something is refused or failed, in place of an earlier sentence of the same topic."""
         self.settle(topic)
         if topic:
             self.troubles[topic] = sentence
-        self.messages.fault(sentence)
+        if sentence:
+            self.messages.fault(sentence, *answers)
 
     def settle(self, topic: str) -> None:
         """Withdraw the message about what failed earlier and works now, or is not wanted any more."""
@@ -149,30 +114,51 @@ class OwnCommand(QObject):
         super().__init__()
         self._context = context
         self.own: CommandProcess | None = None
+        self._holds = ""
+        context.commands.append(self)
 
     @property
     def running(self) -> bool:
         return self.own is not None
+
+    @property
+    def held(self) -> str:
+        """Holder of real instruments, as the beginning of a sentence; empty for none."""
+        return self._holds if self.running else ""
 
     def run(
         self,
         arguments: Sequence[str],
         ended: Callable[[CommandProcess], Any],
         received: Callable[[Message], None] | None = None,
+        *,
+        holds: str = "",
         **options: Any,
     ) -> None:
-        """Start it, as `TabContext.run`."""
+        """Start it; `received` is called with each JSON line, `ended` with the process when it has ended.
 
-        def over(process: CommandProcess) -> None:
+        holds: As of `held`.
+        options: As of `CommandProcess`.
+        """
+        process = self.own = CommandProcess(arguments, self._context.owner, **options)
+        self._holds = holds
+        if received is not None:
+            process.received.connect(received)
+
+        def over() -> None:
             self.own = None
             ended(process)
 
-        self.own = self._context.run(arguments, over, received, **options)
+        process.finished.connect(over)
 
     def interrupt(self) -> None:
         """Ask it to stop, as Ctrl-C does."""
         if self.own is not None:
             self.own.interrupt()
+
+    def closing_question(self) -> ClosingQuestion | None:
+        """What to ask about it before the window closes."""
+        return None
 
     def detach(self) -> None:
         """Leave it: the window closes. What holds instruments mutes, parks and ends by itself."""
@@ -216,12 +202,8 @@ class Tab(QWidget):
     def use_shared(self, kind: FileKind, path: Path) -> None:
         """Take a file that was opened in another tab; a tab that is busy with another one keeps it."""
 
-    def instruments_held(self) -> str:
-        """Holder of real instruments, as the beginning of a sentence; empty for none."""
-        return ""
-
     def shut_down(self) -> None:
-        """End threads, leave processes; the window closes."""
+        """End threads; the window closes."""
 
     def remember(self, **widgets: QWidget) -> None:
         """Show in widgets what they held in the last session; `save_settings` keeps it for the next one."""
@@ -236,8 +218,3 @@ class Tab(QWidget):
 
     def restore_settings(self) -> None:
         """Open the files of the last session."""
-
-
-def make_tabs(context: TabContext) -> list[Tab]:
-    """Make every tab, in order."""
-    return [getattr(import_module(module), name)(context) for module, name in TABS]

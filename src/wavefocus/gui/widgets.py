@@ -1,16 +1,14 @@
 """Small widgets that all tabs use: actions, number boxes, tables, splitters, state badges."""
 
-import math
 import re
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime
-from decimal import ROUND_HALF_UP, Decimal
 from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from PyQt5.QtCore import QLocale, QObject, Qt
+from PyQt5.QtCore import QLocale, QObject, QSignalBlocker, Qt, QTimer
 from PyQt5.QtGui import QColor, QKeySequence, QValidator
 from PyQt5.QtWidgets import (
     QAbstractButton,
@@ -76,11 +74,9 @@ class NumberBox(QDoubleSpinBox):
         return round(self.value())
 
     def value(self) -> float:
-        """Return the number that is shown; a text that is not one is refused first."""
-        number = self._number(self.text())
-        if number is None:
-            self.interpretText()
-        return super().value() if number is None else number
+        """Return the number that was typed last; a text that is not one is refused first."""
+        self.interpretText()
+        return super().value()
 
     def validate(self, text: str | None, position: int) -> tuple[QValidator.State, str, int]:
         """Return whether a text is a number; no key is refused, for a number without it would be another one."""
@@ -113,19 +109,14 @@ class NumberBox(QDoubleSpinBox):
     def _number(self, text: str) -> float | None:
         """Return the number of a text, rounded to the decimals of the box; None where the box cannot hold it."""
         number = typed_number(self._without_unit(text))
-        if number is None or not math.isfinite(number):
-            return None
-        if not self.decimals() and not number.is_integer():
-            return None
-        step = Decimal(1).scaleb(-self.decimals())
-        rounded = float(Decimal(repr(number)).quantize(step, ROUND_HALF_UP)) if abs(number) < 1e15 else number
         # A value that rounding makes vanish, 0.0001 in a box of three decimals, is not in its range.
-        return rounded if self.minimum() <= number <= self.maximum() else None
+        if number is None or not self.minimum() <= number <= self.maximum():
+            return None
+        return round(number, self.decimals()) if self.decimals() or number.is_integer() else None
 
 
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
 AnyBox = TypeVar("AnyBox", QHBoxLayout, QVBoxLayout)
-AnyButton = TypeVar("AnyButton", bound=QAbstractButton)
 # A widget, and its width or height in pixels.
 Part = tuple[QWidget, int]
 # A part of a row or a column.
@@ -147,19 +138,21 @@ def action(
     return action
 
 
+def later(owner: QObject, interval_ms: int, act: Callable[[], Any]) -> QTimer:
+    """Make a timer that calls `act` once, so long after it was started last."""
+    timer = QTimer(owner)
+    timer.setSingleShot(True)
+    timer.setInterval(interval_ms)
+    timer.timeout.connect(act)
+    return timer
+
+
 def button(action: QAction) -> QToolButton:
     """Make a button of an action."""
     button = QToolButton()
     button.setDefaultAction(action)
     button.setAccessibleName(action.text().replace("&", "").rstrip("…"))
     return button
-
-
-def action_of(button: QToolButton) -> QAction:
-    """The action of a button that `button` has made."""
-    action = button.defaultAction()
-    assert action is not None
-    return action
 
 
 def named(widget: AnyWidget, tip: str, name: str = "") -> AnyWidget:
@@ -259,11 +252,10 @@ def choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QCom
 def fill_choice(choice: QComboBox, choices: Sequence[str]) -> None:
     """Offer other texts; the same place stays chosen, and nothing is reported."""
     place = max(0, min(choice.currentIndex(), len(choices) - 1))
-    choice.blockSignals(True)
-    choice.clear()
-    choice.addItems(choices)
-    choice.setCurrentIndex(place)
-    choice.blockSignals(False)
+    with QSignalBlocker(choice):
+        choice.clear()
+        choice.addItems(choices)
+        choice.setCurrentIndex(place)
 
 
 def check(text: str, tip: str, name: str = "", *, on: bool = False) -> QCheckBox:
@@ -273,25 +265,22 @@ def check(text: str, tip: str, name: str = "", *, on: bool = False) -> QCheckBox
     return box
 
 
-def _button(button: AnyButton, text: str, tip: str, act: Callable[[], Any] | None, name: str) -> AnyButton:
-    button.setText(text)
-    if act is not None:
-        button.clicked.connect(lambda _checked=False: act())
-    return named(button, tip, name)
-
-
-def push_button(text: str, tip: str, act: Callable[[], Any] | None = None, name: str = "") -> QPushButton:
+def push_button(text: str, tip: str, act: Callable[[], Any], name: str = "") -> QPushButton:
     """Make a button that calls `act`."""
-    return _button(QPushButton(), text, tip, act, name)
+    button = named(QPushButton(text), tip, name)
+    button.clicked.connect(lambda _checked=False: act())
+    return button
 
 
 def tool_button(
-    text: str, tip: str, act: Callable[[], Any] | None = None, name: str = "", *, checkable: bool = False
+    text: str, tip: str, act: Callable[[], Any] = lambda: None, name: str = "", *, checkable: bool = False
 ) -> QToolButton:
     """Make a flat button that calls `act`."""
-    button = _button(QToolButton(), text, tip, act, name)
+    button = QToolButton()
+    button.setText(text)
     button.setCheckable(checkable)
-    return button
+    button.clicked.connect(lambda _checked=False: act())
+    return named(button, tip, name)
 
 
 def exclusive_buttons(
@@ -371,18 +360,9 @@ def scrolling(part: QWidget) -> QScrollArea:
     return area
 
 
-def side_by_side(*parts: Part, growing: Sequence[int] = ()) -> QSplitter:
-    """Widgets from left to right; those numbered in `growing` take the additional room."""
-    return _splitter(Qt.Orientation.Horizontal, parts, growing)
-
-
-def stacked(*parts: Part, growing: Sequence[int] = ()) -> QSplitter:
-    """Widgets from top to bottom; `growing` as in `side_by_side`."""
-    return _splitter(Qt.Orientation.Vertical, parts, growing)
-
-
-def _splitter(orientation: Qt.Orientation, parts: Sequence[Part], growing: Sequence[int]) -> QSplitter:
-    splitter = QSplitter(orientation)
+def side_by_side(*parts: Part, growing: Sequence[int] = (), above: bool = False) -> QSplitter:
+    """Widgets from left to right, or one above the other; those numbered in `growing` take the additional room."""
+    splitter = QSplitter(Qt.Orientation.Vertical if above else Qt.Orientation.Horizontal)
     splitter.setChildrenCollapsible(False)
     for part, _ in parts:
         splitter.addWidget(part)

@@ -14,7 +14,7 @@ from wavefocus.gui.files import ENDINGS, FileKind, PathField, Settings, kind_of,
 from wavefocus.gui.message_bar import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
-from wavefocus.gui.tab import Act, ClosingQuestion, Tab, TabContext, make_tabs
+from wavefocus.gui.tab import Act, ClosingQuestion, OwnCommand, Tab, TabContext
 from wavefocus.gui.theme import BoxStyle, use_desktop_theme
 from wavefocus.storage.errors import InputError
 
@@ -43,7 +43,7 @@ class Window(QMainWindow):
         self.tracebacks: list[str] = []
         """Tracebacks of the last errors that nobody caught."""
         self.tabs = self.context.tabs
-        self.tabs += make_tabs(self.context)
+        self.tabs += _make_tabs(self.context)
         self._pages = ui.tab_pages("Tabs", {tab.title: tab for tab in self.tabs})
         scrolled = ui.scrolling(self._pages)  # with large text or a small screen: the window never outgrows its screen
         scrolled.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -52,8 +52,7 @@ class Window(QMainWindow):
         ui.column((scrolled, 1), self.messages, owner=centre, margins=(6, 2, 6, 4), spacing=4)
         self.setCentralWidget(centre)
         for field in self.findChildren(PathField):
-            field.changing.connect(self.messages.dismiss_old)
-            field.refused.connect(partial(self.context.report, "file"))
+            field.refused.connect(self._refuse_file)
         self._pages.currentChanged.connect(lambda _index: self.context.settle("file"))
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
@@ -104,12 +103,16 @@ class Window(QMainWindow):
         self.tracebacks = [*self.tracebacks[-20:], details]
         self.messages.fault(sentence, ("Copy details", lambda: ui.copy_text(details)))
 
+    def _refuse_file(self, sentence: str) -> None:
+        self.messages.dismiss_old()  # about the former file
+        self.context.report("file", sentence)
+
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
         """Ask the questions of the tabs first, one after the other."""
         assert event is not None
-        asked = [] if self._may_close else [tab.closing_question() for tab in self.tabs]
-        questions = [question for question in asked if question is not None]
-        if questions:
+        askers: list[OwnCommand | Tab] = [*self.context.commands, *self.tabs]
+        asked = [one.closing_question() for one in askers]
+        if (questions := [question for question in asked if question is not None]) and not self._may_close:
             event.ignore()
             self._ask(questions, [])
             return
@@ -132,7 +135,9 @@ class Window(QMainWindow):
         self._timer.stop()
         for tab in self.tabs:
             tab.shut_down()
-        for process in self.findChildren(CommandProcess):  # a dry run, for one, ends by itself
+        for command in self.context.commands:
+            command.detach()
+        for process in self.findChildren(CommandProcess):  # an order, for one
             process.detach()
         self.background.end()
         self._error_hook.remove()
@@ -142,12 +147,9 @@ class Window(QMainWindow):
         if not questions:
             self._carry_out(chosen)
             return
-        question, *others = questions
-        self.messages.ask(
-            question.sentence,
-            *((word, partial(self._ask, others, [*chosen, act])) for word, act in question.answers),
-            ("Do not close", lambda: None),
-        )
+        (sentence, answers), *others = questions
+        acts = [(word, partial(self._ask, others, [*chosen, act])) for word, act in answers]
+        self.messages.ask(sentence, *acts, ("Do not close", lambda: None))
 
     def _carry_out(self, chosen: Sequence[Act]) -> None:
         if not chosen:
@@ -210,21 +212,19 @@ class Window(QMainWindow):
         """Write the files of a lab, as ``wavefocus init`` does, and open them."""
 
         def written(process: CommandProcess) -> None:
-            if process.exit_code != 0:
+            if process.failure:
                 self.context.report_end(process)
                 return
             self.settings.keep(f"folder/{_LAB}", str(folder.parent))
             names = ("scene.toml", "rig.toml", "run.toml") if rig == VIRTUAL else ("scene.toml", "run.toml", "rig.toml")
             for name in names:
                 self.open_file(folder / name)
-            nexts = (
-                "Start measures it"
-                if rig == VIRTUAL
-                else "fill in rig.toml, save it, then Examine asks each instrument"
-            )
-            self.context.report_end(process, f"the lab is in {folder}; {nexts}")
+            own = "fill in rig.toml, save it, then Examine asks each instrument"
+            nexts = "Start measures it" if rig == VIRTUAL else own
+            self.messages.note(f"the lab is in {folder}; {nexts}")
 
-        self.context.run(["init", str(folder), "--rig", rig], written)
+        process = CommandProcess(["init", str(folder), "--rig", rig], self)
+        process.finished.connect(lambda: written(process))
 
     def _open_named(self, names: Sequence[str]) -> None:
         for name in names:
@@ -239,9 +239,7 @@ class Window(QMainWindow):
         from wavefocus.gui.trials.start import TrialsStart
 
         self.settings.opened(path)
-        dialog = TrialsStart(self.context, path, self)
-        self.context.holders.append(dialog.instruments_held)
-        dialog.show()
+        TrialsStart(self.context, path, self).show()
 
     def _open_documentation(self) -> None:
         """Open the pages that lie beside the program: the built site, or the text that it is built from."""
@@ -251,6 +249,17 @@ class Window(QMainWindow):
             self.messages.warn(f"{_ROOT}: holds no docs; get the source of wavefocus, and run make docs there")
         else:
             self.context.open_outside(page)
+
+
+def _make_tabs(context: TabContext) -> list[Tab]:
+    """Make every tab, from left to right; the window of trials, which shares this module, needs none of them."""
+    from wavefocus.gui.campaign.tab import CampaignTab
+    from wavefocus.gui.editor.tab import FilesTab
+    from wavefocus.gui.rig.tab import RigTab
+    from wavefocus.gui.scene.tab import SceneTab
+    from wavefocus.gui.verification.tab import VerificationTab
+
+    return [kind(context) for kind in (CampaignTab, RigTab, FilesTab, SceneTab, VerificationTab)]
 
 
 def _add(menu: QMenu, text: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str) -> QAction:

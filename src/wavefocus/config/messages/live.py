@@ -132,5 +132,12 @@ class LiveEnded(EventMessage, frozen=True, tag="ended"):
     limited_s: Number
     recorded: str = ""
 
+    @property
+    def sentence(self) -> str:
+        """The same in words."""
+        latency = "" if self.latency_p999_ms is None else f", latency {self.latency_p999_ms:.1f} ms (99.9 %)"
+        played = f"played {self.played_s:.1f} s, {self.positions} positions{latency}, {self.underruns} underruns"
+        return f"{played}{f', recorded in {self.recorded}' if self.recorded else ''}; the outputs are muted"
+
 
 EVENTS = (LiveReady, LiveState, Refused, LiveNotice, LiveEnded)

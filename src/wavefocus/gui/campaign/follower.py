@@ -136,24 +136,28 @@ class Follower:
             self._over.wait(0.05)
 
     def _look(self) -> None:
-        now_s = time.monotonic()
+        from wavefocus.storage.bank.reading import open_bank  # h5py is slow to import
+
         # A new bank is opened before its events are reported, which name its positions.
-        if now_s >= self._life_due_s or (self._identity is None and self.bank.exists()):
-            self._life_due_s = now_s + _LIFE_EVERY_S
+        if time.monotonic() >= self._life_due_s or (self._identity is None and self.bank.exists()):
+            self._life_due_s = time.monotonic() + _LIFE_EVERY_S
             self._look_at_bank()
         records, anew = self._tail.read()
         if records or anew:
             entries = [read_record(record) for record in records]
             kinds = {type(entry.event) if isinstance(entry, Logged) else EventLine for entry in entries}
             self._stale |= not kinds.isdisjoint({PositionCommitted, SessionEnded, EventLine})
-            self._put(CampaignModel.add_records, entries, anew=anew)
+            self._found.put(lambda campaign: campaign.add_records(entries, anew=anew))
             if Drift in kinds:
-                self._put(CampaignModel.show_drift, read_drift(self.bank))
+                self._put_drift()
         if self._stale and self._identity is not None and time.monotonic() >= self._ledger_due_s:
-            with _opened(self.bank) as bank:
+            with open_bank(self.bank) as bank:
                 self._put_ledger(bank)
 
     def _look_at_bank(self) -> None:
+        from wavefocus.storage.bank.reading import open_bank
+        from wavefocus.storage.ledger.owner import bank_owner
+
         try:
             found = self.bank.stat()
         except FileNotFoundError:
@@ -164,29 +168,32 @@ class Follower:
             return
         identity = (found.st_dev, found.st_ino)
         if identity != self._identity:
-            with _opened(self.bank) as bank:
-                self._put(CampaignModel.open, surface_of(bank))
+            with open_bank(self.bank) as bank:
+                surface = surface_of(bank)
+                self._found.put(lambda campaign: campaign.open(surface))
                 self._put_ledger(bank)
-            self._put(CampaignModel.show_drift, read_drift(self.bank))
+            self._put_drift()
             self._identity = identity
-        owner = _owner_of(self.bank)
+        owner = bank_owner(self.bank)
         self._stale |= owner != self._owner
         self._put_life(owner)
         self._report("")
 
-    def _put(self, change: Callable[..., object], *values: object, **named: object) -> None:
-        self._found.put(lambda campaign: change(campaign, *values, **named))
-
     def _put_life(self, owner: Owner | None) -> None:
         self._owner = owner
-        self._put(CampaignModel.show_owner, owner, self._read_heartbeat(self.bank), time.monotonic())
+        beat, asked_s = self._read_heartbeat(self.bank), time.monotonic()
+        self._found.put(lambda campaign: campaign.show_owner(owner, beat, asked_s))
+
+    def _put_drift(self) -> None:
+        points = read_drift(self.bank)
+        self._found.put(lambda campaign: campaign.show_drift(points))
 
     def _put_ledger(self, bank: Bank) -> None:
         began_s = time.monotonic()
         status = bank.status
         figures = per_position(bank.quality, status > 0)
         status[bank.broken] = DAMAGED
-        self._put(CampaignModel.show_ledger, status, figures)
+        self._found.put(lambda campaign: campaign.show_ledger(status, figures))
         took_s = time.monotonic() - began_s
         self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
         self._stale = False
@@ -194,21 +201,9 @@ class Follower:
     def _report(self, sentence: str, details: str = "") -> None:
         if sentence != self._trouble:
             self._trouble = sentence
-            self._put(CampaignModel.show_trouble, sentence, details)
+            self._found.put(lambda campaign: campaign.show_trouble(sentence, details))
 
 
 def same_file(one: Path, other: Path) -> bool:
     """Whether two paths name one file, also where it does not exist yet."""
     return os.path.normcase(one.absolute()) == os.path.normcase(other.absolute())
-
-
-def _opened(path: Path) -> Bank:
-    from wavefocus.storage.bank.reading import open_bank  # h5py is slow to import
-
-    return open_bank(path)
-
-
-def _owner_of(path: Path) -> Owner | None:
-    from wavefocus.storage.ledger.owner import bank_owner
-
-    return bank_owner(path)

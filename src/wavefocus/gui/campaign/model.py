@@ -88,27 +88,14 @@ def look_index(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return index
 
 
-@dataclass(frozen=True, slots=True)
-class QualityMetric:
-    """A quality figure of the bank; `worst` reduces (positions, actuators) to (positions,), ignoring NaN."""
-
-    key: str
-    title: str
-    unit: str
-    worst: Callable[..., Float32Array]
-
-    @property
-    def label(self) -> str:
-        return f"{self.title} ({self.unit})" if self.unit else self.title
-
-
-FIGURES = (
-    QualityMetric("snr_db", "signal-to-noise ratio of the records, median of the actuators", "dB", np.nanmedian),
-    QualityMetric("residual_db", "residual, worst actuator", "dB", np.nanmax),
-    QualityMetric("coherence", "coherence, worst actuator", "", np.nanmin),
-    QualityMetric("peak_v", "peak at the DAQ, largest of the actuators", "V", np.nanmax),
-    QualityMetric("attempts", "attempts", "", np.nanmax),
-)
+# Title of each quality figure, and what reduces (positions, actuators) to (positions,), ignoring NaN.
+FIGURES: Mapping[str, tuple[str, Callable[..., Float32Array]]] = {
+    "snr_db": ("signal-to-noise ratio of the records, median of the actuators (dB)", np.nanmedian),
+    "residual_db": ("residual, worst actuator (dB)", np.nanmax),
+    "coherence": ("coherence, worst actuator", np.nanmin),
+    "peak_v": ("peak at the DAQ, largest of the actuators (V)", np.nanmax),
+    "attempts": ("attempts", np.nanmax),
+}
 
 
 def per_position(quality: Mapping[str, Float32Array], measured: NDArray[np.bool_]) -> dict[str, Float32Array]:
@@ -118,17 +105,15 @@ def per_position(quality: Mapping[str, Float32Array], measured: NDArray[np.bool_
     measured, bool (positions,): Positions to use.
     """
     found = {}
-    for figure in FIGURES:
-        values = quality.get(figure.key)
+    for key, (_, reduce) in FIGURES.items():
+        values = quality.get(key)
         reduced = np.full(len(measured), np.nan, np.float32)
         if values is not None and measured.any():
             rows = np.asarray(values)[measured].reshape(int(measured.sum()), -1)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # a row of nothing but NaN stays NaN
-                known = figure.worst is np.nanmedian and not np.isnan(rows).any()
-                worst = np.median if known else figure.worst  # 70 times faster
-                reduced[measured] = worst(rows, axis=1)
-        found[figure.key] = reduced
+                reduced[measured] = reduce(rows, axis=1)
+        found[key] = reduced
     return found
 
 

@@ -7,7 +7,6 @@ from PyQt5.QtCore import QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QStandardItem, QStandardItemModel
 from PyQt5.QtWidgets import QAbstractItemView, QAction, QHeaderView, QLineEdit, QTableView, QToolButton, QWidget
 
-from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.status import GOING_ON, CampaignStatus
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui import widgets as ui
@@ -104,20 +103,14 @@ class ProgressRow(Themed, QWidget):
         ui.put(self.faults, "\n".join(f"▲ {fault}" for fault in faults))
         self.faults.setVisible(bool(faults))
 
-    def show_progress(self, measured: int, total: int, session: CampaignStatus, state: ShownState) -> None:
-        """Show the progress of the bank, or of the session while it runs and has measured a position."""
+    def show_progress(self, measured: int, total: int, session: CampaignStatus, state: ShownState, plan: str) -> None:
+        """Show the progress of the bank, or of the session while it runs and has measured a position; else a plan."""
         paced = state.measuring and session.progress is not None
         done, of = (session.done, session.total) if paced else (measured, total)
         self.bar.setTextVisible(of > 0)  # without a bank and a plan there is nothing to count
-        if (self.bar.value(), self.bar.maximum()) != (done, max(of, 1)):
-            self.bar.setMaximum(max(of, 1))
-            self.bar.setValue(done)
-        ui.put(self.figures, pace_text(session, going_on=state.going_on) if paced else "")
-
-    def show_plan(self, positions: int, duration_s: float) -> None:
-        """Show what the run file plans; nothing is measured yet."""
-        self.show_progress(0, positions, CampaignStatus(), ShownState(Extra.NO_BANK))
-        ui.put(self.figures, f"planned: {positions} positions, {hours(duration_s)}")
+        self.bar.setMaximum(max(of, 1))
+        self.bar.setValue(done)
+        ui.put(self.figures, pace_text(session, going_on=state.going_on) if paced else plan)
 
 
 def pace_text(session: CampaignStatus, *, going_on: bool) -> str:
@@ -131,24 +124,17 @@ def pace_text(session: CampaignStatus, *, going_on: bool) -> str:
     return "  ·  ".join(parts)
 
 
-class EventFilter(QSortFilterProxyModel):
-    """Lines of at least some weight that contain a text, of all positions (-1) or of one."""
+class _EventFilter(QSortFilterProxyModel):
+    """Lines that `accepts` is true of."""
 
     def __init__(self, events: QStandardItemModel) -> None:
         super().__init__()
+        self.accepts: Callable[[EventLine], bool] = lambda _line: True
         self._events = events
-        self._least, self._text, self._position = Weight.NOTE, "", -1
         self.setSourceModel(events)
 
-    def restrict(self, least: Weight, text: str, position: int) -> None:
-        self._least, self._text, self._position = least, text.casefold(), position
-        self.invalidateFilter()
-
     def filterAcceptsRow(self, row: int, _parent: QModelIndex) -> bool:  # noqa: N802
-        line = _line_of(self._events.index(row, 0))
-        if line.weight < self._least or self._position not in (-1, line.position):
-            return False
-        return not self._text or self._text in line.text.casefold()
+        return self.accepts(_line_of(self._events.index(row, 0)))
 
 
 def _line_of(index: QModelIndex) -> EventLine:
@@ -182,7 +168,7 @@ class EventList(Themed, QWidget):
         self._trimmed = campaign.trimmed
         self._table = QStandardItemModel()
         self._table.setHorizontalHeaderLabels(["time", "weight", "event"])
-        self.lines = EventFilter(self._table)
+        self.lines = _EventFilter(self._table)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
         tip = "Events shown here (all are in the log next to the bank)"
         self.weight = ui.choice("Least weight", tip, choices, Weight.NOTE)
@@ -209,9 +195,9 @@ class EventList(Themed, QWidget):
         title = ui.label(text="Events", role="strong")
         filters = ui.row(title, self.weight, self.of_position, (self.text, 1))
         ui.column(filters, (self.view, 1), owner=self)
-        self.weight.currentIndexChanged.connect(self._restrict)
-        self.text.textChanged.connect(self._restrict)
-        self.of_position.toggled.connect(self._restrict)
+        for changed in (self.weight.currentIndexChanged, self.text.textChanged, self.of_position.toggled):
+            changed.connect(self._restrict)
+        self._restrict()
         self.view.doubleClicked.connect(self._want_position)
 
     def draw(self) -> None:
@@ -233,8 +219,12 @@ class EventList(Themed, QWidget):
             self._restrict()
 
     def _restrict(self) -> None:
+        least, text = self.weight.currentIndex(), self.text.text().casefold()
         position = self._position if self.of_position.isChecked() else -1
-        self.lines.restrict(Weight(self.weight.currentIndex()), self.text.text(), position)
+        self.lines.accepts = lambda line: (
+            line.weight >= least and position in (-1, line.position) and text in line.text.casefold()
+        )
+        self.lines.invalidateFilter()
         self.view.scrollToBottom()
 
     def _want_position(self, index: QModelIndex) -> None:

@@ -1,9 +1,7 @@
 """The Campaign tab: map, details, lists, progress, and buttons that start commands."""
 
 import math
-import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -12,6 +10,7 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
 
+from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
@@ -19,25 +18,24 @@ from wavefocus.gui.campaign.map_panel import MapPanel
 from wavefocus.gui.campaign.model import NOT_GOOD, CampaignModel, Extra
 from wavefocus.gui.campaign.panels import PAUSED, Controls, EventList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
-from wavefocus.gui.files import FileKind, PathField, file_state, rig_of_run, runs_on_virtual_rig
+from wavefocus.gui.files import FileKind, PathField, file_state, names_virtual_rig, rig_of_run
 from wavefocus.gui.process import CommandProcess
-from wavefocus.gui.surface import PlotSurface, plan_surface
+from wavefocus.gui.surface import VIRTUAL, PlotSurface, plan_surface
 from wavefocus.gui.tab import ClosingQuestion, OwnCommand, Tab, TabContext
 from wavefocus.storage.errors import InputError
 
 
-class CampaignRun(OwnCommand):
+class _CampaignRun(OwnCommand):
     """At most one capture of this window, and one order at a time.
 
     bank: Bank of that capture.
+    foreign: Another process that has the instruments, as of `held`.
     """
 
     def __init__(self, context: TabContext, owner: QWidget) -> None:
         super().__init__(context)
         self.bank = Path()
-        self._arguments: Sequence[str] = ()
-        self._virtual = False
-        self._started_at = datetime.now().astimezone()
+        self.foreign = ""
         self.accept_calibration = QAction("Accept another &calibration", owner)
         self.accept_calibration.setCheckable(True)
         self.accept_calibration.setToolTip("Continue the next session with another calibration or other devices")
@@ -49,11 +47,12 @@ class CampaignRun(OwnCommand):
             return
         accepted = ["--accept-calibration"] if self.accept_calibration.isChecked() else []
         self.accept_calibration.setChecked(False)
-        self._arguments, self._virtual, self.bank = tuple(arguments), virtual, bank
-        self._started_at = datetime.now().astimezone()
+        self.bank = bank
+        again = partial(self.start, [*arguments, "--accept-drift"], bank, virtual=virtual)
         self.run(
             [*arguments, *accepted],
-            self._ended,
+            partial(self._ended, datetime.now().astimezone(), again),
+            holds="" if virtual else f"a run of this window measures {bank}",
             log_file=said_path(bank),
             name="the capture",
             advice="Resume continues from what is in the bank",
@@ -68,11 +67,13 @@ class CampaignRun(OwnCommand):
                 done()
 
         if bank is not None:
-            order = self._context.run([word, str(bank), "--json"], answered, name=word)
+            order = CommandProcess([word, str(bank), "--json"], self._context.owner, name=word)
+            order.finished.connect(lambda: answered(order))
             self._context.messages.warn(f"{word}: waiting for the capture…", ("Stop waiting", order.kill))
 
-    def instruments_held(self) -> str:
-        return "" if self.own is None or self._virtual else f"a run of this window measures {self.bank}"
+    @property
+    def held(self) -> str:
+        return super().held or self.foreign
 
     def runs(self, bank: Path | None) -> bool:
         return self.own is not None and bank is not None and same_file(self.bank, bank)
@@ -82,25 +83,19 @@ class CampaignRun(OwnCommand):
         return "" if self.own is None or not self.runs(bank) else self.own.last_line
 
     def closing_question(self) -> ClosingQuestion | None:
-        if self.own is None:
-            return None
         bank = self.bank
-        return ClosingQuestion(
-            f"{bank.name} is being measured by a run of this window. What should it do when the window closes?",
-            (
-                ("Continue in the background", lambda close: close()),
-                ("Pause", partial(self.order, "pause", bank)),
-                ("Stop after this position", partial(self.order, "stop", bank)),
-            ),
+        sentence = f"{bank.name} is being measured by a run of this window. What should it do when the window closes?"
+        answers = (
+            ("Continue in the background", lambda close: close()),
+            ("Pause", partial(self.order, "pause", bank)),
+            ("Stop after this position", partial(self.order, "stop", bank)),
         )
+        return (sentence, answers) if self.running else None
 
-    def _ended(self, process: CommandProcess) -> None:
-        failure, why = session_failure(self.bank, self._started_at) if process.failure else ("", "")
-        answers = []
-        if failure == "drift":
-            again = partial(self.start, [*self._arguments, "--accept-drift"], self.bank, virtual=self._virtual)
-            answers = [("Continue anyway", again)]
-        elif failure == "instrument":
+    def _ended(self, started_at: datetime, again: Callable[[], object], process: CommandProcess) -> None:
+        failure, why = session_failure(self.bank, started_at) if process.failure else ("", "")
+        answers = [("Continue anyway", again)] if failure == "drift" else []
+        if failure == "instrument":
             why = f"{why}; nothing measured is lost: put it right, then press Resume"
         stopped = "stopped; nothing measured is lost, Resume continues"
         self._context.report_end(process, process.last_line or "the capture is done", stopped, why, *answers)
@@ -120,7 +115,7 @@ class CampaignTab(Tab):
         super().__init__(context)
         self.campaign = CampaignModel()
         self.follower: Follower | None = None
-        self.run = CampaignRun(context, self)
+        self.run = _CampaignRun(context, self)
         self._trouble = ""
         self._paused = False
         self._run_file: Path | None = None
@@ -128,8 +123,6 @@ class CampaignTab(Tab):
         self._planned_s = math.nan
         self._mismatch = ""
         """Why run file and bank do not belong together."""
-        self._drawn: tuple[int, ...] = ()
-        self._draw_due_s = 0.0
         self.run_field = PathField("&Run", ".toml", "run file", context.settings)
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings, saves=True)
         self.controls = Controls(
@@ -176,9 +169,8 @@ class CampaignTab(Tab):
             if same_file(self.follower.bank, bank):
                 return
             self.follower.end()
-        self._show_trouble("")
+        self.context.settle("campaign")
         self.campaign.forget()
-        self.map_panel.forget()
         self.follower = Follower(bank)
         self._read_plan()
         self.context.share(self, FileKind.BANK, bank)
@@ -189,30 +181,31 @@ class CampaignTab(Tab):
         surface = self.campaign.surface
         if surface is not None:
             self.context.share(self, FileKind.BANK, surface.bank)  # that of a capture, once it is there
+        owner, real = self.campaign.owner, surface is None or not surface.is_virtual
+        measures = f"process {owner.pid} on {owner.host} measures {self.bank_field.path}" if owner and real else ""
+        self.run.foreign = measures
         if self.campaign.trouble[0] != self._trouble:
-            self._show_trouble(*self.campaign.trouble)
+            self._trouble, details = self.campaign.trouble
+            answers = [("Copy details", lambda: ui.copy_text(details))] if details else []
+            self.context.report("campaign", self._trouble, *answers)
 
     def draw(self) -> None:
         campaign, bank, selected = self.campaign, self.bank_field.path, len(self.map_panel.map.selected)
-        news = (*campaign.revision.values(), selected)
-        if news == self._drawn and time.monotonic() < self._draw_due_s:
-            return
-        self._drawn, self._draw_due_s = news, time.monotonic() + 0.25
-        state, owner = campaign.state(starting=self.run.runs(bank)), campaign.owner
+        state, owner, surface = campaign.state(starting=self.run.runs(bank)), campaign.owner, campaign.surface
         report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
         faults = [f"{name.partition(',')[0]}: {word}" for name, word in campaign.instrument_faults.items()]
         self.progress.show_faults([*filter(None, [self._mismatch]), *faults])
-        measured, total = campaign.measured, campaign.surface.positions if campaign.surface else 0
-        self.progress.show_progress(measured, total, campaign.session, state)
-        if campaign.surface is None and self.map_panel.planned is not None:
-            self.progress.show_plan(self.map_panel.planned.positions, self._planned_s)
+        shown = surface or self.map_panel.planned
+        measured, total = campaign.measured, 0 if shown is None else shown.positions
+        plan = f"planned: {total} positions, {hours(self._planned_s)}" if shown and surface is None else ""
+        self.progress.show_progress(measured, total, campaign.session, state, plan)
         startable = self.run_field.path is not None and bank is not None and not self._mismatch
         self._paused = state.word in PAUSED
-        poor, has_bank = int(((campaign.status & NOT_GOOD) > 0).sum()), campaign.surface is not None
+        poor, left = int(((campaign.status & NOT_GOOD) > 0).sum()), total - measured
         self.controls.show_possible(
-            state, has_run=startable, has_bank=has_bank, left=total - measured, selected=selected, poor=poor
+            state, has_run=startable, has_bank=surface is not None, left=left, selected=selected, poor=poor
         )
         for part in (self.map_panel, self.position_panel, self.events):
             part.draw()
@@ -225,15 +218,6 @@ class CampaignTab(Tab):
         """Read the run file again where it was edited."""
         super().showEvent(event)
         self._read_plan()
-
-    def instruments_held(self) -> str:
-        owner, surface = self.campaign.owner, self.campaign.surface
-        if owner is not None and not (surface is not None and surface.is_virtual):
-            return f"process {owner.pid} on {owner.host} measures {self.bank_field.path}"
-        return self.run.instruments_held()
-
-    def closing_question(self) -> ClosingQuestion | None:
-        return self.run.closing_question()
 
     def save_settings(self) -> None:
         super().save_settings()
@@ -252,11 +236,10 @@ class CampaignTab(Tab):
     def shut_down(self) -> None:
         if self.follower is not None:
             self.follower.end()
-        self.run.detach()
 
     def _lay_out(self) -> None:
         upper = ui.side_by_side((self.map_panel, 700), (self.position_panel, 560))
-        both = ui.stacked((upper, 470), (self.events, 190), growing=[0])
+        both = ui.side_by_side((upper, 470), (self.events, 190), growing=[0], above=True)
         self.remember(upper=upper, map_and_events=both)
         files = ui.row((self.run_field, 1), (self.bank_field, 1))
         ui.column(files, self.controls, self.progress, (both, 1), owner=self, margins=ui.PAGE_MARGINS)
@@ -274,10 +257,8 @@ class CampaignTab(Tab):
     def _share_run(self, path: Path) -> None:
         """Show a run and its rig in all tabs, and read its plan."""
         self.context.share(self, FileKind.RUN, path)
-        with suppress(InputError):  # reported by what reads the plan
-            rig = rig_of_run(path)
-            if rig is not None:
-                self.context.share(self, FileKind.RIG, rig)
+        if (rig := rig_of_run(path)) is not None:
+            self.context.share(self, FileKind.RIG, rig)
         self._read_plan()
 
     def _bank_chosen(self, path: Path) -> None:
@@ -297,19 +278,18 @@ class CampaignTab(Tab):
 
     def _show_plan(self, planned: tuple[PlotSurface, float, str]) -> None:
         self.context.settle("plan")
-        surface, self._planned_s, self._mismatch = planned
-        self.map_panel.show_plan(surface)
-        self._draw_due_s = 0.0
+        self.map_panel.planned, self._planned_s, self._mismatch = planned
 
     def _no_plan(self, failure: Exception) -> None:
-        self._mismatch = ""
-        self.map_panel.show_plan(None)
+        self._mismatch, self.map_panel.planned = "", None
+        self.map_panel.draw()
         self.context.report_failure(failure, "plan")
 
     def _start_run(self) -> None:
         run, bank = self.run_field.path, self.bank_field.path
         if run is not None and bank is not None:
-            self._claim("Start", ["capture", str(run), "--bank", str(bank)], bank, virtual=runs_on_virtual_rig(run))
+            virtual = names_virtual_rig(rig_of_run(run) or VIRTUAL)
+            self._claim("Start", ["capture", str(run), "--bank", str(bank)], bank, virtual=virtual)
 
     def _start(self, word: str, command: str, *options: str) -> None:
         bank, surface = self.bank_field.path, self.campaign.surface
@@ -323,17 +303,10 @@ class CampaignTab(Tab):
             self.follow(bank)
             self.run.start(arguments, bank, virtual=virtual)
 
-        self.context.claim_instruments(self, word, start, virtual=virtual)
+        self.context.claim_instruments(word, start, virtual=virtual)
 
     def _pause_or_continue(self) -> None:
         self.run.order("resume" if self._paused else "pause", self.bank_field.path)
-
-    def _show_trouble(self, sentence: str, details: str = "") -> None:
-        self.context.messages.withdraw(self._trouble)
-        self._trouble = sentence
-        if sentence:
-            answers = [("Copy details", lambda: ui.copy_text(details))] if details else []
-            self.context.messages.fault(sentence, *answers)
 
     def _remeasure_selected(self) -> None:
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))

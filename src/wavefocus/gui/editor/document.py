@@ -13,6 +13,7 @@ from PyQt5.QtWidgets import QPlainTextDocumentLayout, QWidget
 
 from wavefocus.config.editing import MODELS, Mistake, mistakes_in
 from wavefocus.config.fields import Table
+from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileState, choose_place, file_state
 from wavefocus.gui.tab import Act, ClosingQuestion, TabContext
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -42,10 +43,7 @@ class TextDocument(QObject):
         self.mistakes: list[Mistake] = []
         self.path: Path | None = None
         self.seen: FileState | None = None
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(150)  # keys that follow one another are read as one change
-        self._soon.timeout.connect(self.read)
+        self._soon = ui.later(self, 150, self.read)  # keys that follow one another are read as one change
         self.text.contentsChanged.connect(self._soon.start)
         self.text.modificationChanged.connect(self.file_changed)
 
@@ -65,7 +63,7 @@ class TextDocument(QObject):
         return self.path or Path.cwd() / f"{self.kind}.toml"
 
     @property
-    def changed_outside(self) -> bool:
+    def _changed_outside(self) -> bool:
         """Whether another program has written or deleted the file since it was read or written here."""
         return self.path is not None and self.seen is not None and file_state(self.path) != self.seen
 
@@ -159,16 +157,11 @@ Then = Callable[[], object]
 class TextFiles(QObject):
     """Opens and saves; questions are asked in the message bar. Dialogs belong to `owner`."""
 
-    opened = pyqtSignal()
-
     def __init__(self, context: TabContext, document: TextDocument, owner: QWidget) -> None:
         super().__init__(owner)
         self._context, self._document, self._owner = context, document, owner
         self._text, self._place, self._owner_pid = (f"{document.kind}/unsaved{part}" for part in ("", "_file", "_by"))
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(1000)
-        self._soon.timeout.connect(self.save_settings)
+        self._soon = ui.later(self, 1000, self.save_settings)
         document.changed.connect(self._soon.start)
         self._looks = QTimer(self)
         self._looks.timeout.connect(self.look)
@@ -182,20 +175,16 @@ class TextFiles(QObject):
     def shown_name(self) -> str:
         """The name with what a person should know: that it is not saved, or that its file has changed."""
         document = self._document
-        return f"{self.name}{'' if document.saved else ' •'}{' (changed on disk)' if document.changed_outside else ''}"
+        return f"{self.name}{'' if document.saved else ' •'}{' (changed on disk)' if document._changed_outside else ''}"
 
     def look(self) -> None:
         """Read a file again that another program has written; with unsaved changes, say that it has changed."""
         document = self._document
-        if not document.changed_outside or document.path is None:
+        if not document._changed_outside or document.path is None:
             return
-        if document.saved and document.path.is_file():
-            try:
-                document.reload()
-            except (WavefocusError, OSError) as failure:
-                self._context.report_failure(failure, f"{document.kind} text")
-            else:
-                self._context.messages.note(f"{document.path} was changed by another program and is read again")
+        silent = not self._context.messages.sentence  # no fault is hidden
+        if document.saved and document.path.is_file() and self._reported(document.reload) and silent:
+            self._context.messages.note(f"{document.path} was changed by another program and is read again")
         document.file_changed.emit()
 
     def new(self) -> None:
@@ -215,7 +204,7 @@ class TextFiles(QObject):
         path = self._document.path
         if path is None:
             self.save_as(then)
-        elif self._document.changed_outside and path.exists():
+        elif self._document._changed_outside and path.exists():
             self._context.messages.ask(
                 f"{path} was changed by another program after it was opened here. Save anyway?",
                 ("Save over it", lambda: self._save(path, then)),
@@ -246,7 +235,7 @@ class TextFiles(QObject):
         """Restore the text that was not saved last time, unless another window that runs has it."""
         settings = self._context.settings
         text, place = settings.text(self._text), settings.text(self._place)
-        if not text or (not self._is_ours() and _lives(settings.whole(self._owner_pid, 0))):
+        if not text or (not self._is_ours() and _lives(settings.text(self._owner_pid))):
             return
         path = Path(place) if place else None
         self._document.restore(text, path)
@@ -257,13 +246,13 @@ class TextFiles(QObject):
         self.save_settings()
 
     @property
-    def nothing_to_lose(self) -> bool:
+    def _nothing_to_lose(self) -> bool:
         """Whether the text is saved, or nobody has made anything yet."""
         document = self._document
         return document.saved or not document.worth_keeping
 
     def _unless_unsaved(self, doing: str, act: Then) -> None:
-        if self.nothing_to_lose:
+        if self._nothing_to_lose:
             act()
         else:
             self._context.messages.ask(
@@ -275,26 +264,27 @@ class TextFiles(QObject):
 
     def show(self, path: Path) -> bool:
         """Show a file; returns whether it could be read. Unsaved changes are lost."""
-        try:
-            self._document.load(path)
-        except (WavefocusError, OSError) as failure:
-            self._context.report_failure(failure)
-            return False
-        self.save_settings()
-        self.opened.emit()
-        return True
+        read = self._reported(partial(self._document.load, path))
+        if read:
+            self.save_settings()
+        return read
 
     def _save(self, path: Path, then: Then | None) -> None:
+        if self._reported(partial(self._document.save, path)):
+            self._context.settings.opened(path)
+            self.save_settings()
+            self._context.messages.note(f"{path} is saved")
+            if then is not None:
+                then()
+
+    def _reported(self, act: Then) -> bool:
+        """Do something; returns whether it could be done, and reports why not."""
         try:
-            self._document.save(path)
+            act()
         except (WavefocusError, OSError) as failure:
-            self._context.report_failure(failure)
-            return
-        self._context.settings.opened(path)
-        self.save_settings()
-        self._context.messages.note(f"{path} is saved")
-        if then is not None:
-            then()
+            self._context.report_failure(failure, f"{self._document.kind} text")
+            return False
+        return True
 
     def keep(self, close: Then) -> None:
         """Keep the changes for the next window, and close only when they are on the disk."""
@@ -313,28 +303,25 @@ class TextFiles(QObject):
         close()
 
     def _is_ours(self) -> bool:
-        return self._context.settings.whole(self._owner_pid, 0) == os.getpid()
+        return self._context.settings.text(self._owner_pid) == str(os.getpid())
 
 
 def closing_question(context: TabContext, files: Sequence[TextFiles]) -> ClosingQuestion | None:
     """What to ask about unsaved texts before the window closes."""
-    unsaved = [one for one in files if not one.nothing_to_lose]
+    unsaved = [one for one in files if not one._nothing_to_lose]
     if not unsaved:
         return None
-    names = " and ".join(one.name for one in unsaved)
-    verb = "has" if len(unsaved) == 1 else "have"
+    names, verb = " and ".join(one.name for one in unsaved), "has" if len(unsaved) == 1 else "have"
+    sentence = f"{names} {verb} unsaved changes. Save them?"
     answers: list[tuple[str, Act]] = [
         ("Save and close", partial(_each, [one.save for one in unsaved])),
         ("Close without saving", partial(_each, [one.drop for one in unsaved])),
     ]
     if context.settings.can_save():
         answers.append(("Close and keep for next time", partial(_each, [one.keep for one in unsaved])))
-        return ClosingQuestion(f"{names} {verb} unsaved changes. Save them?", answers)
-    sentence = (
-        f"{names} {verb} unsaved changes. Save them to a file? They cannot be kept for next time: "
-        f"{context.settings.place} cannot be written"
-    )
-    return ClosingQuestion(sentence, answers)
+    else:
+        sentence += f" They cannot be kept for next time: {context.settings.place} cannot be written"
+    return sentence, answers
 
 
 def _each(acts: Sequence[Act], then: Then) -> None:
@@ -345,13 +332,13 @@ def _each(acts: Sequence[Act], then: Then) -> None:
         then()
 
 
-def _lives(pid: int) -> bool:
+def _lives(pid: str) -> bool:
     """Whether a process of this computer runs; on Windows always no."""
-    if pid <= 0 or sys.platform == "win32":
+    if not pid.isdecimal() or sys.platform == "win32":
         return False
     with suppress(PermissionError):
         try:
-            os.kill(pid, 0)
+            os.kill(int(pid), 0)
         except ProcessLookupError:
             return False
     return True

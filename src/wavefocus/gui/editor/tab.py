@@ -1,19 +1,17 @@
 """The Files tab: the texts of run and rig file, and beside each what it means."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QStackedWidget, QTabWidget, QWidget
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.editor.document import TextDocument, TextFiles, closing_question
-from wavefocus.gui.editor.text_edit import TextPanel, insert_button
+from wavefocus.gui.editor.text_edit import FileBar, TextPanel
 from wavefocus.gui.files import FileKind
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.surface import PlotSurface, plan_surface
@@ -22,18 +20,11 @@ from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import WavefocusError
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Meaning:
-    """A surface with lines of text, and a table with titles; either may be empty."""
-
-    surface: PlotSurface
-    lines: Sequence[str]
-    titles: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
+# A surface with lines of text, and a table: titles and rows; both may be empty.
+_Meaning = tuple[PlotSurface, Sequence[str], Sequence[str], Sequence[Sequence[str]]]
 
 
-def meaning_of_run(text: str, path: Path) -> Meaning:
+def _meaning_of_run(text: str, path: Path) -> _Meaning:
     """Grid, actuators and hours of a run. Raises InputError: The run cannot be carried out."""
     from wavefocus.acquisition.plan import schedule_name  # loads SciPy, and this runs in a thread
     from wavefocus.campaign.blueprint import blueprint_of
@@ -51,10 +42,10 @@ def meaning_of_run(text: str, path: Path) -> Meaning:
         f"{start_hz:g} to {stop_hz:g} Hz, {plan.excitation.amplitude_v:g} V",
         f"bank of {blueprint.bank_header().file_bytes / 1e6:.0f} MB",
     ]
-    return Meaning(plan_surface(rig, np.asarray(configuration.position_mm), checks), lines)
+    return plan_surface(rig, np.asarray(configuration.position_mm), checks), lines, (), ()
 
 
-def meaning_of_rig(text: str, path: Path) -> Meaning:
+def _meaning_of_rig(text: str, path: Path) -> _Meaning:
     """Channels and limits of a rig. Raises InputError: The rig file is wrong."""
     from wavefocus.configuration import load_rig
     from wavefocus.rig.limits import limits_of
@@ -74,16 +65,16 @@ def meaning_of_rig(text: str, path: Path) -> Meaning:
         "drivers: " + ", ".join(f"{name} {getattr(rig, name).driver}" for name in instruments),
     ]
     titles = ("actuator", "place (mm)", "channel", "full scale", "limit", "rms limit")
-    return Meaning(plan_surface(rig, np.asarray(rig.actuator_mm), ()), lines, titles, rows)
+    return plan_surface(rig, np.asarray(rig.actuator_mm), ()), lines, titles, rows
 
 
-MEANINGS = {"run": meaning_of_run, "rig": meaning_of_rig}
+MEANINGS = {"run": _meaning_of_run, "rig": _meaning_of_rig}
 
 
 _KINDS = {FileKind.RUN: "run", FileKind.RIG: "rig"}
 
 
-class FilePage(Themed, QWidget):
+class _FilePage(Themed, QWidget):
     """The text of a run or rig file, and what it means."""
 
     def __init__(self, kind: str, context: TabContext, owner: QWidget) -> None:
@@ -97,18 +88,12 @@ class FilePage(Themed, QWidget):
         self.lines.setMinimumHeight(3 * self.lines.fontMetrics().lineSpacing())
         self.table = ui.table(("",), "Channels and limits", ())
         self.table.hide()
-        self.name = ui.label("File", any_width=True)
-        self.actions_by_name = file_actions(self, self.document, self.files)
-        names = ("new", "save", "save as", "undo", "redo")
-        buttons = [ui.button(self.actions_by_name[name]) for name in names]
+        self.bar = FileBar(self, self.document, self.files)
         right = QWidget()
         ui.column((self.surface, 2), self.lines, (self.table, 1), owner=right, spacing=4)
         self.columns = ui.side_by_side((self.editor, 620), (right, 600), growing=[0, 1])
-        top = ui.row(*buttons, insert_button(self.document), 6, (self.name, 1))
-        ui.column(top, (self.columns, 1), owner=self, spacing=4)
+        ui.column(self.bar, (self.columns, 1), owner=self, spacing=4)
         self.document.changed.connect(self._ask)
-        self.document.file_changed.connect(self._show_name)
-        self._show_name()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
         super().showEvent(event)
@@ -122,17 +107,18 @@ class FilePage(Themed, QWidget):
         work = partial(MEANINGS[document.kind], document.toml(), document.place)
         self._context.background.ask(f"{document.kind} text", work, self._show, self._refuse)
 
-    def _show(self, meaning: Meaning) -> None:
-        self.surface.show_surface(meaning.surface)
+    def _show(self, meaning: _Meaning) -> None:
+        surface, lines, titles, rows = meaning
+        self.surface.show_surface(surface)
         shown = rgba(self.theme.cell) if self.document.kind == "run" else np.zeros(4, np.uint8)
-        self.surface.paint(np.tile(shown, (meaning.surface.positions, 1)))
-        self.lines.setText("\n".join(meaning.lines))
-        self.table.setColumnCount(len(meaning.titles))
-        self.table.setHorizontalHeaderLabels(list(meaning.titles))
-        self.table.setRowCount(len(meaning.rows))
-        for number, row in enumerate(meaning.rows):
+        self.surface.paint(np.tile(shown, (surface.positions, 1)))
+        self.lines.setText("\n".join(lines))
+        self.table.setColumnCount(len(titles))
+        self.table.setHorizontalHeaderLabels(list(titles))
+        self.table.setRowCount(len(rows))
+        for number, row in enumerate(rows):
             ui.fill_row(self.table, number, row)
-        self.table.setVisible(bool(meaning.rows))
+        self.table.setVisible(bool(rows))
         self.lines.setStyleSheet("")
 
     def _refuse(self, failure: Exception) -> None:
@@ -142,11 +128,6 @@ class FilePage(Themed, QWidget):
         self.lines.setText(error_text(failure).removeprefix(f"{self.document.place}: "))
         self.lines.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
 
-    def _show_name(self) -> None:
-        self.name.setText(self.files.shown_name)
-        self.name.setToolTip(str(self.document.path or "not in a file yet"))
-        self.actions_by_name["save"].setEnabled(not self.document.saved or self.document.path is None)
-
 
 class FilesTab(Tab):
     """Edits run and rig file; scenes have their own tab."""
@@ -155,7 +136,7 @@ class FilesTab(Tab):
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
-        self.pages = {kind: FilePage(name, context, self) for kind, name in _KINDS.items()}
+        self.pages = {kind: _FilePage(name, context, self) for kind, name in _KINDS.items()}
         self._stack = QStackedWidget()
         for page in self.pages.values():
             self._stack.addWidget(page)
@@ -191,22 +172,3 @@ class FilesTab(Tab):
         super().save_settings()
         for page in self.pages.values():
             page.files.save_settings()
-
-
-def file_actions(owner: QWidget, document: TextDocument, files: TextFiles) -> dict[str, QAction]:
-    """The actions of a text and its file."""
-    text, kind = document.text, document.kind
-    made = {
-        "new": ui.action(owner, "&New", files.new, "Ctrl+N", tip=f"Begin a new {kind} file"),
-        "save": ui.action(owner, "&Save", files.save, "Ctrl+S", tip=f"Save the {kind} to its file"),
-        "save as": ui.action(owner, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
-        "undo": ui.action(owner, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),
-        "redo": ui.action(owner, "&Redo", text.redo, "Ctrl+Shift+Z", tip="Redo the change"),
-    }
-    text.undoAvailable.connect(made["undo"].setEnabled)
-    text.redoAvailable.connect(made["redo"].setEnabled)
-    for action in made.values():
-        # Other tabs mean something else by the same keys.
-        action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-        owner.addAction(action)
-    return made

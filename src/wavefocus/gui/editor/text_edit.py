@@ -19,15 +19,14 @@ from wavefocus.config.editing import commented_table, completions, example, help
 from wavefocus.config.fields import tables_of
 from wavefocus.config.scene import PathTable, PointTable, SceneConfig, SignalTable, tables_by_kind
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.editor.document import TextDocument
+from wavefocus.gui.editor.document import TextDocument, TextFiles
 from wavefocus.gui.scene.document import changed, new_source
 from wavefocus.gui.theme import Theme, Themed
 
 _COMPLETER_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Tab, Qt.Key.Key_Escape)
-_MAX_HELP_CHARACTERS = 60
 
 
-class TomlEdit(Themed, QPlainTextEdit):
+class _TomlEdit(Themed, QPlainTextEdit):
     """The text of a document. Letters complete keys; Ctrl+Space lists those that fit; a tooltip explains each."""
 
     def __init__(self, document: TextDocument) -> None:
@@ -49,9 +48,7 @@ class TomlEdit(Themed, QPlainTextEdit):
         self.completer.setModelSorting(QCompleter.ModelSorting.UnsortedModel)
         self.completer.activated[str].connect(self._complete)
         self._typed = ""
-        self._texts: dict[str, str] = {}
-        self.cursorPositionChanged.connect(self._mark_lines)
-        document.changed.connect(self._mark_lines)
+        document.changed.connect(self._mark_mistakes)
 
     def position(self) -> int:
         """Place of the cursor in the text, in characters."""
@@ -63,14 +60,9 @@ class TomlEdit(Themed, QPlainTextEdit):
         self.centerCursor()
         self.setFocus(Qt.FocusReason.OtherFocusReason)
 
-    def _mark_lines(self) -> None:
-        """Mark the line of the cursor and those with mistakes."""
-        here = QTextEdit.ExtraSelection()
-        here.cursor = self.textCursor()
-        here.cursor.clearSelection()
-        here.format.setBackground(QColor(self.theme.alternate))
-        here.format.setProperty(QTextCharFormat.Property.FullWidthSelection, True)
-        marked = [here]
+    def _mark_mistakes(self) -> None:
+        """Underline the lines with mistakes."""
+        marked = []
         for mistake in self._document.mistakes:
             line = QTextEdit.ExtraSelection()
             line.cursor = QTextCursor(self._document.text.findBlockByNumber(mistake.line))
@@ -103,29 +95,28 @@ class TomlEdit(Themed, QPlainTextEdit):
         if not asked:
             super().keyPressEvent(event)
         if asked or (event.text().isprintable() and event.text().strip() not in ("", "]", "}")):
-            self.list_completions(asked=asked)
+            self._list_completions(asked=asked)
         else:
             self.popup.hide()
 
-    def list_completions(self, *, asked: bool) -> None:
+    def _list_completions(self, *, asked: bool) -> None:
         """List what may stand at the cursor; unless asked for, once a letter has been typed."""
         self._typed, found = completions(self._document.toml(), self.position(), self._document.model)
         popup = self.popup
         if not found or not (asked or self._typed) or [one.text for one in found] == [self._typed]:
             popup.hide()
             return
-        self._texts = {_listed(one.text, one.help): one.text for one in found}
-        self._found.setStringList(list(self._texts))
+        self._found.setStringList([one.text for one in found])
         self.completer.setCompletionPrefix("")
         place = self.cursorRect()
         place.setWidth(popup.sizeHintForColumn(0) + 30)
         self.completer.complete(place)
         popup.setCurrentIndex(popup.indexAt(popup.rect().topLeft()))
 
-    def _complete(self, line: str) -> None:
+    def _complete(self, text: str) -> None:
         cursor = self.textCursor()
         cursor.movePosition(QTextCursor.MoveOperation.Left, QTextCursor.MoveMode.KeepAnchor, len(self._typed))
-        cursor.insertText(self._texts[line])
+        cursor.insertText(text)
         self.setTextCursor(cursor)
 
     def _before(self, position: int) -> str:
@@ -154,12 +145,7 @@ class _Colours(QSyntaxHighlighter):
                 self.setFormat(match.capturedStart(), match.capturedLength(), style)
 
 
-def _listed(text: str, about: str) -> str:
-    short = about if len(about) <= _MAX_HELP_CHARACTERS else f"{about[:_MAX_HELP_CHARACTERS]}…"
-    return f"{text}   {short}" if about else text
-
-
-class SearchLine(QLineEdit):
+class _SearchLine(QLineEdit):
     """Takes Escape itself, also while a message is shown that Escape would dismiss."""
 
     left = pyqtSignal()
@@ -180,15 +166,15 @@ class TextPanel(Themed, QWidget):
     def __init__(self, document: TextDocument) -> None:
         super().__init__()
         self._document = document
-        self.text = TomlEdit(document)
-        self.search = ui.named(SearchLine(), "Enter: next place, Escape: close", "Search in the text")
+        self.text = _TomlEdit(document)
+        self.search = ui.named(_SearchLine(), "Enter: next place, Escape: close", "Search in the text")
         self.search.setPlaceholderText("search: Enter finds the next place")
         self.search.hide()
         self.problem = ui.label("Mistakes of the text", wraps=True, selectable=True)
         self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.LinksAccessibleByMouse)
         self.problem.linkActivated.connect(lambda line: self.text.go_to_line(int(line)))
         ui.column(self.search, (self.text, 1), self.problem, owner=self, spacing=4)
-        self.search.returnPressed.connect(self.find_next)
+        self.search.returnPressed.connect(self._find_next)
         find = ui.action(self, "&Find", self._find, "Ctrl+F")
         find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
         self.addAction(find)
@@ -197,7 +183,7 @@ class TextPanel(Themed, QWidget):
         self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
         self._show_mistakes()
 
-    def find_next(self) -> None:
+    def _find_next(self) -> None:
         """Select the next place with the searched text, from the start after the last one."""
         if not self.text.find(self.search.text()):
             self.text.moveCursor(QTextCursor.MoveOperation.Start)
@@ -228,12 +214,42 @@ def _escaped(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
-def insert_button(document: TextDocument) -> QToolButton:
-    """A button with a menu of the tables that a document's file can have."""
-    button = ui.tool_button("Insert", "Insert a table with a comment for each of its keys")
-    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
-    button.setMenu(insert_menu(document))
-    return button
+class FileBar(QWidget):
+    """Buttons for a text and its file, and the file's name.
+
+    owner: The widget in which their keys hold.
+    """
+
+    def __init__(self, owner: QWidget, document: TextDocument, files: TextFiles) -> None:
+        super().__init__()
+        self._document, self._files = document, files
+        text, kind = document.text, document.kind
+        self.actions_by_name = {
+            "new": ui.action(owner, "&New", files.new, "Ctrl+N", tip=f"Begin a new {kind} file"),
+            "save": ui.action(owner, "&Save", files.save, "Ctrl+S", tip=f"Save the {kind} to its file"),
+            "save as": ui.action(owner, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
+            "undo": ui.action(owner, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),
+            "redo": ui.action(owner, "&Redo", text.redo, "Ctrl+Shift+Z", tip="Redo the change"),
+        }
+        text.undoAvailable.connect(self.actions_by_name["undo"].setEnabled)
+        text.redoAvailable.connect(self.actions_by_name["redo"].setEnabled)
+        for action in self.actions_by_name.values():
+            # Other tabs mean something else by the same keys.
+            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            owner.addAction(action)
+        insert = ui.tool_button("Insert", "Insert a table with a comment for each of its keys")
+        insert.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+        insert.setMenu(insert_menu(document))
+        self.name = ui.label("File", any_width=True)
+        ui.row(*map(ui.button, self.actions_by_name.values()), insert, 6, (self.name, 1), owner=self)
+        document.file_changed.connect(self._show_name)
+        self._show_name()
+
+    def _show_name(self) -> None:
+        document = self._document
+        self.name.setText(self._files.shown_name)
+        self.name.setToolTip(str(document.path or "not in a file yet"))
+        self.actions_by_name["save"].setEnabled(not document.saved or document.path is None)
 
 
 def insert_menu(document: TextDocument) -> QMenu:

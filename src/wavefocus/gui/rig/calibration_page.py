@@ -24,7 +24,7 @@ _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
 _YES = {AskJog: "here", MapView: "keep", AskConnect: "done", AskAgain: "again"}
 
 
-class CalibrationOptions(QWidget):
+class _CalibrationOptions(QWidget):
     """Options of a calibration; `started` carries the command's options."""
 
     started = pyqtSignal(list)
@@ -65,7 +65,7 @@ class CalibrationPage(Themed, QWidget):
         self._marks_mm: list[Numbers] = []
         self.picture = SurfacePicture("Surface with the marks of the mirror map")
         self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
-        self.options = CalibrationOptions()
+        self.options = _CalibrationOptions()
         self.question = ui.label("Question of the calibration", role="strong", wraps=True)
         self.note = ui.label("Notes", wraps=True)
         self.arrows = Arrows((0.05, 0.2, 1.0, 5.0, 20.0), "mrad", 2)

@@ -8,8 +8,8 @@ import numpy as np
 import pyqtgraph
 from msgspec.structs import asdict
 from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPalette
-from PyQt5.QtWidgets import QFormLayout, QGridLayout, QLabel, QToolButton, QWidget
+from PyQt5.QtGui import QColor, QKeyEvent, QPalette
+from PyQt5.QtWidgets import QFormLayout, QGridLayout, QToolButton, QWidget
 
 from wavefocus.config.messages.operate import ChannelLevel, LevelMeasured, Numbers, SweepTaken
 from wavefocus.config.outline import Outline
@@ -51,12 +51,10 @@ class SurfacePicture(SurfaceView):
 
     def show_spot(self, place_mm: Numbers | None) -> None:
         """Show the beam; None for nowhere on the surface."""
-        self._spot.setData(pos=_points([] if place_mm is None else [place_mm]))
-        self._cross.setVisible(place_mm is not None)
-        if place_mm is not None:
-            self._cross.setPos(*place_mm)
+        for mark in (self._spot, self._cross):
+            mark.setData(pos=_points([] if place_mm is None else [place_mm]))
 
-    def show_chosen(self, actuator_mm: Numbers | None) -> None:
+    def _show_chosen(self, actuator_mm: Numbers | None) -> None:
         """Emphasise the actuator that would play."""
         self._chosen.setData(pos=_points([] if actuator_mm is None else [actuator_mm]))
 
@@ -72,10 +70,7 @@ class SurfacePicture(SurfaceView):
         while self._labels:
             self.box.removeItem(self._labels.pop())
         for number, place in enumerate(place_mm):
-            label = pyqtgraph.TextItem(str(number + 1), color=theme.text, anchor=(-0.5, 1.0))
-            label.setPos(*place)
-            self.add_item(label, 40)
-            self._labels.append(label)
+            self._labels.append(self.add_text(str(number + 1), place, (-0.5, 1.0)))
 
     def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
         self.clicked.emit(*at_mm)
@@ -121,7 +116,7 @@ class Arrows(QWidget):
         self.stepped.emit(size * x, size * y)
 
 
-class JogPanel(QWidget):
+class _JogPanel(QWidget):
     """Moves the beam by clicks on the picture, arrows and coordinates."""
 
     def __init__(self, session: ManualSession) -> None:
@@ -139,12 +134,12 @@ class JogPanel(QWidget):
         tip = "Send the beam to the middle of the surface, (0, 0) mm"
         self.middle = ui.push_button("&Middle", tip, lambda: session.jog_to(0.0, 0.0))
         tip = "Send the beam to the rig's safe direction (mirror.park_mrad)"
-        self.park = ui.button(ui.action(self, "&Park the beam", session.park, "Ctrl+Shift+P", tip=tip))
+        self.park = ui.action(self, "&Park the beam", session.park, "Ctrl+Shift+P", tip=tip)
         self.where = ui.label("Place of the beam", wraps=True, any_width=True)
         form = QFormLayout()
         form.addRow("x", self.x_mm)
         form.addRow("y", self.y_mm)
-        controls = ui.row(self.arrows, 12, form, ui.column(self.go, self.middle, self.park), None)
+        controls = ui.row(self.arrows, 12, form, ui.column(self.go, self.middle, ui.button(self.park)), None)
         ui.column((self.picture, 1), self.where, controls, owner=self)
         self.picture.clicked.connect(lambda x, y: session.jog_to(round(x, 2), round(y, 2)))
         self.picture.stepped.connect(self.arrows.step)
@@ -199,15 +194,15 @@ class ManualPage(QWidget):
         super().__init__()
         self._session = session
         tip = "Open mirror, recorder and player in a separate process"
-        self.take = ui.button(ui.action(self, "&Open instruments", take, "Ctrl+Shift+T", tip=tip))
+        self.take = ui.action(self, "&Open instruments", take, "Ctrl+Shift+T", tip=tip)
         tip = "Mute, park and close the instruments, so that other programs can use them"
-        self.release = ui.button(ui.action(self, "&Close instruments", session.release, "Ctrl+Shift+G", tip=tip))
-        self.jog, self.sound = JogPanel(session), SoundPanel(session)
+        self.release = ui.action(self, "&Close instruments", session.release, "Ctrl+Shift+G", tip=tip)
+        self.jog, self.sound = _JogPanel(session), _SoundPanel(session)
         tip = "Silence every output at once and drop waiting orders"
-        self.mute = ui.button(ui.action(self, "M&ute", session.mute, "Ctrl+0", tip=tip))
+        self.mute = ui.action(self, "M&ute", session.mute, "Ctrl+0", tip=tip)
         self.state = ui.label("State of the instruments")
         self.splitter = ui.side_by_side((self.jog, 600), (self.sound, 640))
-        buttons = ui.row(self.take, self.release, self.mute, self.state, None)
+        buttons = ui.row(*map(ui.button, (self.take, self.release, self.mute)), self.state, None)
         ui.column(buttons, (self.splitter, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.sound.actuator.currentIndexChanged.connect(self._mark_actuator)
         session.state_changed.connect(self._show_state)
@@ -222,10 +217,10 @@ class ManualPage(QWidget):
     def _mark_actuator(self, actuator: int) -> None:
         facts = self._session.facts
         known = facts is not None and 0 <= actuator < len(facts.actuator_mm)
-        self.jog.picture.show_chosen(facts.actuator_mm[actuator] if facts is not None and known else None)
+        self.jog.picture._show_chosen(facts.actuator_mm[actuator] if facts is not None and known else None)
 
 
-class SoundPanel(Themed, QWidget):
+class _SoundPanel(Themed, QWidget):
     """Levels of the inputs, and one sweep at a time."""
 
     def __init__(self, session: ManualSession) -> None:
@@ -243,7 +238,7 @@ class SoundPanel(Themed, QWidget):
         self.stop_hz = ui.number_box("Stop in Hz", "End of the sweep in Hz", " Hz", 0, 2.0, _HIGHEST_HZ)
         self.length_s = ui.number_box("Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0, value=0.5)
         tip = "Play one sweep and show its recording"
-        self.sweep = ui.button(ui.action(self, "S&weep", self._take_sweep, "F5", tip=tip))
+        self.sweep = ui.action(self, "S&weep", self._take_sweep, "F5", tip=tip)
         self.figures = ui.label("Figures of the sweep", "no sweep yet", wraps=True, any_width=True)
         self.verdict = ui.label("Defects of the sweep", wraps=True, any_width=True)
         self.waveform = Plot("Waveform of the sweep", "time (s)", "mV", legend_at=_LEGEND_AT)
@@ -251,7 +246,7 @@ class SoundPanel(Themed, QWidget):
         self.spectrum = Plot("Spectrum of the sweep", bottom, "dB", legend_at=_LEGEND_AT)
         for plot in (self.waveform, self.spectrum):
             plot.setMinimumHeight(90)
-        first = (*ui.labelled("A&ctuator", self.actuator), *ui.labelled("Le&vel", self.level_v), self.sweep)
+        first = (*ui.labelled("A&ctuator", self.actuator), *ui.labelled("Le&vel", self.level_v), ui.button(self.sweep))
         pairs = (("F&rom", self.start_hz), ("to", self.stop_hz), ("for", self.length_s))
         second = [part for pair in pairs for part in ui.labelled(*pair)]
         ui.column(
@@ -261,7 +256,7 @@ class SoundPanel(Themed, QWidget):
             ui.row(*second, None),
             self.figures,
             self.verdict,
-            (ui.stacked((self.waveform, 200), (self.spectrum, 200)), 1),
+            (ui.side_by_side((self.waveform, 200), (self.spectrum, 200), above=True), 1),
             owner=self,
         )
         self.listen.clicked.connect(self._listen)
@@ -344,54 +339,35 @@ class SoundPanel(Themed, QWidget):
 
 
 class LevelMeter(Themed, QWidget):
-    """One bar per input for the peak; the text holds rms, peak and the highest peak. A click resets the highest."""
+    """One bar per input for the peak in dB of its range; its text holds rms and peak."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._levels: LevelMeasured | None = None
-        self.held_v: dict[str, float] = {}
-        """Highest peak of each input since the last reset, in V."""
-        self._bars = {
-            name: (QLabel(), ui.progress_bar(f"Peak of the {name} in dB of its range", "%v dB"))
-            for name in ("response", "reference")
-        }
-        self.setToolTip("Peak in dB of the input's range; a click resets the highest peak")
-        for _, bar in self._bars.values():
+        self._bars = {name: ui.progress_bar(f"Level of the {name}", name) for name in ("response", "reference")}
+        for bar in self._bars.values():
             bar.setRange(_FLOOR_DB, 0)
-        ui.column(*(part for pair in self._bars.values() for part in pair), owner=self, spacing=1)
+        ui.column(*self._bars.values(), owner=self, spacing=1)
         self.show_levels(None)
 
     def show_levels(self, levels: LevelMeasured | None) -> None:
         """Show the latest levels; None while there are none."""
-        self._levels = levels
-        for name, (label, bar) in self._bars.items():
+        for name, bar in self._bars.items():
             level: ChannelLevel | None = getattr(levels, name, None)
             if level is None:
-                label.setText(f"{name}: no levels")
+                bar.setFormat(f"{name}: no levels")
                 bar.setValue(_FLOOR_DB)
                 continue
-            self.held_v[name] = max(self.held_v.get(name, 0.0), level.peak_v)
+            text = f"{name}: {_volts(level.rms_v)} rms, {_volts(level.peak_v)} peak of {level.range_v:g} V"
+            if name == "response" and levels is not None and levels.light is not None:
+                text += f"; signal {levels.light:.0%}"
             peak_db = 20 * math.log10(max(level.peak_v, 1e-12) / level.range_v)
-            label.setText(self._text(name, level))
+            bar.setFormat(f"▲ over-range! {text}" if level.over_range else text)
             bar.setValue(min(0, max(_FLOOR_DB, round(peak_db))))
             theme, palette = self.theme, bar.palette()
             colour = theme.fault if level.over_range else theme.warning if peak_db > -3.0 else theme.good
             palette.setColor(QPalette.ColorRole.Highlight, QColor(colour))
             bar.setPalette(palette)
-        self.setAccessibleName("; ".join(label.text() for label, _ in self._bars.values()))
-
-    def mousePressEvent(self, _event: QMouseEvent | None) -> None:  # noqa: N802
-        self.held_v.clear()
-        self.show_levels(self._levels)
-
-    def _text(self, name: str, level: ChannelLevel) -> str:
-        share = 100 * level.peak_v / level.range_v
-        percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
-        text = f"{name}: {_volts(level.rms_v)} rms, {_volts(level.peak_v)} peak, {percent} % of {level.range_v:g} V"
-        text += f"; highest {_volts(self.held_v[name])}"
-        if name == "response" and self._levels is not None and self._levels.light is not None:
-            text += f"; signal {self._levels.light:.0%}"
-        return f"▲ over-range! {text}" if level.over_range else text
+        self.setAccessibleName("; ".join(bar.format() for bar in self._bars.values()))
 
 
 def _volts(value_v: float) -> str:

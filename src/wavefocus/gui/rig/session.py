@@ -73,7 +73,7 @@ class ManualSession(OwnCommand):
         return None if self.beam.parked or x_mm is None or y_mm is None else (x_mm, y_mm)
 
     @property
-    def off_surface(self) -> str:
+    def _off_surface(self) -> str:
         """Why the beam is not on the surface, in a sentence; empty where it is."""
         beam = self.beam
         if beam.parked:
@@ -82,10 +82,11 @@ class ManualSession(OwnCommand):
             return "the beam was not moved since the instruments were opened: it may not be on the surface"
         return "" if self.place_mm is not None else "the beam is outside the surface"
 
-    def take(self, rig: Path) -> None:
+    def take(self, rig: Path, holds: str = "") -> None:
+        """Open the instruments; `holds` as of `OwnCommand.run`."""
         if self.own is None:
             self._reset()
-            self.run(["operate", str(rig)], self._ended, self._receive, advice=_LASER_ADVICE)
+            self.run(["operate", str(rig)], self._ended, self._receive, holds=holds, advice=_LASER_ADVICE)
             self._enter("opening")
 
     def release(self, then: Callable[[], object] | None = None) -> None:
@@ -131,7 +132,7 @@ class ManualSession(OwnCommand):
 
     def take_sweep(self, actuator: int, level_v: float, start_hz: float, stop_hz: float, duration_s: float) -> None:
         self.sweeping = True
-        self.swept_off = self.off_surface
+        self.swept_off = self._off_surface
         self._order(
             order="sweep", actuator=actuator, level_v=level_v, start_hz=start_hz, stop_hz=stop_hz, duration_s=duration_s
         )
@@ -239,11 +240,12 @@ class Calibration(OwnCommand):
         self.ending = ""
         self.levels: LevelMeasured | None = None
 
-    def start(self, rig: Path, options: Sequence[str]) -> None:
+    def start(self, rig: Path, options: Sequence[str], holds: str = "") -> None:
+        """Calibrate; `holds` as of `OwnCommand.run`."""
         if self.own is None:
             self._reset()
             arguments = ["calibrate", str(rig), "--operator", "lines", *options]
-            self.run(arguments, self._ended, self._receive, advice=_LASER_ADVICE)
+            self.run(arguments, self._ended, self._receive, holds=holds, advice=_LASER_ADVICE)
             self.changed.emit()
 
     def answer(self, word: str, **numbers: float) -> None:

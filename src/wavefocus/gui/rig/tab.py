@@ -25,7 +25,7 @@ from wavefocus.storage.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class RigFile:
+class _RigFile:
     """A rig file: whether its instruments are virtual, its surface, and the actuators that it lists."""
 
     path: Path
@@ -34,7 +34,7 @@ class RigFile:
     actuator_mm: list[Numbers] = field(default_factory=list)
 
 
-def read_rig_file(path: Path) -> RigFile:
+def read_rig_file(path: Path) -> _RigFile:
     """Read what a picture needs; wrong values are replaced by defaults.
 
     Raises InputError: the file cannot be read, or is not TOML.
@@ -47,7 +47,7 @@ def read_rig_file(path: Path) -> RigFile:
         for place in (places if isinstance(places, list) else ())
         if isinstance(place, list) and len(place) == 2 and all(type(one) in (int, float) for one in place)
     ]
-    return RigFile(path, is_virtual(content), surface_from(surface), actuator_mm)
+    return _RigFile(path, is_virtual(content), surface_from(surface), actuator_mm)
 
 
 _HEADINGS = ("", "instrument", "check", "finding", "remedy", "")
@@ -81,7 +81,7 @@ def _is_bad(finding: Finding) -> bool:
     return finding.verdict in ("fail", "warn")
 
 
-class ExaminationPage(Themed, QWidget):
+class _ExaminationPage(Themed, QWidget):
     """At most one examination, and its findings.
 
     act: Receives an action, ``"again"`` or ``"calibrate"``, and its subject.
@@ -94,31 +94,24 @@ class ExaminationPage(Themed, QWidget):
         self.findings: list[Finding] = []
         self.buttons: dict[int, QToolButton] = {}
         tip = "Open, identify and exercise every instrument"
-        self.examine = ui.button(ui.action(self, "E&xamine", partial(act, "again", ""), "Ctrl+I", tip=tip))
+        self.examine = ui.action(self, "E&xamine", partial(act, "again", ""), "Ctrl+I", tip=tip)
         tip = "End the examination; instruments are muted and parked first"
-        self.cancel = ui.button(ui.action(self, "&Cancel the examination", self.command.interrupt, tip=tip))
+        self.cancel = ui.action(self, "&Cancel the examination", self.command.interrupt, tip=tip)
         tip = "Without sweeps nothing sounds; loopback and response are not checked"
         self.plays = ui.check("&Play sweeps", tip, on=True)
         self.summary = ui.label("Result of the examination")
         self.table = ui.table(_HEADINGS, "Findings", stretched=(3, 4))
-        controls = ui.row(self.examine, self.cancel, self.plays, self.summary, None)
+        buttons = map(ui.button, (self.examine, self.cancel))
+        controls = ui.row(*buttons, self.plays, self.summary, None)
         ui.column(controls, (self.table, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.clear()
 
-    @property
-    def running(self) -> bool:
-        return self.command.running
-
-    def start(self, rig: Path) -> None:
+    def start(self, rig: Path, holds: str) -> None:
+        """Examine; `holds` as of `OwnCommand.run`."""
         quiet = [] if self.plays.isChecked() else ["--no-play"]
         self.clear()
         self.summary.setText("examining…")
-        self.command.run(["doctor", str(rig), "--lines", *quiet], self._ended, self._receive)
-
-    def detach(self) -> None:
-        """Cancel it and do not wait; the window closes."""
-        self.command.interrupt()
-        self.command.detach()
+        self.command.run(["doctor", str(rig), "--lines", *quiet], self._ended, self._receive, holds=holds)
 
     def clear(self) -> None:
         self.findings, self.buttons = [], {}
@@ -130,10 +123,12 @@ class ExaminationPage(Themed, QWidget):
             self._add(from_record(FindingMade, message).finding)
 
     def _add(self, finding: Finding) -> None:
-        number = len(self.findings)
+        number, theme = len(self.findings), self.theme
         self.findings.append(finding)
         self.table.insertRow(number)
-        self._fill(number)
+        colours = {"ok": theme.good, "warn": theme.warning, "fail": theme.fault}
+        texts = _VERDICTS[finding.verdict][0], finding.instrument, finding.check, finding.what, remedy_of(finding)
+        ui.fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
         if (wanted := button_of(finding)) is not None:
             action, text = wanted
             on = "" if finding.act is None else finding.act.on
@@ -176,11 +171,11 @@ class RigTab(Tab):
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
-        self.rig: RigFile | None = None
+        self.rig: _RigFile | None = None
         self.session = ManualSession(context)
         self.calibration = Calibration(context)
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
-        self.examination = ExaminationPage(context, self.do)
+        self.examination = _ExaminationPage(context, self.do)
         self.manual_page = ManualPage(self.session, self.take)
         self.calibration_page = CalibrationPage(self.calibration)
         pages = {"Examination": self.examination, "By hand": self.manual_page, "Calibration": self.calibration_page}
@@ -190,38 +185,34 @@ class RigTab(Tab):
         self.rig_field.chosen.connect(self.open_file)
         self.calibration_page.options.started.connect(self.calibrate)
         page = self.manual_page
-        self._with_instruments = [ui.action_of(button) for button in (page.sound.sweep, page.mute, page.jog.park)]
+        self._with_instruments = [page.sound.sweep, page.mute, page.jog.park]
         remembered = context.settings.text("rig/file")
         if remembered and Path(remembered).is_file():
             self._show_rig(Path(remembered))
 
     def menu_actions(self) -> list[QAction | None]:
         page, examination = self.manual_page, self.examination
-        buttons = (examination.examine, examination.cancel, page.take, page.release)
-        return [*map(ui.action_of, buttons), None, *self._with_instruments]
+        return [examination.examine, examination.cancel, page.take, page.release, None, *self._with_instruments]
 
     def open_file(self, path: Path) -> None:
         """Use another rig; open instruments are closed first."""
         self.session.release()
         self.context.settings.opened(path)
-        self.context.settings.keep("rig/file", str(path.absolute()))
         self._show_rig(path)
         self.context.share(self, FileKind.RIG, path)
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
-        busy = self.session.running or self.examination.running or self.calibration.running
-        if kind is FileKind.RIG and not busy:
-            self.context.settings.keep("rig/file", str(path.absolute()))
+        if kind is FileKind.RIG and not (self.session.running or self._busy()):
             self._show_rig(path)
 
     def examine(self) -> None:
-        self._with_free_instruments("Examine", lambda rig: self.examination.start(rig.path))
+        self._with_free_instruments("Examine", self.examination.start)
 
     def take(self) -> None:
-        self._with_free_instruments("Open them", lambda rig: self.session.take(rig.path))
+        self._with_free_instruments("Open them", self.session.take)
 
     def calibrate(self, options: list[str]) -> None:
-        self._with_free_instruments("Calibrate", lambda rig: self.calibration.start(rig.path, options))
+        self._with_free_instruments("Calibrate", lambda rig, holds: self.calibration.start(rig, options, holds))
 
     def do(self, action: str, on: str) -> None:
         """Press a finding's button."""
@@ -233,33 +224,30 @@ class RigTab(Tab):
 
     def poll(self) -> None:
         """Enable what makes sense, also while the tab is hidden: its keys work in every tab."""
-        has_rig, examining, state = self.rig is not None, self.examination.running, self.session.state
-        page, examination = self.manual_page, self.examination
-        for button, possible in (
-            (examination.examine, has_rig and not examining),
-            (examination.cancel, examining),
-            (page.take, has_rig and state == "released" and not examining and not self.calibration.running),
-            (page.release, state in ("opening", "ready")),
-        ):
-            ui.action_of(button).setEnabled(possible)
+        has_rig, examining, state = self.rig is not None, self.examination.command.running, self.session.state
+        page, examination, free = self.manual_page, self.examination, has_rig and not self._busy()
+        examination.examine.setEnabled(has_rig and not examining)
+        examination.cancel.setEnabled(examining)
+        page.take.setEnabled(free and state == "released")
+        page.release.setEnabled(state in ("opening", "ready"))
         for action in self._with_instruments:
             action.setEnabled(state == "ready")
-        self.calibration_page.options.setEnabled(has_rig and not examining and not self.calibration.running)
-
-    def instruments_held(self) -> str:
-        busy = self.session.running or self.examination.running or self.calibration.running
-        if not busy or self.rig is None or self.rig.is_virtual:
-            return ""
-        return f"the Rig tab has the instruments of {self.rig.path.name}"
+        self.calibration_page.options.setEnabled(free)
 
     def shut_down(self) -> None:
-        """Leave the processes: they mute, park and exit by themselves."""
-        for part in (self.session, self.calibration, self.examination):
-            part.detach()
+        """Cancel an examination; the window does not wait for it."""
+        self.examination.command.interrupt()
+
+    def _busy(self) -> str:
+        """What is being done to the rig; empty where its instruments are free, or open in this tab."""
+        if self.examination.command.running:
+            return "examined"
+        return "calibrated" if self.calibration.running else ""
 
     def _show_rig(self, path: Path) -> None:
+        self.context.settings.keep("rig/file", str(path.absolute()))
         self.rig_field.show_path(path)
-        self.rig = RigFile(path)
+        self.rig = _RigFile(path)
         self.examination.clear()
         try:
             self.rig = read_rig_file(path)
@@ -269,15 +257,14 @@ class RigTab(Tab):
         self.manual_page.jog.picture.show_rig(rig.surface.outline, rig.actuator_mm)
         self.calibration_page.show_surface(rig.surface, rig.actuator_mm)
 
-    def _with_free_instruments(self, word: str, act: Callable[[RigFile], object]) -> None:
-        """Do something with the instruments as soon as nothing else in this window has them."""
-        rig = self.rig
+    def _with_free_instruments(self, word: str, act: Callable[[Path, str], object]) -> None:
+        """Do something with the instruments, which receives rig and holder, as soon as nothing else has them."""
+        rig, session = self.rig, self.session
         if rig is None:
             self.context.messages.warn("choose a rig file first")
-            return
-        if self.examination.running or self.calibration.running:
-            what = "examined" if self.examination.running else "calibrated"
-            self.context.messages.warn(f"{rig.path.name} is being {what}; wait for its end, or cancel it")
-            return
-        release = self.session.release
-        self.context.claim_instruments(self, word, lambda: release(lambda: act(rig)), virtual=rig.is_virtual)
+        elif busy := self._busy():
+            self.context.messages.warn(f"{rig.path.name} is being {busy}; wait for its end, or cancel it")
+        else:
+            holds = "" if rig.is_virtual else f"the Rig tab has the instruments of {rig.path.name}"
+            free = partial(session.release, partial(act, rig.path, holds))
+            self.context.claim_instruments(word, free, virtual=rig.is_virtual, but=session)

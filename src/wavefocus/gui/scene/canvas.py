@@ -8,7 +8,7 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
-from wavefocus.config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, QuietTable
+from wavefocus.config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, QuietTable, SourceTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.scene.document import (
@@ -24,7 +24,7 @@ from wavefocus.gui.scene.document import (
 )
 from wavefocus.gui.scene.document import Keys as KeysOfPoint
 from wavefocus.gui.scene.preview import Backdrop, LivePreview, Trace
-from wavefocus.gui.surface_view import MARK, Keys, SurfaceView, map_colours, rgba
+from wavefocus.gui.surface_view import MARK, Keys, SurfaceView, draw_line, map_colours, rgba
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
 
@@ -32,7 +32,7 @@ from wavefocus.rendering.arrays import Float64Array
 _CLICKED = ("point", QUIET)
 
 
-def path_between(kind: str, start: PointMm, end: PointMm) -> PathTable:
+def _path_between(kind: str, start: PointMm, end: PointMm) -> PathTable:
     """The path that a drag draws."""
     x, y = (round(one, DECIMALS) for one in start)
     if kind == "line":
@@ -67,51 +67,44 @@ class SceneCanvas(SurfaceView):
         self._off = self.add_spots(40, "x", 7, theme.fault, theme.fault)
         self._starts = self.add_spots(50, "o", 11)
         self._squares = self.add_spots(70, "s", 9, pyqtgraph.mkPen(MARK, width=2), theme.base)
-        self._sketch = pyqtgraph.PlotCurveItem(antialias=True)
-        self._quiet = pyqtgraph.PlotCurveItem(antialias=True)
         self._lines: list[pyqtgraph.PlotCurveItem] = []
-        self.add_item(self._quiet, 28)
-        self.add_item(self._sketch, 60)
-        self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
-        self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
-        document.chosen_changed.connect(self.show_scene)
-        live.updated.connect(self.show_scene)
+        self._quiet = self.add_line(28, pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
+        self._sketch = self.add_line(60, pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
+        document.chosen_changed.connect(self._show_scene)
+        live.updated.connect(self._show_scene)
         live.backdrop_changed.connect(self._show_backdrop)
         self._show_backdrop()
 
-    def show_scene(self) -> None:
-        preview = self._live.preview
-        # Points snapped to another bank's positions are out of date.
-        traces = preview.traces if preview.backdrop is self._live.backdrop else []
+    def _show_scene(self) -> None:
         kind, index = self._document.chosen
-        self._show_traces(traces, index if kind == SOURCE else -1)
-        self._show_quiet(self._document.draft.quiet)
-        self._show_handles([at_mm for _, at_mm in self._handles()])
+        self._show_traces(self._live.traces, index if kind == SOURCE else -1)
+        draw_line(self._quiet, [*map(_quiet_line, self._document.draft.quiet)])
+        self._show_handles(self._document.table if self._handles() else None)
 
     def claims_drag(self, at_mm: PointMm, _keys: Keys) -> bool:
         near = [(math.dist(point_mm, at_mm), keys) for keys, point_mm in self._handles()]
         away_mm, keys = min(near, key=lambda one: one[0], default=(math.inf, None))
-        self._held = keys if away_mm <= _REACH_PX * self.box.mm_per_pixel and not self.kind else None
+        self._held = keys if away_mm <= self._reach_mm and not self.kind else None
         return bool(self.kind) or self._held is not None
 
     def drag_to(self, start_mm: PointMm, at_mm: PointMm, _keys: Keys, *, ended: bool) -> None:
         table = self._document.table
         if self.kind:
-            path = path_between(self.kind, start_mm, at_mm)
-            self._show_sketch(_NONE_MM if ended else sketched(path))
+            path = _path_between(self.kind, start_mm, at_mm)
+            draw_line(self._sketch, [] if ended else [_sketched(path)])
             if ended:
                 self.drawn.emit(self.kind, path)
         elif self._held is not None and table is not None:
             rounded_mm = round(at_mm[0], DECIMALS), round(at_mm[1], DECIMALS)
             table = with_handle(table, self._held, rounded_mm)
-            self._show_handles([point_mm for _, point_mm in handles(table)])
-            self._show_sketch(_NONE_MM if ended else sketched(table.path))
+            self._show_handles(table)
+            draw_line(self._sketch, [] if ended else [_sketched(table.path)])
             if ended:
                 self.dragged.emit(self._held, table)
 
     def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
         if self.kind in _CLICKED:
-            self.drawn.emit(self.kind, path_between(self.kind, at_mm, at_mm))
+            self.drawn.emit(self.kind, _path_between(self.kind, at_mm, at_mm))
         elif not self.kind and (chosen := self._table_at(at_mm)) is not None:
             self.chosen.emit(chosen)
 
@@ -125,11 +118,15 @@ class SceneCanvas(SurfaceView):
 
     def _table_at(self, at: PointMm) -> Chosen | None:
         """The source or the quiet place below the mouse; None for none."""
-        lines = [((SOURCE, index), trace.line_mm) for index, trace in enumerate(self._live.preview.traces)]
+        lines = [((SOURCE, index), trace.line_mm) for index, trace in enumerate(self._live.traces)]
         lines += [((QUIET, index), _quiet_line(place)) for index, place in enumerate(self._document.draft.quiet)]
         near = [(float(np.nanmin(np.hypot(*(line_mm - at).T))), chosen) for chosen, line_mm in lines if len(line_mm)]
         away_mm, chosen = min(near, default=(math.inf, None))
-        return chosen if away_mm <= _REACH_PX * self.box.mm_per_pixel else None
+        return chosen if away_mm <= self._reach_mm else None
+
+    @property
+    def _reach_mm(self) -> float:
+        return _REACH_PX * float(self.box.viewPixelSize()[0])
 
     def _show_backdrop(self) -> None:
         backdrop, former_mm, view = self._live.backdrop, self._outline_mm, self.box.viewRect()
@@ -141,50 +138,32 @@ class SceneCanvas(SurfaceView):
             self.box.setRange(view, padding=0)
         else:
             self.show_everything()
-        self.show_scene()
+        self._show_scene()
 
     def _show_traces(self, traces: Sequence[Trace], chosen: int) -> None:
         """Show the sources, the chosen one in front."""
-        self._make_lines(len(traces))
+        while self._lines:
+            self.box.removeItem(self._lines.pop())
         for index, trace in enumerate(traces):
-            colour = self.theme.trace(index)
-            line = self._lines[index]
-            line.setData(trace.line_mm[:, 0], trace.line_mm[:, 1], connect="finite")
-            line.setPen(pyqtgraph.mkPen(colour, width=2 if index == chosen else 1))
-            line.setZValue(29 if index == chosen else 25)
+            depth, width = (29, 2) if index == chosen else (25, 1)
+            self._lines.append(self.add_line(depth, pyqtgraph.mkPen(self.theme.trace(index), width=width)))
+            draw_line(self._lines[-1], [trace.line_mm])
         drawn = [trace for trace in traces if len(trace.points_mm)]
         points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
         off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
         instant_s = np.concatenate([np.zeros(0), *(trace.instant_s for trace in drawn)])
-        colours = map_colours(self.colour_map, instant_s[~off], span_s(traces), self.theme.cell)
+        colours = map_colours(self.colour_map, instant_s[~off], _span_s(traces), self.theme.cell)
         self._dots.setData(pos=points_mm[~off], brush=[pyqtgraph.mkBrush(*colour) for colour in colours.tolist()])
         self._off.setData(pos=points_mm[off])
         self._off.setVisible(bool(off.any()))
-        pens = [
-            pyqtgraph.mkPen(self.theme.trace(index), width=2)
-            for index, trace in enumerate(traces)
-            if len(trace.points_mm)
-        ]
+        numbers = (index for index, trace in enumerate(traces) if len(trace.points_mm))
+        pens = [pyqtgraph.mkPen(self.theme.trace(index), width=2) for index in numbers]
         self._starts.setData(pos=np.array([trace.points_mm[0] for trace in drawn]).reshape(-1, 2), pen=pens)
 
-    def _show_quiet(self, places: Sequence[QuietTable]) -> None:
-        """Show quiet places as crosses in their discs, dashed."""
-        line_mm = np.concatenate([_NONE_MM, *map(_quiet_line, places)])
-        self._quiet.setData(line_mm[:, 0], line_mm[:, 1], connect="finite")
-
-    def _show_handles(self, points_mm: Sequence[PointMm]) -> None:
+    def _show_handles(self, table: SourceTable | QuietTable | None) -> None:
         """Show the points that can be dragged."""
+        points_mm = [] if table is None else [at_mm for _, at_mm in handles(table)]
         self._squares.setData(pos=np.array(points_mm, np.float64).reshape(-1, 2))
-
-    def _show_sketch(self, points_mm: Float64Array) -> None:
-        self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
-
-    def _make_lines(self, count: int) -> None:
-        while len(self._lines) < count:
-            self._lines.append(pyqtgraph.PlotCurveItem(antialias=True))
-            self.add_item(self._lines[-1], 25)
-        while len(self._lines) > count:
-            self.box.removeItem(self._lines.pop())
 
 
 def show_backdrop(view: SurfaceView, backdrop: Backdrop) -> None:
@@ -199,12 +178,10 @@ def show_backdrop(view: SurfaceView, backdrop: Backdrop) -> None:
 
 _NONE_MM = np.zeros((0, 2))
 _REACH_PX = 8.0
-_CIRCLE_POINTS = 91
-_GAP_MM = np.full((1, 2), np.nan)
 _CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
 
 
-def span_s(traces: Sequence[Trace]) -> tuple[float, float]:
+def _span_s(traces: Sequence[Trace]) -> tuple[float, float]:
     """Return the first and the last focus instant of a scene; they differ also where there is only one."""
     instants = [trace.instant_s for trace in traces if len(trace.instant_s)]
     if not instants:
@@ -213,12 +190,10 @@ def span_s(traces: Sequence[Trace]) -> tuple[float, float]:
     return low_s, high_s if high_s > low_s else low_s + 1.0
 
 
-def sketched(path: PathTable | None) -> Float64Array:
+def _sketched(path: PathTable | None) -> Float64Array:
     """Return the corners of a path that is being drawn."""
     if isinstance(path, CircleTable):
-        angle = np.linspace(0.0, 2 * np.pi, _CIRCLE_POINTS)
-        rim: Float64Array = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return np.array(path.centre_mm) + path.radius_mm * rim
+        return _circle(path.centre_mm, path.radius_mm)
     if isinstance(path, PolylineTable):
         return np.array(path.points_mm).reshape(-1, 2)
     return np.array([path.start_mm, path.end_mm]) if isinstance(path, LineTable) else _NONE_MM
@@ -227,11 +202,14 @@ def sketched(path: PathTable | None) -> Float64Array:
 def _quiet_line(place: QuietTable) -> Float64Array:
     """A cross and, of a disc, its rim; of a place that moves, its path as far as its table says it."""
     if place.at_mm is None:
-        return np.concatenate([sketched(place.path), _GAP_MM])
-    angle = np.linspace(0.0, 2 * np.pi, _CIRCLE_POINTS)
-    rim = place.radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    disc_mm = rim if place.radius_mm > 0 else _NONE_MM
-    return np.asarray(np.array(place.at_mm) + np.concatenate([_CROSS_MM, disc_mm, _GAP_MM]))
+        return _sketched(place.path)
+    rim_mm = _circle(place.at_mm, place.radius_mm) if place.radius_mm > 0 else _NONE_MM
+    return np.concatenate([np.array(place.at_mm) + _CROSS_MM, rim_mm])
+
+
+def _circle(centre_mm: PointMm, radius_mm: float) -> Float64Array:
+    angle = np.linspace(0.0, 2 * np.pi, 91)
+    return np.array(centre_mm) + radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 _TOOLS = (
@@ -274,9 +252,8 @@ class SurfacePanel(Themed, QWidget):
         self._show_hint()
 
     def _show_preview(self) -> None:
-        preview = self._live.preview
-        self.colours.show_range("Focus instant", "s", span_s(preview.traces))
-        self.problem = self._document.problem or (preview.problem if preview.draft.source else "")
+        self.colours.show_range("Focus instant", "s", _span_s(self._live.traces))
+        self.problem = self._document.problem or self._live.problem
         self._show_hint()
 
     def _show_hint(self) -> None:

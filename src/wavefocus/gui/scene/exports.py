@@ -13,6 +13,7 @@ from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.scene.document import SceneDocument, scene_toml, with_absolute_files
+from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import OwnCommand, TabContext
 
 KINDS = {".h5": "drive file", ".wav": "sound file"}
@@ -39,37 +40,34 @@ class SceneTask(OwnCommand):
         self._document = document
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._scene_file = Path()
-        self._rig = ""
+        self._holder = ""
         self.state = IDLE
 
     @property
     def busy(self) -> bool:
         return self._folder is not None
 
-    def instruments_held(self) -> str:
-        """Subject and verb of a message about a real rig that sounds; empty for none."""
-        silent = self.state == IDLE or not self._rig or names_virtual_rig(self._rig)
-        return "" if silent else f"the Scene tab {self.verb} on {Path(self._rig).name}"
-
     def cancel(self) -> None:
         """End the running command; files stay as they were."""
         if self.own is not None:
             self.own.kill()
 
-    def close(self) -> None:
-        """The window closes: what sounds mutes and ends by itself, all else is ended."""
+    def detach(self) -> None:
+        """Leave what sounds, which mutes and ends by itself; end all else."""
         if self.state == RENDERING:
             self.cancel()
-        self.detach()
+        super().detach()
         self._release()
         self.state = IDLE
 
-    def _prepare(self, failing: str) -> bool:
+    def _prepare(self, failing: str, rig: str = VIRTUAL) -> bool:
         """Make the folder, with the present scene where its file is not up to date; later edits do not matter.
 
         failing: Beginning of the message that says why the folder cannot be made.
+        rig: The rig file on which it sounds, or ``virtual``.
         """
         document = self._document
+        self._holder = "" if names_virtual_rig(rig) else f"the Scene tab {self.verb} on {Path(rig).name}"
         try:
             self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
             if document.path is not None and document.saved:
@@ -119,7 +117,7 @@ class SceneTask(OwnCommand):
         advice = "" if state == RENDERING else "check that the rig is silent"
         name = self._document.path.name if self._document.path else "the scene"
         shown_as = {self._in_folder("drive.h5"): "the scene", self._in_folder("scene.toml"): name}
-        self.run(command, ended, received, advice=advice, shown_as=shown_as)
+        self.run(command, ended, received, holds=self._holder, advice=advice, shown_as=shown_as)
         self._enter(state)
 
     def _end_process(self, *, sounds: bool) -> None:
@@ -191,9 +189,9 @@ class PlayTask(SceneTask):
         loops: Number of repetitions, without a gap.
         lasts_s: Duration of one repetition, for display.
         """
-        if self.busy or not self._prepare("nothing is played"):
+        if self.busy or not self._prepare("nothing is played", rig):
             return
-        self._rig, self._lasts_s = rig, loops * lasts_s
+        self._lasts_s = loops * lasts_s
         options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
         play = ["play", self._in_folder("drive.h5"), *options]
         self._run_all([(RENDERING, self._render(rig)), (OPENING, play)], self._ended, self._received)

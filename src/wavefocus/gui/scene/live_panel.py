@@ -1,7 +1,6 @@
 """Live sources: the ``wavefocus live`` process, and its start, stop and figures."""
 
 import time
-from collections import deque
 from collections.abc import Callable
 from datetime import datetime
 from functools import partial
@@ -11,7 +10,6 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QHideEvent, QShowEvent
 from PyQt5.QtWidgets import QWidget
 
-from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages import Message, Refused, message_of, to_record
 from wavefocus.config.messages.live import (
     EVENTS,
@@ -46,7 +44,7 @@ class LiveRun(SceneTask):
 
     state: `IDLE`, `STARTING`, `LIVE` or `STOPPING`.
     ready: Facts of the session, from `LIVE` on.
-    states: Figures of the last minute.
+    latest: Figures of the session.
     places: Where pointers hold sources, by name, in mm.
     """
 
@@ -58,7 +56,7 @@ class LiveRun(SceneTask):
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__(context, document)
         self.ready: LiveReady | None = None
-        self.states: deque[LiveState] = deque(maxlen=300)
+        self.latest: LiveState | None = None
         self.places: dict[str, PointMm] = {}
         self._refusal = ""
         self._heard_s = 0.0
@@ -71,15 +69,14 @@ class LiveRun(SceneTask):
         look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
         record: Folder for a new folder with the session's scene; None: not recorded.
         """
-        if self.busy or not self._prepare("nothing sounds"):
+        if self.busy or not self._prepare("nothing sounds", rig):
             return
         document = self._document
         scene = ["--scene", str(self._scene_file)] if document.draft.source else []
         name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}"
         kept = [] if record is None else ["--record", str(record / name)]
         arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
-        self._rig, self._refusal, self.ready, self._ended = rig, "", None, None
-        self.states.clear()
+        self._refusal, self.ready, self.latest, self._ended = "", None, None, None
         self._run_all([(STARTING, [*arguments, *scene, *kept])], self._summarise, self._receive)
 
     def stop(self) -> None:
@@ -88,9 +85,9 @@ class LiveRun(SceneTask):
             self._send(EndLive())
             self._end_process(sounds=self.state == LIVE)
 
-    def close(self) -> None:
+    def detach(self) -> None:
         self.places.clear()
-        super().close()
+        super().detach()
 
     def press(self, name: str, at_mm: PointMm) -> None:
         """Let a source begin to sound."""
@@ -133,7 +130,7 @@ class LiveRun(SceneTask):
                 if self.state == STARTING:
                     self._enter(LIVE)
             case LiveState() as state:
-                self.states.append(state)
+                self.latest = state
                 self.figures_changed.emit()
             case LiveNotice(sentence=sentence):
                 self._context.messages.note(sentence)
@@ -144,19 +141,9 @@ class LiveRun(SceneTask):
                 self._ended = ended
 
     def _summarise(self, process: CommandProcess) -> None:
-        done = "muted" if self._ended is None else _summary(self._ended)
+        done = "muted" if self._ended is None else self._ended.sentence
         self._context.report_end(process, done, done)
         self.places.clear()
-
-
-def _summary(ended: LiveEnded) -> str:
-    parts = [f"live for {hours(ended.played_s)}, muted", f"{ended.positions} positions"]
-    if ended.latency_p999_ms is not None:
-        parts.append(f"99.9 % of them within {ended.latency_p999_ms:.1f} ms")
-    parts.append(f"{ended.underruns} underrun{'' if ended.underruns == 1 else 's'}")
-    if ended.recorded:
-        parts.append(f"recorded in {ended.recorded}")
-    return "; ".join(parts)
 
 
 LATENCY_GOAL_MS = 20.0
@@ -203,7 +190,6 @@ class LivePanel(Themed, QWidget):
     """Controls and figures of live sources; hidden, it ends the session.
 
     rig: The rig file, or ``virtual``; empty where there is none.
-    playing: Whether the scene is being played.
     """
 
     def __init__(
@@ -212,13 +198,12 @@ class LivePanel(Themed, QWidget):
         document: SceneDocument,
         run: LiveRun,
         rig: Callable[[], str],
-        playing: Callable[[], bool],
     ) -> None:
         super().__init__()
         self.setAccessibleName("Live sources")
-        self._context, self._document, self._run, self._rig, self._playing = context, document, run, rig, playing
+        self._context, self._document, self._run, self._rig = context, document, run, rig
         tip = "Open the rig; then press on the surface"
-        self.start = ui.action(self, "Start li&ve sources", self.begin, "F8", tip=tip)
+        self.start = ui.action(self, "Start li&ve sources", self._begin, "F8", tip=tip)
         tip = "Let the sources fade, and mute the outputs"
         self.stop = ui.action(self, "Stop live sources", run.stop, "Shift+F8", tip=tip)
         tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
@@ -253,23 +238,20 @@ class LivePanel(Themed, QWidget):
 
     def _hint(self) -> str:
         """What can be done now."""
-        missing = [word for word, there in (("a bank", self._document.bank), ("a rig", self._rig())) if not there]
-        if missing:
-            return f"Choose {' and '.join(missing)} above"
+        if self._document.bank is None or not self._rig():
+            return "Choose a bank and a rig above"
         source = self._document.source
         once = source is not None and source.signal.kind == "impulse"
         return f"{_HINTS[self._run.state]}{_ONCE if once else ''}"
 
-    def begin(self) -> None:
+    def _begin(self) -> None:
         """Start a session, unless something else has the instruments."""
         rig, record = self._rig(), self.folder.path if self.records.isChecked() else None
-        if self._playing():
-            self._context.messages.warn("the scene is being played: stop it first")
-        elif self.records.isChecked() and record is None:
+        if self.records.isChecked() and record is None:
             self._context.messages.warn("choose the folder to record in, or record nothing")
         else:
             act = partial(self._run.start, rig, self.look_ahead.whole(), record)
-            self._context.claim_instruments(self, "Start", act, virtual=names_virtual_rig(rig))
+            self._context.claim_instruments("Start", act, virtual=names_virtual_rig(rig))
 
     def show_run(self) -> None:
         """Show what can be done, and the state of the session."""
@@ -295,11 +277,6 @@ class LivePanel(Themed, QWidget):
         self.show_run()
 
     def _show_figures(self) -> None:
-        states = self._run.states
-        latest = states[-1] if states else None
-        figures = figures_of(self._run.ready, latest)
-        ui.put(self.figures, "   ·   ".join(f"▲ {words}" if wrong else words for words, wrong in figures))
-        wrong = any(wrong for _, wrong in figures)
-        sheet = f"QLabel {{ color: {self.theme.fault if wrong else self.theme.text}; }}"
-        if sheet != self.figures.styleSheet():  # another one lays out the page again
-            self.figures.setStyleSheet(sheet)
+        fault = f'<span style="color:{self.theme.fault}">▲ {{}}</span>'
+        figures = figures_of(self._run.ready, self._run.latest)
+        ui.put(self.figures, " &nbsp; · &nbsp; ".join(fault.format(one) if wrong else one for one, wrong in figures))

@@ -5,8 +5,7 @@ import time
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import QEvent, QPointF, Qt, QTimer
-from PyQt5.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QPainterPath, QTouchEvent
-from PyQt5.QtWidgets import QGraphicsPathItem
+from PyQt5.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QTouchEvent
 
 from wavefocus.config.messages.live import PointMm, SoundingSource
 from wavefocus.gui.scene.canvas import show_backdrop
@@ -14,7 +13,6 @@ from wavefocus.gui.scene.live_panel import LIVE, LiveRun
 from wavefocus.gui.scene.preview import Backdrop, LivePreview
 from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView
 
-_SPOT_RADIUS_PX = 8.5
 MOUSE, KEYS = "mouse", "keys"
 
 
@@ -52,10 +50,9 @@ class LiveSurface(SurfaceView):
         self._slow = False
         self._key_mm: PointMm | None = None
         self._ticked_s = 0.0
-        self._spots: list[QGraphicsPathItem] = []
         self._labels: list[pyqtgraph.TextItem] = []
-        self._sounding: tuple[SoundingSource, ...] = ()
         super().__init__("Surface of live sources")
+        self._spots = self.add_spots(85, "o", 17, pyqtgraph.mkPen(self.theme.base, width=1.5), MARK)
         self.setAccessibleDescription("Press to let a source sound; Space begins and ends one that the arrow keys move")
         viewport = self.viewport()
         assert viewport is not None
@@ -65,24 +62,18 @@ class LiveSurface(SurfaceView):
         self._timer.setInterval(10)  # a source follows its pointer at a steady rate; one at rest needs positions, too
         self._timer.timeout.connect(self._tick)
         run.changed.connect(self._show_run)
-        run.figures_changed.connect(lambda: self.show_sounding(run.states[-1].sources))
+        run.figures_changed.connect(lambda: self._show_sounding(() if run.latest is None else run.latest.sources))
         live.backdrop_changed.connect(self._show_backdrop)
         self._show_backdrop()
 
-    def show_sounding(self, sources: tuple[SoundingSource, ...]) -> None:
+    def _show_sounding(self, sources: tuple[SoundingSource, ...]) -> None:
         """Draw a ring with its name around each source that sounds."""
-        self._sounding = sources
         self.show_sources(np.array([one.at_mm for one in sources], np.float64).reshape(-1, 2))
-        while len(self._labels) < len(sources):
-            self._labels.append(pyqtgraph.TextItem(anchor=(-0.1, 1.1)))
-            self.add_item(self._labels[-1], 95)
-        for number, label in enumerate(self._labels):
-            label.setVisible(number < len(sources))
-            if number < len(sources):
-                source = sources[number]
-                label.setText(f"{source.name}, fading" if source.fading else source.name)
-                label.setColor(self.theme.faint if source.fading else self.theme.text)
-                label.setPos(*source.at_mm)
+        while self._labels:
+            self.box.removeItem(self._labels.pop())
+        for source in sources:
+            text = f"{source.name}, fading" if source.fading else source.name
+            self._labels.append(self.add_text(text, source.at_mm, (-0.1, 1.1)))
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
         """Begin the mouse's source; other buttons pan."""
@@ -198,18 +189,7 @@ class LiveSurface(SurfaceView):
         self._run.send_places()
 
     def _show_spots(self) -> None:
-        places_mm = [*self._run.places.values()]
-        while len(self._spots) < len(places_mm):
-            path = QPainterPath()
-            path.addEllipse(QPointF(), _SPOT_RADIUS_PX, _SPOT_RADIUS_PX)
-            spot = self._add_sign(path, 85)
-            spot.setPen(pyqtgraph.mkPen(self.theme.base, width=1.5))
-            spot.setBrush(pyqtgraph.mkBrush(MARK))
-            self._spots.append(spot)
-        for number, spot in enumerate(self._spots):
-            spot.setVisible(number < len(places_mm))
-            if number < len(places_mm):
-                spot.setPos(*places_mm[number])
+        self._spots.setData(pos=np.array([*self._run.places.values()]).reshape(-1, 2))
 
     def _show_run(self) -> None:
         if self._run.state == LIVE and not self._timer.isActive():
@@ -219,7 +199,7 @@ class LiveSurface(SurfaceView):
             self._timer.stop()
             self._fingers.clear()
             self._steps.clear()
-            self.show_sounding(())
+            self._show_sounding(())
         self._show_spots()
 
     def _show_backdrop(self) -> None:

@@ -63,24 +63,15 @@ class Trace:
     off: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Preview:
-    """A scene as it is drawn: a trace per source.
-
-    `problem` says why commands would refuse the scene, or what cannot be drawn of it; empty where nothing is wrong.
-    """
-
-    draft: SceneConfig
-    backdrop: Backdrop
-    traces: Sequence[Trace]
-    problem: str
-
-
 _TOPIC = "bank of the scene"
 
 
 class LivePreview(QObject):
-    """Draws the latest scene whenever the one before is done, so that a long drag is seen all the while."""
+    """Draws the latest scene.
+
+    backdrop: What it is drawn over.
+    problem: Why commands would refuse the scene, or what cannot be drawn of it; empty where nothing is wrong.
+    """
 
     updated = pyqtSignal()
     backdrop_changed = pyqtSignal()
@@ -90,8 +81,10 @@ class LivePreview(QObject):
         self._context, self._document = context, document
         self._background = Background(self)
         self.backdrop = _bare_backdrop()
-        self.preview = Preview(document.draft, self.backdrop, [], "")
-        self._busy = self._stale = self._ended = False
+        self.problem = ""
+        self._traces: Sequence[Trace] = ()
+        self._shown = document.draft, self.backdrop
+        self._ended = False
         self._lost: Path | None = None
         self._rig: Path | None = None
         for signal in (document.changed, document.file_changed):
@@ -101,7 +94,13 @@ class LivePreview(QObject):
     @property
     def idle(self) -> bool:
         """Whether the preview is of the present scene."""
-        return not self._busy and self.preview.draft == self._document.draft
+        draft, backdrop = self._shown
+        return draft == self._document.draft and backdrop is self.backdrop
+
+    @property
+    def traces(self) -> Sequence[Trace]:
+        """The sources as they are drawn; points snapped to another bank's positions are out of date."""
+        return self._traces if self._shown[1] is self.backdrop else ()
 
     def read_bank(self) -> None:
         """Read the bank's surface; again when a campaign may have filled it."""
@@ -131,25 +130,15 @@ class LivePreview(QObject):
         self._background.end()
 
     def _ask(self) -> None:
-        self._stale = True
-        if self._busy or self._ended:
+        if self._ended:
             return
-        self._busy, self._stale = True, False
-        document = self._document
-        former = self.preview.traces if self.preview.backdrop is self.backdrop else []
-        work = partial(preview_of, document.draft, self.backdrop, document.place, former)
-        self._background.ask("scene", work, self._show, self._fail)
+        document, shown = self._document, (self._document.draft, self.backdrop)
+        work = partial(_sources_of, *shown, document.place, self.traces)
+        self._background.ask("scene", work, partial(self._show, shown), self._context.report_failure)
 
-    def _show(self, preview: Preview) -> None:
-        self.preview = preview
-        self._busy = False
+    def _show(self, shown: tuple[SceneConfig, Backdrop], drawn: tuple[Sequence[Trace], str]) -> None:
+        self._shown, (self._traces, self.problem) = shown, drawn
         self.updated.emit()
-        if self._stale:
-            self._ask()
-
-    def _fail(self, failure: Exception) -> None:
-        self._busy = False
-        raise failure
 
     def _no_bank(self, bank: Path, why: Exception) -> None:
         if self._document.bank == bank:
@@ -191,16 +180,18 @@ def _backdrop_of(path: Path) -> Backdrop:
     return Backdrop(outline_mm, surface, PositionGrid(surface.position_mm), allowed)
 
 
-def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path, former: Sequence[Trace]) -> Preview:
+def _sources_of(
+    draft: SceneConfig, backdrop: Backdrop, place: Path, former: Sequence[Trace]
+) -> tuple[Sequence[Trace], str]:
     """Build the scene as commands do, and sample its sources as far as they are drawn; one that is refused stays.
 
     place: The scene file, for messages and for the files that the scene names.
     """
     try:
         sources = build_draft(draft, place).sources
-        return Preview(draft, backdrop, [_drawn(source, index, backdrop) for index, source in enumerate(sources)], "")
+        return [_drawn(source, index, backdrop) for index, source in enumerate(sources)], ""
     except WavefocusError as error:
-        return Preview(draft, backdrop, former if draft.source else [], str(error))
+        return (former, str(error)) if draft.source else ((), "")
 
 
 def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:

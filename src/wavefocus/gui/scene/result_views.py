@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyqtgraph
-from PyQt5.QtCore import QSize
 from PyQt5.QtWidgets import QTableWidget, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import Plot, Real, decimating_curve, whole_ticks
+from wavefocus.gui.field_map import Plot, Real
 from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer
 from wavefocus.gui.scene.calculation import SceneResults
 from wavefocus.gui.surface import PlotSurface, surface_of
@@ -35,42 +31,26 @@ class DrivesView(Plot):
     def __init__(self) -> None:
         super().__init__("Drives of all actuators", "time (s)", "actuator", axis_px=58)
         self._ends = 0.0, 0.0
-        self._curves: list[pyqtgraph.PlotDataItem] = []
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        return QSize(480, 300)
+        self.getPlotItem().setClipToView(True)
 
     def show_results(self, results: SceneResults | None) -> None:
         """Show drives, or none."""
         plot = self.getPlotItem()
+        plot.clear()
         for side in ("left", "bottom"):
             plot.showAxis(side, results is not None)
         if results is None:
-            self._show_curves(np.zeros(0), [])
             self.title("no drives to show", faint=True, size="9pt")
             return
         drive = results.drive
         time_s = drive.start_s + np.arange(drive.drive_v.shape[1]) / drive.sample_rate_hz
-        largest = float(np.abs(drive.drive_v).max(initial=0.0))
-        scale = _STEP / (largest or 1.0)
-        self._show_curves(time_s, [one + scale * trace for one, trace in enumerate(drive.drive_v)])
-        plot.getAxis("left").setTicks([whole_ticks(len(drive.drive_v)), []])
-        plot.setYRange(-1.0, len(drive.drive_v), padding=0.0)
+        largest = self.stack(time_s, drive.drive_v, _STEP)
         self.title(f"a step is {quantity(f'{largest / _STEP:.3g}', drive.drive_unit)}", size="9pt")
         # A zoomed view stays while the scene is edited.
         ends = float(time_s[0]), float(time_s[-1])
         if ends != self._ends:
             self._ends = ends
             plot.setXRange(*ends, padding=0.01)
-
-    def _show_curves(self, x: Real, curves: Sequence[Real]) -> None:
-        """Curves are reused: thinned ones cannot be taken out of a plot."""
-        while len(self._curves) < len(curves):
-            self._curves.append(decimating_curve())
-            self._curves[-1].setPen(pyqtgraph.mkPen(self.theme.traces[0], width=1.0))
-            self.getPlotItem().addItem(self._curves[-1])
-        for number, curve in enumerate(self._curves):
-            curve.setData(*((x, curves[number]) if number < len(curves) else ([], [])))
 
 
 class FieldView(FilmPlayer):
@@ -90,7 +70,7 @@ class FieldView(FilmPlayer):
         upper = QWidget()
         speed = ui.row(self.slider.slower, None, margins=(4, 4, 4, 0))  # the slider's own row is as wide as the panel
         ui.column(self._file_row, speed, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
-        ui.column(ui.stacked((upper, 420), (self.response, 130), growing=[0]), owner=self)
+        ui.column(ui.side_by_side((upper, 420), (self.response, 130), growing=[0], above=True), owner=self)
 
     def show_results(self, results: SceneResults | None) -> None:
         """Show another field of the scene, at the same instant and position; None shows none."""
@@ -171,42 +151,23 @@ def read_field_on(path: Path, bank: Path) -> tuple[Field, PlotSurface]:
 GOOD, HELD, MISSED = "within", "held back", "not reached"
 
 
-@dataclass(frozen=True, slots=True)
-class SceneMetric:
-    """One line of the table; the verdict is empty where nothing was asked for."""
-
-    name: str
-    value: str
-    definition: str
-    verdict: str = ""
-
-
-def figures_of(results: SceneResults) -> list[SceneMetric]:
-    """The figures that ``render --json`` prints, and medians over the foci."""
+def figures_of(results: SceneResults) -> list[tuple[str, str, str, str]]:
+    """Name, value, verdict (empty where nothing was asked for) and definition of what ``render`` and the foci say."""
     facts: dict[str, Any] = results.facts
-    drive, foci, unit = results.drive, results.figures, facts["response_unit"]
-    limited = facts["limited_by"]
+    drive, foci, unit, limited = results.drive, results.figures, facts["response_unit"], facts["limited_by"]
     metrics = [
-        SceneMetric(
-            "scale by the limits", f"{facts['scale']:.3g}" + (f", for {limited}" if limited else ""),
-            "Factor on all drives that keeps every actuator within its limits: drives are scaled, never clipped",
-            HELD if limited else GOOD,
-        ),
-        SceneMetric("peak of the drives", quantity(f"{facts['peak_v']:.3g}", drive.drive_unit), "Of any actuator"),
-        SceneMetric(
-            "dynamic range", f"{facts['dynamic_range_db']:.1f} dB",
-            "Largest over smallest rms of all actuators that are driven at all; saturation makes it smaller",
-        ),
-        SceneMetric(
-            "duration", f"{drive.drive_v.shape[1] / drive.sample_rate_hz:.3f} s", "With the lead-in of time reversal"
-        ),
+        ("scale by the limits", f"{facts['scale']:.3g}" + (f", for {limited}" if limited else ""),
+         HELD if limited else GOOD,
+         "Factor on all drives that keeps every actuator within its limits: drives are scaled, never clipped"),
+        ("peak of the drives", quantity(f"{facts['peak_v']:.3g}", drive.drive_unit), "", "Of any actuator"),
+        ("dynamic range", f"{facts['dynamic_range_db']:.1f} dB", "",
+         "Largest over smallest rms of all actuators that are driven at all; saturation makes it smaller"),
+        ("duration", f"{drive.drive_v.shape[1] / drive.sample_rate_hz:.3f} s", "", "With the lead-in of time reversal"),
     ]  # fmt: skip
+    about = "Energy of the response there over that at the loudest focus; less where output.most_energy does not do"
     metrics += [
-        SceneMetric(
-            f"level at {one['name']}", f"{one['reached_db']:.1f} dB of {one['level_db']:g} dB",
-            "Energy of the response there over that at the loudest focus; less where output.most_energy does not do",
-            MISSED if one["missed"] else GOOD,
-        )
+        (f"level at {one['name']}", f"{one['reached_db']:.1f} dB of {one['level_db']:g} dB",
+         MISSED if one["missed"] else GOOD, about)
         for one in facts.get("quiet", ())
     ]  # fmt: skip
     if foci is not None:
@@ -217,9 +178,8 @@ def figures_of(results: SceneResults) -> list[SceneMetric]:
             ("artefact level", foci.artefact_db, "dB", "Largest response beyond 15 mm over the largest within"),
         ):
             known = values[np.isfinite(values)]
-            median = float(np.median(known)) if len(known) else math.nan
-            value = "—" if math.isnan(median) else quantity(f"{median:.3g}", of)
-            metrics.append(SceneMetric(name, value, f"{definition}; median of {len(foci)} foci"))
+            value = quantity(f"{np.median(known):.3g}", of) if len(known) else "—"
+            metrics.append((name, value, "", f"{definition}; median of {len(foci)} foci"))
     return metrics
 
 
@@ -232,6 +192,6 @@ def fill_figures(table: QTableWidget, results: SceneResults | None) -> None:
     """Show the figures of a scene, or none; definitions are in the tooltips."""
     figures = [] if results is None else figures_of(results)
     table.setRowCount(len(figures))
-    for number, one in enumerate(figures):
-        colours = {2: Themed.theme.warning if one.verdict in (HELD, MISSED) else Themed.theme.good}
-        ui.fill_row(table, number, (one.name, one.value, one.verdict), colours, right=(1,), tip=one.definition)
+    for number, (name, value, verdict, definition) in enumerate(figures):
+        colours = {2: Themed.theme.warning if verdict in (HELD, MISSED) else Themed.theme.good}
+        ui.fill_row(table, number, (name, value, verdict), colours, right=(1,), tip=definition)

@@ -15,8 +15,7 @@ from wavefocus.config.fields import toml_table
 from wavefocus.config.scene import PathTable, PointTable, QuietTable, SourceTable, SvgTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.editor.document import TextFiles, closing_question
-from wavefocus.gui.editor.tab import file_actions
-from wavefocus.gui.editor.text_edit import TextPanel, insert_button
+from wavefocus.gui.editor.text_edit import FileBar, TextPanel
 from wavefocus.gui.files import FileKind, PathField
 from wavefocus.gui.scene.canvas import SurfacePanel
 from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, Keys, SceneDocument, moved, new_source
@@ -52,39 +51,33 @@ class SceneTab(Tab):
         self.document = SceneDocument(self)
         self.live = LivePreview(context, self.document)
         self.files = TextFiles(context, self.document, self)
-        self.actions_by_name = file_actions(self, self.document, self.files)
+        self.bar = FileBar(self, self.document, self.files)
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
         self.editor = TextPanel(self.document)
         self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
         self.live_run = LiveRun(context, self.document)
         self.live_surface = LiveSurface(self.live_run, self.live)
-        bar, playing = self.results.bar, self.results.playing
-        self.live_panel = LivePanel(
-            context, self.document, self.live_run, lambda: bar.rig, lambda: playing.state != IDLE
-        )
+        self.live_panel = LivePanel(context, self.document, self.live_run, lambda: self.results.rig)
         self._stacks = QStackedWidget(), QStackedWidget()
         self.modes = ui.exclusive_buttons([(mode, text, tip, text) for mode, text, tip in _MODES], self.use_mode)
-        self._file = ui.label("Scene file")
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
-        bar.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
+        self.results.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
         self.surface.canvas.drawn.connect(self._drawn)
         self.surface.canvas.chosen.connect(self._show_table)
         self.surface.canvas.dragged.connect(self._drag)
         text = self.editor.text
         text.cursorPositionChanged.connect(lambda: self.document.choose_at_line(text.textCursor().blockNumber()))
-        self.document.file_changed.connect(self._show_possible)
         self.document.file_changed.connect(self._share_scene)
-        self._show_possible()
-        bar.rig_changed.connect(self.live_panel.show_run)
-        bar.rig_changed.connect(lambda: self.live.use_rig(bar.rig_field.path))
-        self.live.use_rig(bar.rig_field.path)
+        self.results.rig_changed.connect(self.live_panel.show_run)
+        self.results.rig_changed.connect(lambda: self.live.use_rig(self.results.rig_field.path))
+        self.live.use_rig(self.results.rig_field.path)
         self.files.restore_unsaved()
 
     def menu_actions(self) -> list[QAction | None]:
-        named = self.actions_by_name
-        return [*named.values(), None, *self.results.menu_actions(), None, self.live_panel.start, self.live_panel.stop]
+        own, live = self.bar.actions_by_name.values(), (self.live_panel.start, self.live_panel.stop)
+        return [*own, None, *self.results.menu_actions(), None, *live]
 
     def open_file(self, path: Path) -> None:
         """Open a scene, play a field, or add a drawing or a trajectory."""
@@ -102,16 +95,12 @@ class SceneTab(Tab):
         self.live.poll()
         self.results.poll()
 
-    def instruments_held(self) -> str:
-        return self.results.playing.instruments_held() or self.live_run.instruments_held()
-
     def closing_question(self) -> ClosingQuestion | None:
         return closing_question(self.context, [self.files])
 
     def shut_down(self) -> None:
         self.live.shut_down()
-        self.results.shut_down()
-        self.live_run.close()
+        self.results.calculation.close()
 
     def save_settings(self) -> None:
         super().save_settings()
@@ -135,7 +124,7 @@ class SceneTab(Tab):
         if mode == LIVE:
             self.results.playing.stop()
             self.results.pause()
-        self.results.bar.play.setVisible(mode == DRAW)  # its key, too: one of both sounds
+        self.results.actions_by_name["play"].setVisible(mode == DRAW)  # its key, too: one of both sounds
         for stack in self._stacks:
             stack.setCurrentIndex([DRAW, LIVE].index(mode))
         self._focus_surface()
@@ -145,7 +134,6 @@ class SceneTab(Tab):
         surface.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _lay_out(self) -> None:
-        buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "save", "save as", "undo", "redo")]
         surface = QWidget()
         ui.column((self.live_surface, 1), self.live_panel.hint, owner=surface, spacing=4)
         middle, right = self._stacks
@@ -157,8 +145,8 @@ class SceneTab(Tab):
         self.remember(
             columns=columns, look_ahead=live.look_ahead, records=live.records, recordings=live.folder,
         )  # fmt: skip
-        fields = (self.bank_field, 3), (self.results.bar.rig_field, 2)
-        top = ui.row(*buttons, insert_button(self.document), 6, *self.modes.values(), 6, (self._file, 1), *fields)
+        fields = (self.bank_field, 3), (self.results.rig_field, 2)
+        top = ui.row((self.bar, 2), *self.modes.values(), 6, *fields)
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
@@ -168,7 +156,7 @@ class SceneTab(Tab):
             self.bank_field.show_path(path)
             self.document.use_bank(path)
         elif kind is FileKind.RIG:
-            self.results.bar.use_rig(path)
+            self.results.use_rig(path)
 
     def _share_scene(self) -> None:
         """Let the scene's file be verified, once it is saved."""
@@ -218,9 +206,3 @@ class SceneTab(Tab):
         except InputError as refused:
             self.context.messages.warn(str(refused))
         self._show_table(chosen)  # it stays the chosen one
-
-    def _show_possible(self) -> None:
-        document = self.document
-        self.actions_by_name["save"].setEnabled(not document.saved or document.path is None)
-        self._file.setText(self.files.shown_name)
-        self._file.setToolTip(f"{document.path or 'not in a file yet'}{'' if document.saved else ', not saved'}")

@@ -38,12 +38,12 @@ def key_code(name: str) -> int:
     return int(sequence[0]) if sequence.count() == 1 else 0
 
 
-def key_text(name: str) -> str:
+def _key_text(name: str) -> str:
     """A key as it is shown: an arrow for an arrow key."""
     return _ARROWS.get(name, name)
 
 
-class LargeButton(QPushButton):
+class _LargeButton(QPushButton):
     """A large button that acts when it is pressed, not when it is released: the press is what reaction times mean.
 
     text, key: Its text, and the name of its key, which is shown under it; the window itself listens to keys.
@@ -61,7 +61,7 @@ class LargeButton(QPushButton):
         self.setAccessibleDescription(f"Key {key}" if key else "")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.name = sized(ui.label(text=text, wraps=True), size, centred=True)
-        self.key = sized(ui.label(text=key_text(key), role="faint"), TEXT, centred=True)
+        self.key = sized(ui.label(text=_key_text(key), role="faint"), TEXT, centred=True)
         for part in (self.name, self.key):
             part.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         ui.column(None, self.name, *([self.key] if key else []), None, owner=self, margins=(8, 4, 8, 4), spacing=2)
@@ -114,7 +114,7 @@ class WelcomePage(QWidget):
     def __init__(self, welcome: Welcome, act: Pressed) -> None:
         super().__init__()
         place = f"  ·  resumes at trial {counted(welcome.done + 1, welcome.of)}" if welcome.resumed else ""
-        keys = "     ".join(f"{key_text(key)}  {answer}" for answer, key in welcome.answers.items())
+        keys = "     ".join(f"{_key_text(key)}  {answer}" for answer, key in welcome.answers.items())
         self.participant = sized(
             ui.label("Participant", f"Participant {welcome.participant}{place}", role="faint", wraps=True), TEXT
         )
@@ -132,7 +132,7 @@ class WelcomePage(QWidget):
                 parts.append(sized(ui.label(title, text, wraps=True), TEXT))
         content, foot = QWidget(), QWidget()
         calm(*parts, owner=content)
-        self.button = LargeButton("Resume" if welcome.resumed else "Start", "Space", act)
+        self.button = _LargeButton("Resume" if welcome.resumed else "Start", "Space", act)
         calm(ui.row(None, self.button, None), owner=foot)
         ui.column((ui.scrolling(content), 1), foot, owner=self)
 
@@ -150,11 +150,11 @@ class QuestionPage(QWidget):
         self.note = sized(ui.label("Note", role="faint", wraps=True), TEXT, centred=True)
         size = LARGE if len(welcome.answers) <= 4 else TEXT
         self.answers = {
-            choice: LargeButton(choice, key, partial(answer, choice), lines=5.0, columns=0, size=size)
+            choice: _LargeButton(choice, key, partial(answer, choice), lines=5.0, columns=0, size=size)
             for choice, key in welcome.answers.items()
         }
         taken = REPLAY_KEY in (key.upper() for key in welcome.answers.values())
-        self.replay = None if replay is None else LargeButton("Feel it again", "" if taken else REPLAY_KEY, replay)
+        self.replay = None if replay is None else _LargeButton("Feel it again", "" if taken else REPLAY_KEY, replay)
         again = [] if self.replay is None else [ui.row(None, self.replay, None)]
         row = ui.row(*((button, 1) for button in self.answers.values()), spacing=18)
         calm(self.question, 10, row, 20, *again, self.note, owner=self, columns=90)
@@ -185,7 +185,7 @@ class NoticePage(QWidget):
         self.title = sized(ui.label("Title", wraps=True), TITLE, centred=True)
         self.text = sized(ui.label("Text", wraps=True), TEXT, centred=True)
         self.bar = ui.progress_bar("Progress")
-        self.button = LargeButton("Continue", "Space", act)
+        self.button = _LargeButton("Continue", "Space", act)
         calm(self.title, self.text, self.bar, 10, ui.row(None, self.button, None), owner=self)
 
     def show_notice(

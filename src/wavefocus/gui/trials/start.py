@@ -3,7 +3,7 @@
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import Qt, QTimer
+from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QDialog, QFormLayout, QLineEdit, QWidget
 
 from wavefocus.gui import widgets as ui
@@ -53,21 +53,14 @@ class TrialsStart(QDialog):
             owner=self, margins=(12, 12, 12, 12), spacing=8,
         )  # fmt: skip
         self.resize(620, self.sizeHint().height())
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.timeout.connect(self._read)
+        self._timer = ui.later(self, 300, self._read)
         for line in (self.participant, self.out.line):
             line.textChanged.connect(self._changed)
         self._changed()
 
-    def instruments_held(self) -> str:
-        """Holder of real instruments, as the beginning of a sentence; empty for none."""
-        real = self.command.running and not names_virtual_rig(self.rig.path or VIRTUAL)
-        return f"trials of participant {self.participant.text().strip()} are running" if real else ""
-
     def _changed(self) -> None:
         self.start.setEnabled(False)
-        self._timer.start(300)
+        self._timer.start()
 
     def _read(self) -> None:
         participant, out = self.participant.text().strip(), self.out.path
@@ -89,10 +82,11 @@ class TrialsStart(QDialog):
         arguments = ["trials", str(self._trials), "--bank", str(bank), "--rig", str(rig), "--out", str(out)]
         arguments += ["--participant", self.participant.text().strip()]
         virtual = names_virtual_rig(rig)
-        self._context.claim_instruments(self, "Start", partial(self._run, arguments), virtual=virtual)
+        holds = "" if virtual else f"trials of participant {self.participant.text().strip()} are running"
+        self._context.claim_instruments("Start", partial(self._run, arguments, holds), virtual=virtual)
 
-    def _run(self, arguments: list[str]) -> None:
-        self.command.run(arguments, self._ended, name="the trials", advice="Start resumes them")
+    def _run(self, arguments: list[str], holds: str) -> None:
+        self.command.run(arguments, self._ended, holds=holds, name="the trials", advice="Start resumes them")
         self.start.setEnabled(False)
         self.standing.setText("the participant's window opens when the stimuli are prepared")
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from PyQt5.QtWidgets import QToolButton, QWidget
+from PyQt5.QtWidgets import QWidget
 
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.gui import widgets as ui
@@ -20,7 +21,7 @@ from wavefocus.gui.film_player import Film, FilmPlayer, Frame
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.verify.record import PREDICTION_NAME, SCAN_NAME
+from wavefocus.rendering.verify.record import PREDICTION_NAME, REPORT_NAME, SCAN_NAME
 from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
@@ -50,18 +51,17 @@ class Results:
     loudest_difference: float
 
 
-def read_results(record_file: Path, on_progress: Callable[[int, int], object], wanted: Callable[[], bool]) -> Results:
+def read_results(record_file: Path) -> Results:
     """Read a verification; takes a second for some hundred megabytes.
 
     Raises InputError: A file is missing, damaged or of another verification; the message names it.
-    Raises CancelledError: `wanted` returned False.
     """
     from wavefocus.rendering.verify.field_pair import read_pair  # the window starts without scipy
     from wavefocus.rendering.verify.record import read_record
 
     record = read_record(record_file)
     folder = record_file.parent
-    pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz, on_progress, wanted)
+    pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz)
     if not np.array_equal(pair.position_index, record.position_index):
         raise InputError(
             f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"
@@ -118,23 +118,17 @@ class VerdictPanel(Themed, QWidget):
 
 
 class FiguresPanel(Themed, QWidget):
-    """Table of the figures, buttons.
+    """Table of the figures, buttons; `opens` receives the name of a file, empty for the folder."""
 
-    acts: Actions of the buttons ``"report"`` and ``"folder"``.
-    """
-
-    def __init__(self, acts: Mapping[str, Callable[[], object]]) -> None:
+    def __init__(self, opens: Callable[[str], object]) -> None:
         super().__init__()
         self.table = ui.table(_COLUMNS, "Figures with tolerances", (0,))
         self.table.setShowGrid(False)
-        self.buttons: dict[str, QToolButton] = {
-            name: ui.tool_button(words, tip, acts[name])
-            for name, words, tip in (
-                ("report", "Open report", "The HTML report with all pictures, in the browser"),
-                ("folder", "Open folder", "The folder of drive, prediction, scan, report and verify.json"),
-            )
-        }
-        ui.column((self.table, 1), ui.row(*self.buttons.values(), None), owner=self, spacing=4)
+        tip = "The HTML report with all pictures, in the browser"
+        self.report = ui.tool_button("Open report", tip, partial(opens, REPORT_NAME))
+        tip = "The folder of drive, prediction, scan, report and verify.json"
+        folder = ui.tool_button("Open folder", tip, partial(opens, ""))
+        ui.column((self.table, 1), ui.row(self.report, folder, None), owner=self, spacing=4)
 
     def show_results(self, results: Results) -> None:
         figures, theme = results.record.figures, self.theme
@@ -199,11 +193,9 @@ class MapsPanel(FilmPlayer):
 
     def __init__(self) -> None:
         super().__init__(("Prediction", "Scan", "Difference"), list(_LINES.values()))
-        columns = []
-        for field_map, words in zip(self.maps, ("Prediction", "Scan", "Difference, scan − prediction"), strict=True):
-            heading = ui.label(text=words, role="strong", any_width=True)
+        for field_map in self.maps:
             field_map.setMinimumSize(150, 110)
-            columns.append((ui.column(heading, (field_map, 1), field_map.bar, spacing=2), 1))
+        columns = [(ui.column((one, 1), one.bar, spacing=2), 1) for one in self.maps]
         ui.column((ui.row(*columns, spacing=6), 1), self.time, owner=self)
         lines = (
             f'<span style="color:{self.theme.trace(colour)}">━ {name}</span>' for name, (colour, _) in _LINES.items()

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QAction, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
+from PyQt5.QtWidgets import QAction, QLineEdit, QStackedWidget, QWidget
 
 from wavefocus.config.messages import MessageError, message_of
 from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, StateChanged
@@ -26,7 +26,7 @@ from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import ClosingQuestion, OwnCommand, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, Results, VerdictPanel, read_results
-from wavefocus.rendering.verify.record import FIELD_NAMES, LOG_NAME, PICTURE_NAMES, RECORD_NAME, REPORT_NAME, STOP_NAME
+from wavefocus.rendering.verify.record import FIELD_NAMES, LOG_NAME, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
 
@@ -34,7 +34,7 @@ _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
 _NO_STEP = VerifyStep(datetime.fromtimestamp(0, UTC), "starting", 0, 0)
 
 
-class VerificationRun(OwnCommand):
+class _VerificationRun(OwnCommand):
     """At most one verification of this window.
 
     done: Receives the record's path when a verification has one.
@@ -47,11 +47,10 @@ class VerificationRun(OwnCommand):
         super().__init__(context)
         self._done = done
         self.out = Path()
-        self.step, self.message = _NO_STEP, ""
-        self.stopping = self.is_virtual = False
-        self._close: Callable[[], object] | None = None
-        self._started = False
-        self._reason = ""
+        self.stopping = False
+        self._log: LogTail | None = None
+        self._close: Callable[[], object] = lambda: None
+        self._forget()
 
     def start(self, arguments: Sequence[str], out: Path, *, virtual: bool) -> None:
         """Start a command that writes a folder, unless one is running."""
@@ -60,35 +59,37 @@ class VerificationRun(OwnCommand):
             return
         try:
             out.mkdir(parents=True, exist_ok=True)
-            for name in (LOG_NAME, STOP_NAME):  # of an earlier one
-                (out / name).unlink(missing_ok=True)
+            (out / LOG_NAME).unlink(missing_ok=True)  # of an earlier one
         except OSError as failure:
             self._context.messages.fault(f"the verification cannot be started: {error_text(failure)}")
             return
-        self.out, self._log, self.step, self.message = out, LogTail(out / LOG_NAME), _NO_STEP, ""
-        self._started, self._reason, self.stopping, self.is_virtual = False, "", False, virtual
+        self._forget()
+        self.out, self._log = out, LogTail(out / LOG_NAME)
         self.run(
             arguments,
             self._report_end,
+            holds="" if virtual else f"a verification into {out} plays and scans",
             log_file=out / "verify.said",
             name="the verification",
             advice="its outputs ended with it, but the mirror stands where it was: run the verification again",
         )
 
     def cancel(self) -> None:
-        """Stop it: outputs muted, mirror parked."""
-        if self.running and not self.stopping:
+        """Stop it: outputs muted, mirror parked. Before its log begins it has no instruments, and is ended."""
+        if self.own is not None and not self.stopping:
             self.stopping = True
-            if self._started:
-                self._request_stop()
+            self.poll()
+            self.own.interrupt() if self._started else self.own.kill()
 
-    def poll(self) -> None:
-        """Read its log; called often."""
-        if self.running:
-            self._read()
+    def poll(self) -> bool:
+        """Read what is new in its log, a block of it; returns whether there was anything."""
+        records = [] if self._log is None else self._log.read()[0]
+        for record in records:
+            with suppress(MessageError):  # of another version
+                self._receive(message_of(record, _MESSAGES))
+        return bool(records)
 
     def closing_question(self) -> ClosingQuestion | None:
-        """What to ask before the window closes; None without a verification."""
         if not self.running:
             return None
 
@@ -98,25 +99,18 @@ class VerificationRun(OwnCommand):
             if not self.running:
                 close()
 
-        return ClosingQuestion(
-            f"A verification plays and scans into {self.out.name}. Stop it when the window closes?",
-            (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop)),
-        )
+        sentence = f"A verification plays and scans into {self.out.name}. Stop it when the window closes?"
+        return sentence, (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop))
 
-    def _read(self) -> bool:
-        """Read what is new in its log, a block of it; returns whether there was anything."""
-        records = self._log.read()[0]
-        for record in records:
-            with suppress(MessageError):  # of another version
-                self._receive(message_of(record, _MESSAGES))
-        return bool(records)
+    def _forget(self) -> None:
+        self.step, self.message, self._reason = _NO_STEP, "", ""
+        self.stopping = self._started = False
+        self._close = lambda: None
 
     def _receive(self, message: object) -> None:
         match message:
             case VerifyStarted():
                 self._started = True
-                if self.stopping:  # cancelled before it could look for the file
-                    self._request_stop()
             case VerifyStep():
                 self.step = message
             case StateChanged(state=state, reason=reason):
@@ -126,30 +120,20 @@ class VerificationRun(OwnCommand):
             case VerifyEnded(reason=reason):
                 self._reason = reason
 
-    def _request_stop(self) -> None:
-        try:
-            (self.out / STOP_NAME).touch()
-        except OSError as failure:
-            self.stopping = False
-            self._context.messages.fault(f"the verification cannot be stopped: {error_text(failure)}")
-
     def _report_end(self, process: CommandProcess) -> None:
-        while self._read():
+        while self.poll():
             pass
-        self.stopping = False
-        with suppress(OSError):
-            (self.out / STOP_NAME).unlink(missing_ok=True)
+        self._log = None
         stopped = "stopped; the outputs are muted and the mirror is parked; Verify goes on with what was scanned"
         judged = process.exit_code in (Exit.DONE, Exit.NOT_GOOD_ENOUGH)
         why = f"Not good enough. {self._reason}" if judged else self._reason
         self._context.report_end(process, f"Verified. {self._reason}", stopped, why)
         if judged:
             self._done(self.out / RECORD_NAME)
-        if self._close is not None:
-            self._close()
+        self._close()
 
 
-class RequestForm(QWidget):
+class _RequestForm(QWidget):
     """Fields for scene, bank, rig, folder and the positions to scan."""
 
     def __init__(self, context: TabContext) -> None:
@@ -167,17 +151,7 @@ class RequestForm(QWidget):
         self.positions = ui.named(QLineEdit(), tip, "Positions to scan")
         self.positions.setPlaceholderText("all; or path, every:4, 3,5-9")
         self.positions.setMinimumWidth(self.fontMetrics().horizontalAdvance(self.positions.placeholderText()) + 20)
-        self.choice = QWidget()
-        ui.row(*ui.labelled("&Positions", self.positions), owner=self.choice)
-        grid = QGridLayout(self)
-        grid.setContentsMargins(0, 0, 0, 0)
-        for place, fields in enumerate(((self.scene, self.rig), (self.bank, self.out))):
-            grid.setColumnStretch(place, 1)
-            labels = [label for field in fields if (label := field.findChild(QLabel)) is not None]
-            for line, field in enumerate(fields):
-                grid.addWidget(field, line, place)
-            for label in labels:
-                label.setMinimumWidth(max(one.sizeHint().width() for one in labels))
+        ui.column(ui.row((self.scene, 1), (self.bank, 1)), ui.row((self.rig, 1), (self.out, 1)), owner=self)
         self.choices: dict[str, QWidget] = {
             "scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out, "rows": self.positions,
         }  # fmt: skip
@@ -200,11 +174,8 @@ class RequestForm(QWidget):
 
     def missing(self) -> str:
         """What has to be chosen first; empty when a verification can be started."""
-        fields = (
-            (self.scene, "a scene file"), (self.bank, "a bank"), (self.rig, f"a rig file, or type {VIRTUAL}"),
-            (self.out, "a folder"),
-        )  # fmt: skip
-        words = [word for field, word in fields if not field.line.text().strip()]
+        names = (self.scene, "a scene file"), (self.bank, "a bank"), (self.rig, "a rig file"), (self.out, "a folder")
+        words = [word for field, word in names if not field.line.text().strip()]
         return "" if not words else f"choose {', and '.join(words)}"
 
     def arguments(self, out: Path) -> list[str]:
@@ -242,41 +213,40 @@ _STEPS = {
 }
 
 
-class RunRow(Themed, QWidget):
-    """One line: positions to scan (`choice`), buttons, step, progress, remaining time and last message."""
+_WITH_COUNT = ("scan", "predict", "linearity")
 
-    def __init__(self, choice: QWidget, start: Callable[[], object], cancel: Callable[[], object]) -> None:
+
+class _RunRow(Themed, QWidget):
+    """One line: positions to scan, buttons, step, progress, remaining time and last message."""
+
+    def __init__(self, positions: QLineEdit, start: Callable[[], object], cancel: Callable[[], object]) -> None:
         super().__init__()
         tip = "Play the scene on the rig, scan it and compare"
         self.start = ui.action(self, "Verify", start, "Ctrl+Shift+V", tip=tip)
         tip = "Stop: outputs muted, mirror parked; Verify then goes on with the scan"
         self.cancel = ui.action(self, "Cancel", cancel, "Ctrl+Shift+X", tip=tip)
-        self._start_tip = self.start.toolTip()
         self.state = ui.Badge("State of the verification")
         self.bar = ui.progress_bar("Progress of the verification", "%v of %m positions")
         self.bar.setMinimumWidth(120)
         self.figures = ui.label("Remaining time and last message", any_width=True)
         buttons = map(ui.button, (self.start, self.cancel))
-        ui.row(choice, 8, *buttons, 8, self.state, (self.bar, 2), (self.figures, 3), owner=self)
+        choice = ui.labelled("&Positions", positions)
+        ui.row(*choice, 8, *buttons, 8, self.state, (self.bar, 2), (self.figures, 3), owner=self)
 
-    def show_run(self, run: VerificationRun, missing: str, reading: str) -> None:
-        """Show the progress of a verification; without one, what is `missing` for it, and what is being read."""
-        self.start.setEnabled(not run.running and not missing)
-        self.start.setToolTip(f"First {missing}" if missing else self._start_tip)
+    def show_run(self, run: _VerificationRun, text: str) -> None:
+        """Show the progress of a verification; without one, a text."""
         self.cancel.setEnabled(run.running and not run.stopping)
         for part in (self.state, self.bar):
             part.setVisible(run.running)
-        step, text = run.step, reading
         if run.running:
+            step = run.step
             word = "stopping" if run.stopping else _STEPS.get(step.step, step.step)
             self.state.show_word(word, self.theme.warning if run.stopping else self.theme.good)
-            self.bar.setFormat("%v of %m positions" if step.step in ("scan", "predict", "linearity") else "")
-            if (self.bar.value(), self.bar.maximum()) != (step.done, step.total):
-                self.bar.setMaximum(step.total)  # 0: a busy indicator
-                self.bar.setValue(step.done)
-            left = ""
-            if step.step == "scan" and step.done < step.total and step.left_s is not None:
-                left = ui.finish_text(step.at.timestamp() + step.left_s)
+            self.bar.setFormat("%v of %m positions" if step.step in _WITH_COUNT else "")
+            self.bar.setMaximum(step.total)  # 0: a busy indicator
+            self.bar.setValue(step.done)
+            goes_on = step.step == "scan" and step.left_s is not None and step.done < step.total
+            left = ui.finish_text(step.at.timestamp() + (step.left_s or 0.0)) if goes_on else ""
             text = "  ·  ".join(filter(None, (left, run.message)))
         ui.put(self.figures, text)
         self.figures.setToolTip(text)
@@ -298,15 +268,14 @@ class VerificationTab(Tab):
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
         self.results: Results | None = None
-        self.background = Background(self)  # reading some hundred megabytes must hold up no other tab
-        self._reading, self._reading_share, self._readings = "", (0, 0), 0
-        self.run = VerificationRun(context, self.open_record)
-        self.form = RequestForm(context)
-        self.row = RunRow(self.form.choice, self._start, self.run.cancel)
+        self._background = Background(self)  # reading some hundred megabytes must hold up no other tab
+        self._reading = ""
+        self.run = _VerificationRun(context, self._open_record)
+        self.form = _RequestForm(context)
+        self.row = _RunRow(self.form.positions, self._start, self.run.cancel)
         self.verdict = VerdictPanel()
         self.maps = MapsPanel()
-        opens = {"report": partial(self._open, REPORT_NAME), "folder": partial(self._open, "")}
-        self.figures = FiguresPanel(opens)
+        self.figures = FiguresPanel(self._open)
         self._lay_out()
         self.form.out.chosen.connect(self._folder_chosen)
 
@@ -317,20 +286,7 @@ class VerificationTab(Tab):
         """Look at the verification that a file or a folder belongs to."""
         record = record_of(path)
         if record is not None:
-            self.open_record(record)
-
-    def open_record(self, record: Path) -> None:
-        """Read a verification and show it when it is there."""
-        self.context.settings.opened(record)
-        self._readings += 1
-        number = self._readings
-        self._reading, self._reading_share = record.parent.name, (0, 0)
-
-        def report(done: int, total: int) -> None:  # called in the thread that reads
-            self._reading_share = done, total
-
-        work = partial(read_results, record, report, lambda: number == self._readings)
-        self.background.ask("verification", work, self._show, self._fail)
+            self._open_record(record)
 
     def poll(self) -> None:
         self.run.poll()
@@ -346,35 +302,27 @@ class VerificationTab(Tab):
             self.form.scene.show_path(path)
 
     def draw(self) -> None:
+        missing = self.form.missing()
         self.hint.setText(_WAITING if self.run.running else _HINT)
-        self.row.show_run(self.run, self.form.missing(), self._reading_text())
-
-    def closing_question(self) -> ClosingQuestion | None:
-        return self.run.closing_question()
-
-    def instruments_held(self) -> str:
-        busy = self.run.running and not self.run.is_virtual
-        return f"a verification into {self.run.out} plays and scans" if busy else ""
+        self.row.start.setEnabled(not self.run.running and not missing)
+        self.row.show_run(self.run, self._reading or missing)
 
     def shut_down(self) -> None:
-        self._readings += 1
-        self.background.end()
-        self.run.detach()
+        self._background.end()
 
     def _lay_out(self) -> None:
-        waveforms = QWidget()
+        waveforms, shown = QWidget(), QWidget()
         ui.column(self.maps.legend, (self.maps.response, 1), owner=waveforms, spacing=2)
         lower = ui.side_by_side((waveforms, 515), (self.figures, 745))
-        both = ui.stacked((self.maps, 360), (lower, 260), growing=[0])
+        both = ui.side_by_side((self.maps, 360), (lower, 260), growing=[0], above=True)
         self.remember(lower=lower, both=both, **self.form.choices)
-        shown = QWidget()
         ui.column(self.verdict, (both, 1), owner=shown)
         self.pages = QStackedWidget()
         self.hint = ui.label(text=_HINT, role="faint", wraps=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignCenter)
         self.hint.setMargin(40)
-        self.pages.addWidget(self.hint)
-        self.pages.addWidget(shown)
+        for page in (self.hint, shown):
+            self.pages.addWidget(page)
         ui.column(self.form, self.row, (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def _start(self) -> None:
@@ -384,17 +332,18 @@ class VerificationTab(Tab):
         out, virtual = unused_folder(self.form.out.path), names_virtual_rig(self.form.rig.path or VIRTUAL)
         self.form.out.show_path(out)
         start = partial(self.run.start, self.form.arguments(out), out, virtual=virtual)
-        self.context.claim_instruments(self, "Verify", start, virtual=virtual)
+        self.context.claim_instruments("Verify", start, virtual=virtual)
 
     def _folder_chosen(self, folder: Path) -> None:
         """Show an earlier verification of that folder."""
         if not self.run.running:
             self.open_file(folder)
 
-    def _reading_text(self) -> str:
-        done, total = self._reading_share
-        share = f": {done} of {total} fields" if total else "…"
-        return f"reading {self._reading}{share}" if self._reading else ""
+    def _open_record(self, record: Path) -> None:
+        """Read a verification and show it when it is there."""
+        self.context.settings.opened(record)
+        self._reading = f"reading {record.parent.name}…"
+        self._background.ask("verification", partial(read_results, record), self._show, self._fail)
 
     def _show(self, results: Results) -> None:
         self._reading = ""
@@ -402,19 +351,10 @@ class VerificationTab(Tab):
         self.pages.setCurrentIndex(1)
         for panel in (self.verdict, self.maps, self.figures):
             panel.show_results(results)
-        self.maps.show_position(self._first_position(results))
 
     def _fail(self, failure: Exception) -> None:
         self._reading = ""
         self.context.report_failure(failure)
-
-    @staticmethod
-    def _first_position(results: Results) -> int:
-        """Where the first focus is looked at, so that something is seen at once; else none."""
-        if not len(results.focus_sample):
-            return -1
-        place = next((source.at_mm(float(results.record.focus_s[0])) for source in results.record.sources), None)
-        return -1 if place is None else results.surface.raster.nearest(float(place[0]), float(place[1]))
 
     def _open(self, name: str) -> None:
         """Open a file of the folder, or the folder itself where the name is empty."""
