@@ -11,7 +11,7 @@ from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.errors import DaqError, DaqWarning, RpcError
 
 from tests.wire.daq_bench import RANGE_V, TAKE, Tone, ask, check_tone, daq_bench, take_one
-from wavefocus.drivers.daq.ni.ni_session import MEANINGS, TlsFiles, explain
+from wavefocus.drivers.daq.ni.ni_session import MEANINGS, explain
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError, UnknownFaultError
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
@@ -286,8 +286,8 @@ def test_server_that_refuses_a_call_for_now_then_attempt_fails_and_next_one_work
 
 
 TLS = Path(__file__).with_name("tls")
-ROOT = TlsFiles(TLS / "root.pem")
-BOTH = TlsFiles(TLS / "root.pem", TLS / "client.pem", TLS / "client.key")
+ROOT = (TLS / "root.pem", None, None)
+BOTH = (TLS / "root.pem", TLS / "client.pem", TLS / "client.key")
 
 
 def server_credentials(*, mutual):
@@ -315,4 +315,4 @@ def test_given_the_wrong_certificates_or_none_then_the_server_cannot_be_reached(
 
 def test_given_a_certificate_file_that_is_not_there_then_its_key_is_named(tmp_path):
     with daq_bench() as bench, pytest.raises(InstrumentError, match=r"cannot be read.*correct tls_root"):
-        bench.recorder(tls=TlsFiles(tmp_path / "gone.pem"))
+        bench.recorder(tls=(tmp_path / "gone.pem", None, None))

@@ -5,7 +5,7 @@ asked for a sign of life and killed within seconds, which silences its outputs a
 life from its parent, too: where the parent is stopped (SIGSTOP, Ctrl-Z, a debugger), the process puts its outputs to
 rest.
 
-Messages are frozen data classes, pickled: both ends are this package, started by one another.
+Messages are words, or tuples that begin with one, pickled: both ends are this package, started by one another.
 """
 
 import math
@@ -19,7 +19,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -46,27 +45,17 @@ STOPPED = (
 Value = TypeVar("Value")
 
 
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """Asks for a sign of life."""
+ASK = "ask"
+"""Asks a process for a sign of life."""
 
+ALIVE = "alive"
+"""A sign of life: the process's answer to `ASK`, and the parent's of its own accord."""
 
-@dataclass(frozen=True, slots=True)
-class Alive:
-    """A sign of life: the process's answer to `Ask`, and the parent's of its own accord."""
+CLOSE = "close"
+"""Asks a process to release its device and end."""
 
-
-@dataclass(frozen=True, slots=True)
-class Close:
-    """Asks the process to release its device and end."""
-
-
-@dataclass(frozen=True, slots=True)
-class Lost:
-    """The last message of a process whose device is gone; `at_rest`: its outputs were put to rest before."""
-
-    cause: str
-    at_rest: bool = False
+AT_REST = ("lost", STOPPED, True)
+"""The last message of a process whose parent is stopped: "lost", the cause, and that its outputs are at rest."""
 
 
 class MessagePipe:
@@ -91,6 +80,12 @@ class MessagePipe:
         """Write one message, or nothing where the other end is closed: the reader there notices, too."""
         with suppress(OSError):
             self.send(message)
+
+    def close(self) -> None:
+        """Close both pipes."""
+        for pipe in (self._outgoing, self._incoming):
+            with suppress(BrokenPipeError):  # messages that the other end did not read
+                pipe.close()
 
     def receive(self) -> Any:
         """Wait for the next message; None when the other end is closed, be it in the middle of one."""
@@ -124,11 +119,7 @@ def wait_for_silence(pipe: MessagePipe) -> None:
 
 
 class ProcessGoneError(Exception):
-    """The process ended, or was killed because it hung."""
-
-    def __init__(self, cause: str) -> None:
-        super().__init__(cause)
-        self.cause = cause
+    """The process ended, or was killed because it hung; its text is the cause."""
 
 
 class DriverProcess:
@@ -140,7 +131,9 @@ class DriverProcess:
     environment: Added to the environment of this process.
     defaults: Added where this process's environment has not the variable.
 
+    gone: Why the process is gone; empty while it lives.
     at_rest: It is gone, and has put its outputs to rest before.
+    pid: Process id.
     """
 
     def __init__(
@@ -154,7 +147,7 @@ class DriverProcess:
         self._name = name
         self._receive = receive
         self._news = threading.Condition()
-        self._gone = ""
+        self.gone = ""
         self.at_rest = False
         self._answered_s = time.monotonic()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the process, in close()
@@ -179,6 +172,7 @@ class DriverProcess:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
+        self.pid = self._process.pid
         self._pipe = MessagePipe(self._process.stdout, self._process.stdin)
         self._reader = threading.Thread(target=self._read, name=f"answers of {module}", daemon=True)
         self._reader.start()
@@ -186,20 +180,10 @@ class DriverProcess:
         self._signs = threading.Thread(target=self._give_signs, name=f"signs of life for {module}", daemon=True)
         self._signs.start()
 
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
-    @property
-    def gone(self) -> str:
-        """Why the process is gone; empty while it lives."""
-        return self._gone
-
     def send(self, *messages: object) -> None:
         """Send messages in a row; a process that does not take them in time is killed. Raises ProcessGoneError."""
-        if self._gone:
-            raise ProcessGoneError(self._gone)
+        if self.gone:
+            raise ProcessGoneError(self.gone)
         guard = threading.Timer(ANSWER_S, self.kill, [f"it took nothing in for {ANSWER_S:g} s and was killed"])
         guard.daemon = True
         guard.start()
@@ -223,12 +207,12 @@ class DriverProcess:
         asked_s, silent_s, looked_s = -math.inf, 0.0, time.monotonic()
         while True:
             with self._news:
-                self._news.wait_for(lambda: look() is not None or self._gone, min(max(0.0, until_s - looked_s), LOOK_S))
+                self._news.wait_for(lambda: look() is not None or self.gone, min(max(0.0, until_s - looked_s), LOOK_S))
                 value = look()
                 if value is not None:
                     return value
-                if self._gone:
-                    raise ProcessGoneError(self._gone)
+                if self.gone:
+                    raise ProcessGoneError(self.gone)
                 answered_s = self._answered_s
             now_s = time.monotonic()
             # Time in which this process itself was stopped or kept waiting does not count against the other.
@@ -240,7 +224,7 @@ class DriverProcess:
             if answered_s > asked_s:
                 asked_s, silent_s = now_s, 0.0
                 try:
-                    self.send(Ask())
+                    self.send(ASK)
                 except ProcessGoneError:
                     with self._news:  # what it said before it went may be what is waited for
                         value = look()
@@ -253,7 +237,7 @@ class DriverProcess:
     def kill(self, cause: str) -> None:
         """End the process at once, with whatever it plays; `cause` is for later calls."""
         with self._news:
-            self._gone = self._gone or cause
+            self.gone = self.gone or cause
             self._news.notify_all()
         self._process.kill()
         with suppress(subprocess.TimeoutExpired):  # held in a driver's call; it makes no more sound
@@ -262,9 +246,9 @@ class DriverProcess:
     def close(self) -> None:
         """Ask the process to end, see it end, and kill it if it does not."""
         try:
-            self.send(Close())
+            self.send(CLOSE)
         except ProcessGoneError as gone:
-            self.kill(gone.cause)
+            self.kill(str(gone))
         try:
             self._process.wait(CLOSING_S)
         except subprocess.TimeoutExpired:
@@ -272,36 +256,34 @@ class DriverProcess:
         self._ending.set()
         self._reader.join(CLOSING_S)
         self._signs.join(CLOSING_S)
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        for pipe in (self._process.stdin, self._process.stdout, self._errors):
-            with suppress(BrokenPipeError):  # messages that it did not read
-                pipe.close()
+        self._pipe.close()
+        self._errors.close()
 
     def _give_signs(self) -> None:
         # A sign of life to the process each second.
-        while not self._ending.wait(1.0) and not self._gone:
+        while not self._ending.wait(1.0) and not self.gone:
             with suppress(OSError, ValueError):
-                self._pipe.send(Alive())
+                self._pipe.send(ALIVE)
 
     def _read(self) -> None:
         while (message := self._pipe.receive()) is not None:
             with self._news:
                 self._answered_s = time.monotonic()
-                if isinstance(message, Lost):
-                    self._gone, self.at_rest = self._gone or message.cause, message.at_rest
-                else:
-                    self._receive(message)
+                match message:
+                    case ("lost", cause, at_rest):
+                        self.gone, self.at_rest = self.gone or cause, at_rest
+                    case _:
+                        self._receive(message)
                 self._news.notify_all()
         why = self._why()
         with self._news:
-            self._gone = self._gone or why
+            self.gone = self.gone or why
             self._news.notify_all()
 
     def _why(self) -> str:
         """Why the pipe is closed, as far as it can be found out."""
-        if self._gone:
-            return self._gone
+        if self.gone:
+            return self.gone
         try:
             code = self._process.wait(ANSWER_S)
         except subprocess.TimeoutExpired:

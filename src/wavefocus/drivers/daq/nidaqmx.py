@@ -1,7 +1,6 @@
 """The recorder driver ``nidaqmx``: its keys, and which of two ways leads to the device."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 from wavefocus.drivers.protocols import Recorder
@@ -75,10 +74,6 @@ class NiDaqmx:
 
             return ProcessRecorder(self.device, **wiring)
         from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
-        from wavefocus.drivers.daq.ni.ni_session import TlsFiles
 
-        tls = None
-        if self.tls_root is not None:
-            own = (None if name is None else Path(name) for name in (self.tls_certificate, self.tls_key))
-            tls = TlsFiles(Path(self.tls_root), *own)
+        tls = None if self.tls_root is None else (self.tls_root, self.tls_certificate, self.tls_key)
         return NiRecorder(self.device, address=self.address, tls=tls, task_name=task_name, **wiring)

@@ -5,26 +5,20 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from typing import Any, TypeVar
 
 import numpy as np
 
 from wavefocus.drivers.audio.resampling import PlayFrames
-from wavefocus.drivers.audio.stream.player_process import (
-    BeginPieces,
-    Clocked,
-    EndPieces,
-    FadeOut,
-    Opened,
-    OpeningRefused,
-    Piece,
-)
-from wavefocus.drivers.audio.stream.portaudio import UNDERFLOW, PlayEnded, StreamRequest, Taken
+from wavefocus.drivers.audio.stream.portaudio import UNDERFLOW, OutputDevice, StreamRequest
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
+from wavefocus.drivers.process import ALIVE, ANSWER_S, ASK, OPENING_S, DriverProcess, ProcessGoneError
 from wavefocus.drivers.protocols import DeviceIdentity, Float64Array, Player
+
+Value = TypeVar("Value")
 
 OVERDUE_S = 5.0
 """A play that has not ended this long after it should have, plus a tenth of its length, has failed."""
@@ -75,14 +69,14 @@ class StreamPlayer(Player):
         self._closed = False
         self._plays = 0
         self._written_s = -math.inf
-        self._opened = self._open("opening", InstrumentError)
+        self._open("opening", InstrumentError)
         # Loaded now: records are short, and the first play must not come after its own.
         import_module("scipy.signal")
 
     @property
     def identity(self) -> DeviceIdentity:
         """Name of the device as PortAudio lists it, without maker or serial number."""
-        return self._opened.device.identity
+        return self._device.identity
 
     @property
     def channels(self) -> int:
@@ -96,7 +90,7 @@ class StreamPlayer(Player):
     @property
     def latency_s(self) -> float:
         """How long after its callback a sample leaves the outputs, as the host reports."""
-        return self._opened.latency_s
+        return self._latency_s
 
     @property
     def written_s(self) -> float:
@@ -111,16 +105,13 @@ class StreamPlayer(Player):
         """Name, host API, channels, rate and latency of the device."""
         self._check_open("identifying")
         stream, asked_s = self._stream, time.monotonic()
-        self._send("identifying", Ask())
-        try:
-            stream.process.wait_for(lambda: stream.alive_s > asked_s or None, asked_s + 2 * ANSWER_S)
-        except ProcessGoneError as gone:
-            raise self._lost("identifying", gone) from None
-        device = self._opened.device
+        self._send("identifying", ASK)
+        self._wait_for("identifying", lambda: stream.alive_s > asked_s or None, asked_s + 2 * ANSWER_S)
+        device = self._device
         rate = f"{self._request.rate_hz} Hz{_measured(self._request.rate_hz, stream.rate_hz)}"
         return (
             f"player {device.name}, {device.host_api}, {self.channels} of {device.channels} channels at {rate},"
-            f" latency {1e3 * self.latency_s:.0f} ms, full scale {self.full_scale_v:g} V, {self._opened.library}"
+            f" latency {1e3 * self.latency_s:.0f} ms, full scale {self.full_scale_v:g} V, {self._library}"
         )
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
@@ -135,9 +126,8 @@ class StreamPlayer(Player):
         with self._ordering:
             self._check_silent(doing)
             frames = self._frames.frames(doing, signals_v, sample_rate_hz)
-            self._plays += 1
-            self._stream.play = _Play(self._plays, doing, len(frames) / self._request.rate_hz)
-            self._send(doing, BeginPieces(self._plays, tuple(signals_v), len(frames) + 1), Piece(frames), EndPieces())
+            self._begin(_Play(doing, len(frames) / self._request.rate_hz), tuple(signals_v), len(frames) + 1)
+            self._send(doing, ("piece", frames), ("end",))
 
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
         doing = f"playing piece by piece on {len(channels)} channels"
@@ -151,14 +141,17 @@ class StreamPlayer(Player):
                 remedy = f"choose each at most once from 0 to {self.channels - 1}"
                 raise InstrumentError(self._name, doing, f"channels {list(channels)}", remedy)
             self._check_silent(doing)
-            self._plays += 1
             full_scale_v = np.array([self._full_scale_v[channel] for channel in channels])[:, np.newaxis]
             ahead_frames = max(1, round(ahead_s * rate_hz))
-            self._stream.play = _Play(self._plays, doing, 0.0, full_scale_v, ahead_frames)
-            self._send(doing, BeginPieces(self._plays, tuple(channels), ahead_frames))
+            self._begin(_Play(doing, 0.0, full_scale_v, ahead_frames), tuple(channels), ahead_frames)
+
+    def _begin(self, play: _Play, channels: tuple[int, ...], ahead_frames: int) -> None:
+        self._plays += 1
+        play.number, self._stream.play = self._plays, play
+        self._send(play.doing, ("begin", play.number, channels, ahead_frames))
 
     def add_piece(self, volts: Float64Array) -> float:
-        (play, full_scale_v), rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
+        (play, full_scale_v), rate_hz = self._begun(), self._request.rate_hz
         if volts.ndim != 2 or len(volts) != len(full_scale_v) or not (np.abs(volts) <= full_scale_v).all():
             cause = f"a piece of shape {volts.shape} that reaches {np.abs(volts).max(initial=0.0):g} V"
             remedy = f"give one row for each of {len(full_scale_v)} channels, finite and within full scale"
@@ -166,47 +159,40 @@ class StreamPlayer(Player):
         frames = np.ascontiguousarray((volts / full_scale_v).T, dtype=np.float32)
         before_s = play.waiting_frames / rate_hz
         play.sent_frames += len(frames)
-        self._send(play.doing, Piece(frames))
+        self._send(play.doing, ("piece", frames))
         self._written_s = time.monotonic()
 
         def there_is_room() -> bool | None:
             return True if play.outcome or play.waiting_frames <= play.ahead_frames else None
 
         longest_s = 1.1 * (play.ahead_frames + len(frames)) / rate_hz + 2 * self.latency_s + OVERDUE_S
-        try:
-            room = process.wait_for(there_is_room, time.monotonic() + longest_s)
-        except ProcessGoneError as gone:
-            raise self._lost(play.doing, gone) from None
+        room = self._wait_for(play.doing, there_is_room, time.monotonic() + longest_s)
         if play.outcome == UNDERFLOW:
             raise self._ran_dry(play)
         if room is None:
-            process.kill("it plays more slowly than its clock says")
-            raise self._lost(play.doing, ProcessGoneError(process.gone))
+            raise self._killed(play.doing, "it plays more slowly than its clock says")
         return before_s
 
     def end_pieces(self) -> None:
         play, _ = self._begun()
         play.length_s = play.waiting_frames / self._request.rate_hz
         play.asked_s = time.monotonic()
-        self._send(play.doing, EndPieces())
+        self._send(play.doing, ("end",))
 
     def wait(self, timeout_s: float) -> None:
         """Return when the last sample has left the outputs, at the latest after `timeout_s`."""
         self._check_open("waiting for the end of the signal")
-        process, play = self._stream.process, self._stream.play
+        play = self._stream.play
         if play is None:
             return
         now_s = time.monotonic()
         overdue_s = play.asked_s + 1.1 * play.length_s + 2 * self.latency_s + OVERDUE_S
-        try:
-            ended = process.wait_for(lambda: play.outcome, min(now_s + timeout_s, max(now_s, overdue_s)))
-        except ProcessGoneError as gone:
-            raise self._lost(play.doing, gone) from None
+        ended = self._wait_for(play.doing, lambda: play.outcome, min(now_s + timeout_s, max(now_s, overdue_s)))
         if ended == UNDERFLOW:
             raise self._ran_dry(play)
         if ended is None and time.monotonic() >= overdue_s:
-            process.kill(f"it took over {overdue_s - play.asked_s:.1f} s for {play.length_s:.1f} s of sound")
-            raise self._lost(play.doing, ProcessGoneError(process.gone))
+            cause = f"it took over {overdue_s - play.asked_s:.1f} s for {play.length_s:.1f} s of sound"
+            raise self._killed(play.doing, cause)
         if ended is None:
             raise TransientInstrumentError(
                 self._name, play.doing, f"not finished after {timeout_s:g} s", "allow the length of the signal"
@@ -221,7 +207,7 @@ class StreamPlayer(Player):
         if self._closed or play is None or play.outcome is not None:
             return
         try:
-            process.send(FadeOut())
+            process.send("fade")
             if process.wait_for(lambda: play.outcome, time.monotonic() + ANSWER_S) is None:
                 process.kill(f"it did not fall silent within {ANSWER_S:g} s of a mute and was killed")
         except ProcessGoneError:
@@ -232,7 +218,7 @@ class StreamPlayer(Player):
         self._check_open("reconnecting")
         with self._ordering:
             self._stream.process.close()
-            self._opened = self._open("reconnecting", InstrumentLostError)
+            self._open("reconnecting", InstrumentLostError)
 
     def close(self) -> None:
         """Fade out, release the device and end its process; twice does no harm."""
@@ -240,37 +226,49 @@ class StreamPlayer(Player):
             self._closed = True
             self._stream.process.close()
 
-    def _open(self, doing: str, refusal: type[InstrumentError]) -> Opened:
+    def _open(self, doing: str, refusal: type[InstrumentError]) -> None:
         """Open the device in a fresh process. Raises InstrumentError, of the kind `refusal` where it may pass."""
         self._stream = stream = _Stream(self._environment)
         try:
             stream.process.send(self._request)
-            stream.process.wait_for(lambda: stream.answer is not None or None, time.monotonic() + OPENING_S)
-            answer = stream.answer
-            if isinstance(answer, Opened):
-                return answer
-        except ProcessGoneError as gone:
+            answer = stream.process.wait_for(lambda: stream.answer, time.monotonic() + OPENING_S)
+            if answer is None:
+                stream.process.kill("opening took too long")
+                cause = f"its driver did not open it in {OPENING_S:g} s"
+                raise InstrumentLostError(self._name, doing, cause, LOST_REMEDY)
+            if answer[0] == "refused":
+                _, cause, remedy, absent = answer
+                raise (refusal if absent else InstrumentError)(self._name, doing, cause, remedy)
+            self._device: OutputDevice = answer[1]
+            self._latency_s: float = answer[2]
+            self._library: str = answer[3]
+        except BaseException as failure:
             stream.process.close()
-            raise refusal(self._name, doing, gone.cause, LOST_REMEDY) from None
-        except BaseException:
-            stream.process.close()
+            if isinstance(failure, ProcessGoneError):
+                raise refusal(self._name, doing, str(failure), LOST_REMEDY) from None
             raise
-        if answer is None:
-            stream.process.kill("opening took too long")
-        stream.process.close()
-        if answer is None:
-            raise InstrumentLostError(self._name, doing, f"its driver did not open it in {OPENING_S:g} s", LOST_REMEDY)
-        raise (refusal if answer.absent else InstrumentError)(self._name, doing, answer.cause, answer.remedy)
 
     def _send(self, doing: str, *messages: object) -> None:
         try:
             self._stream.process.send(*messages)
         except ProcessGoneError as gone:
-            raise self._lost(doing, gone) from None
+            raise self._lost(doing, str(gone)) from None
 
-    def _lost(self, doing: str, gone: ProcessGoneError) -> InstrumentLostError:
+    def _wait_for(self, doing: str, look: Callable[[], Value | None], until_s: float) -> Value | None:
+        """See `DriverProcess.wait_for`. Raises InstrumentLostError."""
+        try:
+            return self._stream.process.wait_for(look, until_s)
+        except ProcessGoneError as gone:
+            raise self._lost(doing, str(gone)) from None
+
+    def _killed(self, doing: str, cause: str) -> InstrumentLostError:
+        """End the process, with what it plays."""
+        self._stream.process.kill(cause)
+        return self._lost(doing, self._stream.process.gone)
+
+    def _lost(self, doing: str, cause: str) -> InstrumentLostError:
         remedy = "connect again" if self._stream.process.at_rest else LOST_REMEDY
-        return InstrumentLostError(self._name, doing, gone.cause, remedy)
+        return InstrumentLostError(self._name, doing, cause, remedy)
 
     def _ran_dry(self, play: _Play) -> TransientInstrumentError:
         cause, remedy = f"underflow: {play.notice}", "play from a disk that reads faster, with fewer other programs"
@@ -305,11 +303,11 @@ class _Play:
     full_scale_v, (channels, 1): Of a play that comes in pieces, `ahead_frames` beforehand; None of another.
     """
 
-    number: int
     doing: str
     length_s: float
     full_scale_v: Float64Array | None = None
     ahead_frames: int = 0
+    number: int = 0
     sent_frames: int = 0
     taken_frames: int = 0
     outcome: str | None = None
@@ -325,7 +323,7 @@ class _Stream:
     """The stream's process and what it has reported."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        self.answer: Opened | OpeningRefused | None = None
+        self.answer: tuple[Any, ...] | None = None
         self.play: _Play | None = None
         self.alive_s = -math.inf
         self.rate_hz = math.nan
@@ -338,19 +336,19 @@ class _Stream:
             {"JACK_NO_START_SERVER": "1"},
         )
 
-    def _note(self, message: object) -> None:
+    def _note(self, message: Any) -> None:
         play = self.play
         match message:
-            case Opened() | OpeningRefused():
+            case ("opened" | "refused", *_):
                 self.answer = message
-            case Clocked(rate_hz):
+            case ("clocked", rate_hz):
                 self.rate_hz = rate_hz
-            case Alive():
-                self.alive_s = time.monotonic()
-            case PlayEnded(number, outcome, notice) if play is not None and number == play.number:
+            case ("ended", number, outcome, notice) if play is not None and number == play.number:
                 play.notice, play.outcome = notice, outcome
-            case Taken(number, frames) if play is not None and number == play.number:
+            case ("taken", number, frames) if play is not None and number == play.number:
                 play.taken_frames = frames
+            case _ if message == ALIVE:
+                self.alive_s = time.monotonic()
 
 
 def _measured(asked_hz: int, measured_hz: float) -> str:

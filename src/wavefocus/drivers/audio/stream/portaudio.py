@@ -1,9 +1,9 @@
 """PortAudio's outputs by host API and name, the stream over one of them, and what its callback plays."""
 
-import os
 import queue
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,23 +24,6 @@ PERIODS_AFTER = 2
 PLAYED, MUTED, UNDERFLOW = "played", "muted", "underflow"
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
-    """So many frames of a play have been put into periods."""
-
-    number: int
-    frames: int
-
-
-@dataclass(frozen=True, slots=True)
-class PlayEnded:
-    """How a play ended: `PLAYED`, `MUTED`, or `UNDERFLOW` with what was noticed."""
-
-    number: int
-    outcome: str
-    notice: str = ""
-
-
 class StreamPlay:
     """Frames that are handed over in pieces by one thread, while the stream's puts them into periods.
 
@@ -48,11 +31,11 @@ class StreamPlay:
     channels: Outputs, in the order of the pieces' columns.
     reserve_frames: Fewer than these left before the end is announced: it has run dry, with enough left to fade out
         over.
-    report: Receives `Taken` after each piece.
+    report: Receives "taken", its number, and how many frames have been put into periods, after each piece.
     """
 
     def __init__(
-        self, number: int, channels: Sequence[int], reserve_frames: int, report: Callable[[Taken], None]
+        self, number: int, channels: Sequence[int], reserve_frames: int, report: Callable[[tuple[Any, ...]], None]
     ) -> None:
         self.number = number
         self.frames = sys.maxsize
@@ -64,37 +47,38 @@ class StreamPlay:
         self._channels = list(channels)
         self._reserve_frames = reserve_frames
         self._report = report
-        self._pieces: queue.SimpleQueue[Float32Array] = queue.SimpleQueue()
-        self._piece = np.zeros((0, len(self._channels)), dtype=np.float32)
+        self._pieces: deque[Float32Array] = deque()
         self._taken = 0
 
     def add(self, piece: Float32Array) -> None:
         """Hand over the next frames, (frames, channels), parts of full scale."""
-        self._pieces.put(piece)
+        self._pieces.append(piece)
         self.received += len(piece)
 
     def end(self) -> None:
         """Say that no more comes."""
         self.frames = self.received
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether its end was announced."""
+        return self.frames < sys.maxsize
+
     def put(self, out: Float32Array) -> str:
         """Put the next frames into a silent period; returns what is missing, or an empty text."""
-        ended = self.frames != sys.maxsize
-        dry = not ended and self.received - self._taken < len(out) + self._reserve_frames
+        dry = not self.is_whole and self.received - self._taken < len(out) + self._reserve_frames
         place = 0
-        while place < len(out):
-            if not len(self._piece):
-                try:
-                    self._piece = self._pieces.get_nowait()
-                except queue.Empty:
-                    break
-            count = min(len(out) - place, len(self._piece))
-            out[place : place + count, self._channels] = self._piece[:count]
-            self._piece = self._piece[count:]
+        while place < len(out) and self._pieces:
+            piece = self._pieces[0]
+            count = min(len(out) - place, len(piece))
+            out[place : place + count, self._channels] = piece[:count]
             self._taken += count
             place += count
-            if not len(self._piece):
-                self._report(Taken(self.number, self._taken))
+            if count < len(piece):
+                self._pieces[0] = piece[count:]
+            else:
+                self._pieces.popleft()
+                self._report(("taken", self.number, self._taken))
         return "the next piece of the signal did not come in time" if dry else ""
 
 
@@ -103,7 +87,8 @@ class Playback:
 
     latency_s: How long after its callback a period leaves the outputs, as the stream reports.
 
-    events: One end for each play, in order; and what was taken of one that comes piece by piece.
+    events: Of each play, in order: "ended", its number, `PLAYED`, `MUTED` or `UNDERFLOW`, and what was noticed; before
+        it what `StreamPlay` reports.
     callbacks: How many periods were filled so far.
     """
 
@@ -118,7 +103,7 @@ class Playback:
         self._host_frames = 0
         self._first_s = np.inf
         self._frames = self._before = 0
-        self.events: queue.SimpleQueue[PlayEnded | Taken] = queue.SimpleQueue()
+        self.events: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
         self.callbacks = 0
 
     @property
@@ -204,7 +189,7 @@ class Playback:
 
     def _end(self, outcome: str, notice: str = "") -> None:
         if self._play is not None:
-            self.events.put(PlayEnded(self._play.number, outcome, notice))
+            self.events.put(("ended", self._play.number, outcome, notice))
             self._play = None
 
 
@@ -327,24 +312,7 @@ class StreamRequest:
     block_frames: int
 
 
-def load_sounddevice() -> Any:
-    """The package with the PortAudio library that it drives. Raises DeviceChoiceError."""
-    os.environ["SD_ENABLE_ASIO"] = "1"  # Windows: outputs of more than two channels are rarely offered otherwise
-    try:
-        import sounddevice
-    except ImportError as error:
-        raise DeviceChoiceError(
-            f"the Python package sounddevice is missing ({error})", "install it: pip install sounddevice"
-        ) from error
-    except OSError as error:
-        raise DeviceChoiceError(
-            f"the PortAudio library is missing or broken ({error})",
-            "install it: on Debian and Ubuntu apt install libportaudio2, elsewhere reinstall the package sounddevice",
-        ) from error
-    return sounddevice
-
-
-def outputs(sounddevice: Any) -> tuple[tuple[OutputDevice, ...], tuple[str, ...]]:
+def _outputs(sounddevice: Any) -> tuple[tuple[OutputDevice, ...], tuple[str, ...]]:
     """All outputs there are, and the names of all host APIs, in PortAudio's order."""
     host_apis = tuple(str(api["name"]) for api in sounddevice.query_hostapis())
     devices = tuple(
@@ -370,7 +338,7 @@ class WatchedStream:
     def __init__(self, sounddevice: Any, request: StreamRequest) -> None:
         self._sounddevice = sounddevice
         self.rate_hz = request.rate_hz
-        self.device = choose(*outputs(sounddevice), request.host_api, request.device)
+        self.device = choose(*_outputs(sounddevice), request.host_api, request.device)
         if self.device.channels < request.channels:
             raise DeviceChoiceError(
                 f"the rig needs {request.channels} channels, {self.device} has fewer",
@@ -378,11 +346,7 @@ class WatchedStream:
                 " (on Windows, ASIO)",
             )
         self._used = request.channels
-        settings = {
-            "device": self.device.index,
-            "dtype": "float32",
-            "samplerate": request.rate_hz,
-        }
+        settings = {"device": self.device.index, "dtype": "float32", "samplerate": request.rate_hz}
         if self.device.host_api == "Core Audio":
             # macOS would resample behind our back rather than say that the interface runs at another rate.
             settings["extra_settings"] = sounddevice.CoreAudioSettings(
@@ -465,16 +429,13 @@ def _refused(device: OutputDevice, request: StreamRequest, error: Exception) -> 
     """PortAudio's refusal as a sentence."""
     code = _code(error)
     if code == INVALID_SAMPLE_RATE:
-        return DeviceChoiceError(
-            f"{device} does not run at {request.rate_hz} Hz",
-            "set the interface to that rate in its own panel, or player.interface_rate_hz to the interface's",
-        )
-    if code == INVALID_CHANNEL_COUNT:
-        return DeviceChoiceError(
-            f"{device} does not open with {request.channels} channels", "choose another host API (on Windows, ASIO)"
-        )
-    if code == DEVICE_UNAVAILABLE:
+        cause = f"{device} does not run at {request.rate_hz} Hz"
+        remedy = "set the interface to that rate in its own panel, or player.interface_rate_hz to the interface's"
+    elif code == INVALID_CHANNEL_COUNT:
+        cause = f"{device} does not open with {request.channels} channels"
+        remedy = "choose another host API (on Windows, ASIO)"
+    elif code == DEVICE_UNAVAILABLE:
         cause, remedy = f"{device} is not to be had", "close other programs that use it, plug it in again"
     else:
         cause, remedy = f"PortAudio cannot open {device}: {error.args[0]}", "power the interface off and on again"
-    return DeviceChoiceError(cause, remedy, absent=True)
+    return DeviceChoiceError(cause, remedy, absent=code not in (INVALID_SAMPLE_RATE, INVALID_CHANNEL_COUNT))

@@ -15,7 +15,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from queue import SimpleQueue
 from typing import Any, Literal
@@ -26,13 +26,12 @@ from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.daq.ni.ni_session import NiSession
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import (
+    ALIVE,
+    ASK,
+    AT_REST,
+    CLOSE,
     OPENING_S,
-    STOPPED,
-    Alive,
-    Ask,
-    Close,
     DriverProcess,
-    Lost,
     ProcessGoneError,
     pipe_to_parent,
     wait_for_silence,
@@ -73,15 +72,15 @@ class NiOutputs:
     """Outputs of one device, here; see `OutputSettings`. No other task may have one of them. Raises InstrumentError.
 
     level: What they are at, as far as that is known; analog outputs cannot be read back.
-    known: Whether the device has answered before.
+    identity: The device that must answer, where it has answered before.
     """
 
     ends_within_s = 10.0
 
-    def __init__(self, settings: OutputSettings, level: tuple[float, ...], known: bool) -> None:
+    def __init__(self, settings: OutputSettings, level: tuple[float, ...], identity: DeviceIdentity | None) -> None:
         self._settings, self._level = settings, level
         self._session = session = NiSession(
-            settings.device, settings.address, ANSWER_S, role=settings.role, known=known
+            settings.device, settings.address, ANSWER_S, role=settings.role, identity=identity
         )
         doing = "preparing its outputs"
         self._require_outputs(doing)
@@ -182,27 +181,11 @@ CALL_S = 15.0
 REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
 
 
-@dataclass(frozen=True, slots=True)
-class _Call:
-    number: int
-    method: str
-    arguments: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Answer:
-    """The result of a call, or how it failed; `owned`: the device may be reserved, which a recorder says."""
-
-    number: int
-    result: Any
-    failure: InstrumentError | None
-    owned: bool
-
-
 class _InProcess:
     """A device that is opened and called in a process of its own; safe to use from several threads.
 
-    Its calls raise InstrumentLostError or InstrumentError.
+    Calls go there as number, method and arguments; its answers are number, result, failure, and whether the device may
+    be reserved, which a recorder says. Calls raise InstrumentLostError or InstrumentError.
 
     name: What the process is, for messages.
     """
@@ -214,7 +197,7 @@ class _InProcess:
         self._process: DriverProcess | None = None
         self._connecting = threading.Lock()
         self._numbers = count(1)
-        self._answers: dict[int, _Answer] = {}
+        self._answers: dict[int, tuple[Any, InstrumentError | None, bool]] = {}
 
     @property
     def identity(self) -> DeviceIdentity:
@@ -262,24 +245,24 @@ class _InProcess:
         if process is None:
             raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
         try:
-            process.send(_Call(number, method, arguments))
+            process.send((number, method, arguments))
             answer = process.wait_for(lambda: self._answers.get(number), time.monotonic() + limit_s)
             if answer is None:
                 process.kill(f"NI-DAQmx did not answer within {limit_s:g} s")
                 raise ProcessGoneError(process.gone)
         except ProcessGoneError as gone:
             remedy = "connect again" if process.at_rest else REMEDY
-            raise InstrumentLostError(self._instrument, doing, gone.cause, remedy) from None
-        del self._answers[number]
+            raise InstrumentLostError(self._instrument, doing, str(gone), remedy) from None
+        result, failure, owned = self._answers.pop(number)
         # A device that could not be opened may still be reserved by what was before.
-        self._owned = self._owned or answer.owned
-        if answer.failure is not None:
-            raise answer.failure
-        return answer.result
+        self._owned = self._owned or owned
+        if failure is not None:
+            raise failure
+        return result
 
-    def _note(self, message: object) -> None:
-        if isinstance(message, _Answer):
-            self._answers[message.number] = message
+    def _note(self, message: Any) -> None:
+        if message != ALIVE:
+            self._answers[message[0]] = message[1:]
 
 
 class ProcessRecorder(_InProcess, Recorder):
@@ -348,16 +331,14 @@ class ProcessOutputs(_InProcess):
         Raises InstrumentLostError: it does not answer. InstrumentError: it is misspelt, refuses, is another device than
         before, or the outputs were closed.
         """
-        known = self._identity
         if self._process is not None and self._process.at_rest:
             self._level = self._settings.rest
-        device = self._open(doing, "outputs", self._settings, self._level, known is not None)
-        identity = DeviceIdentity(device.maker, f"{device.product} {self._label}", device.serial)
-        if known is not None and identity != known:
-            self._end()
-            remedy = "plug the right one in, or start a new campaign with this one"
-            raise InstrumentError(self._instrument, doing, f"{identity} answers instead of {known}", remedy)
-        self._identity = identity
+        self._identity = self._open(doing, "outputs", self._settings, self._level, self._identity)
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        device = super().identity
+        return replace(device, product=f"{device.product} {self._label}")
 
     def identify(self) -> DeviceIdentity:
         """Ask the device who it is."""
@@ -375,17 +356,17 @@ def main() -> None:
     pipe, waiting = pipe_to_parent(), SimpleQueue[Any]()
     device: NiRecorder | NiOutputs | None = None
 
-    def carry_out(call: _Call) -> None:
+    def carry_out(number: int, method: str, arguments: tuple[Any, ...]) -> None:
         nonlocal device
         result, failure = None, None
         try:
-            if call.method != "open":
-                result = getattr(device, call.method)(*call.arguments)
-            elif call.arguments[0] == "recorder":
-                device = NiRecorder(**call.arguments[1])
+            if method != "open":
+                result = getattr(device, method)(*arguments)
+            elif arguments[0] == "recorder":
+                device = NiRecorder(**arguments[1])
                 result = device.identity, device.input_ranges_v
             else:
-                device = NiOutputs(*call.arguments[1:])
+                device = NiOutputs(*arguments[1:])
                 result = device.identify()
         except InstrumentError as refused:
             failure = refused
@@ -393,33 +374,33 @@ def main() -> None:
             traceback.print_exc()
             sys.stderr.flush()
             os._exit(4)
-        pipe.try_send(_Answer(call.number, result, failure, isinstance(device, NiRecorder) and device.owned))
+        pipe.try_send((number, result, failure, isinstance(device, NiRecorder) and device.owned))
 
     def work() -> None:
-        while isinstance(message := waiting.get(), _Call):
-            carry_out(message)
+        while (message := waiting.get()) not in (None, CLOSE, AT_REST):
+            carry_out(*message)
         if device is not None:
             with suppress(InstrumentError):
-                if isinstance(device, NiOutputs) and not isinstance(message, Close):  # it is gone without a word
+                if isinstance(device, NiOutputs) and message != CLOSE:  # the parent is gone without a word
                     device.come_to_rest()
             device.close()
-        if isinstance(message, Lost):
+        if message == AT_REST:
             pipe.try_send(message)
         os._exit(0)
 
     def watch() -> None:
         wait_for_silence(pipe)
         if not isinstance(device, NiRecorder):  # has nothing to put to rest
-            waiting.put(Lost(STOPPED, at_rest=True))
+            waiting.put(AT_REST)
 
     for part in (work, watch):
         threading.Thread(target=part, daemon=True).start()
-    while (message := pipe.receive()) is not None and not isinstance(message, Close):
-        if isinstance(message, Ask):
-            pipe.try_send(Alive())
-        elif isinstance(message, _Call) and message.method == "read":  # others come meanwhile
-            threading.Thread(target=carry_out, args=(message,), daemon=True).start()
-        elif isinstance(message, _Call):
+    while (message := pipe.receive()) not in (None, CLOSE):
+        if message == ASK:
+            pipe.try_send(ALIVE)
+        elif message != ALIVE and message[1] == "read":  # others come meanwhile
+            threading.Thread(target=carry_out, args=message, daemon=True).start()
+        elif message != ALIVE:
             waiting.put(message)
     waiting.put(message)
     # What hangs in the library does not return; then the process just ends.

@@ -1,12 +1,14 @@
 """National Instruments' data acquisition devices as recorders, through the nidaqmx package."""
 
 import threading
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.drivers.daq.ni.ni_session import REPEAT, NiSession, TlsFiles
+from wavefocus.drivers.daq.ni.ni_session import REPEAT, NiSession, Tls
 from wavefocus.drivers.daq.ni.ni_task import (
     InputWiring,
     RecordTask,
@@ -62,29 +64,27 @@ class NiRecorder(Recorder):
         identity: DeviceIdentity | None = None,
         owned: bool = False,
         resets: bool = True,
-        tls: TlsFiles | None = None,
+        tls: Tls | None = None,
         task_name: str = "",
     ) -> None:
-        self._device = device
-        self._address = address or None
-        self._answer_s = answer_s
-        self._tls = tls
-        self._task_name = task_name
+        self._session_with: Callable[..., NiSession] = partial(
+            NiSession, device, address or None, answer_s, tls=tls, task_name=task_name
+        )
+        self._where = f"{device} at {address}" if address else f"{device} on this computer"
         self._resets = resets
         self._wiring = InputWiring((reference_input, response_input), terminal, trigger or None)
         self._lock = threading.RLock()
         self._task: RecordTask | None = None
         self._under_way: RecordRequest | None = None
-        self._owned = owned  # whether it may have reserved the device: what is left reserved may be its own then
         self._closed = False
+        self._owned = owned  # whether it may have reserved the device: what is left reserved may be its own then
         self._session: NiSession | None = None
-        self._session = self._opened("opening", identity)
-        self._instrument = self._session.instrument
-        self._identity = self._session.identity
+        self._session = session = self._opened(identity)
+        self._instrument, self._identity = session.instrument, session.identity
         try:
-            check_wiring(self._session, self._wiring)
+            check_wiring(session, self._wiring)
         except BaseException:
-            self._session.close()
+            session.close()
             raise
 
     @property
@@ -102,12 +102,8 @@ class NiRecorder(Recorder):
             session = self._connected("identifying")
             with session.explaining("identifying"):
                 identity = session.ask_identity()
-            where = f"at {self._address}" if self._address else "on this computer"
             inputs = " and ".join(self._wiring.inputs)
-            return (
-                f"{identity}, {self._device} {where}, NI-DAQmx {session.driver_version}, "
-                f"{inputs} {self._wiring.terminal}"
-            )
+            return f"{identity}, {self._where}, NI-DAQmx {session.driver_version}, {inputs} {self._wiring.terminal}"
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
@@ -236,7 +232,7 @@ class NiRecorder(Recorder):
             self._check_open(doing)
             with suppress(InstrumentError):  # the reset takes back what cannot be cleared any more
                 self._drop(doing)
-            self._session = self._opened(doing, self._identity)
+            self._session = self._opened(self._identity)
 
     def close(self) -> None:
         """Release the device. Safe to call twice; what is lost anyway is released in silence."""
@@ -245,25 +241,13 @@ class NiRecorder(Recorder):
             with suppress(InstrumentLostError):
                 self._drop("closing")
 
-    def _opened(self, doing: str, identity: DeviceIdentity | None) -> NiSession:
-        """A session with the device, which must be that of an earlier session, if there was one."""
-        session = NiSession(
-            self._device,
-            self._address,
-            self._answer_s,
-            known=identity is not None,
-            owned=self._owned,
-            tls=self._tls,
-            task_name=self._task_name,
-        )
+    def _opened(self, identity: DeviceIdentity | None) -> NiSession:
+        """A session with the device, reset where it may be and was ours before."""
+        session = self._session_with(identity=identity, owned=self._owned)
         try:
-            if identity is not None and session.identity != identity:
-                cause = f"{session.identity} answers instead of {identity}"
-                remedy = "plug the right one in, or start a new campaign with this one"
-                raise InstrumentError(session.instrument, doing, cause, remedy)
             if self._owned and self._resets:
                 with session.explaining("resetting the device"):
-                    session.reset()
+                    session.handle.reset_device()
         except BaseException:
             session.close()
             raise

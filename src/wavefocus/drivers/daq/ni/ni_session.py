@@ -178,29 +178,15 @@ def _one_line(failure: BaseException) -> str:
 
 
 # Resetting and testing a device takes seconds.
-SLOW_CALLS = {"ResetDevice": 30.0, "SelfTestDevice": 30.0}
+_SLOW_CALLS = {"ResetDevice": 30.0, "SelfTestDevice": 30.0}
 
 
-class TlsFiles(NamedTuple):
-    """PEM files for TLS: the root that has signed the server's certificate; for mutual TLS a client's own two, too."""
-
-    root: Path
-    certificate: Path | None = None
-    key: Path | None = None
+T = TypeVar("T")
+Tls = tuple[str | None, str | None, str | None]
+"""PEM files for TLS: root that has signed the server's certificate; for mutual TLS a client's certificate and key."""
 
 
-class CallDetails(NamedTuple):
-    """What grpc wants to know of a call (`grpc.ClientCallDetails`)."""
-
-    method: str
-    timeout: float | None
-    metadata: Any
-    credentials: Any
-    wait_for_ready: bool | None
-    compression: Any
-
-
-def _open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) -> Any:
+def _open_channel(address: str, answer_s: float, tls: Tls | None = None) -> Any:
     """A fresh channel, with nothing in common with an earlier one to the same server.
 
     The nidaqmx package gives its calls no deadline. Here each has one: the time that the call itself asks for
@@ -208,7 +194,7 @@ def _open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) ->
     cost as much again for each of the calls that clear up. Raises OSError.
 
     answer_s: How long a call may take beyond what it asks for, in s, > 0.
-    tls: For a server with a certificate; without them the channel is in the clear.
+    tls: For a server with a certificate; without it the channel is in the clear.
 
     Returns grpc.Channel: to be closed by the caller.
     """
@@ -226,16 +212,8 @@ def _open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) ->
             name = details.method.rpartition("/")[2]
             if self._silence:
                 raise ServerSilentError(self._silence)
-            deadline_s = answer_s + SLOW_CALLS.get(name, 0.0) + asked_s(request)
-            bounded = CallDetails(
-                details.method,
-                deadline_s,
-                details.metadata,
-                details.credentials,
-                details.wait_for_ready,
-                details.compression,
-            )
-            outcome = continuation(bounded, request)
+            deadline_s = answer_s + _SLOW_CALLS.get(name, 0.0) + _asked_s(request)
+            outcome = continuation(details._replace(timeout=deadline_s), request)
             if outcome.code() is grpc.StatusCode.DEADLINE_EXCEEDED:
                 self._silence = f"{name} got no answer within {deadline_s:g} s"
                 raise ServerSilentError(self._silence)
@@ -253,14 +231,12 @@ def _open_channel(address: str, answer_s: float, tls: TlsFiles | None = None) ->
     if tls is None:
         channel = grpc.insecure_channel(address, options)
     else:
-        root, key, certificate = (
-            None if file is None else file.read_bytes() for file in (tls.root, tls.key, tls.certificate)
-        )
+        root, certificate, key = (None if file is None else Path(file).read_bytes() for file in tls)
         channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(root, key, certificate), options)
     return grpc.intercept_channel(channel, Deadlines())
 
 
-def asked_s(request: Any) -> float:
+def _asked_s(request: Any) -> float:
     """How long a request itself allows, in s; 0 where it says nothing."""
     for field in ("timeout", "time_to_wait"):
         value = getattr(request, field, None)
@@ -268,8 +244,6 @@ def asked_s(request: Any) -> float:
             return value
     return 0.0
 
-
-T = TypeVar("T")
 
 TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE", "pseudodifferential": "PSEUDO_DIFF"}
 """Terminal configurations by their names here and in nidaqmx.constants.TerminalConfiguration."""
@@ -299,11 +273,10 @@ class NiSession:
 
     address: ``"host:port"`` of NI's gRPC Device Server; None for the local driver.
     answer_s: How long a server may take to answer, in s.
-    known: Whether it has answered before: then it is gone where it does not answer, and not misspelt.
+    role: Table of the rig file that names it.
+    identity: The device that must answer; where none of this name answers, it is gone then, and not misspelt.
     owned: Whether this program may have reserved it before.
     tls: For a server with a certificate.
-    role: Table of the rig file that names it.
-
     task_name: Name of its tasks that reserve the device; one at a time.
     """
 
@@ -314,9 +287,9 @@ class NiSession:
         answer_s: float,
         *,
         role: str = "recorder",
-        known: bool = False,
+        identity: DeviceIdentity | None = None,
         owned: bool = False,
-        tls: TlsFiles | None = None,
+        tls: Tls | None = None,
         task_name: str = "",
     ) -> None:
         self.device = device
@@ -324,7 +297,7 @@ class NiSession:
         self._role = role
         self.instrument = f"{role} {device}" + (f" at {address}" if address else "")
         self.owned = owned
-        self._seen = known
+        self._known = identity is not None
         self._channel: Any = None
         self._nidaqmx = _packages(self.instrument, over_network=bool(address))
         # Whatever the driver warns about is an error here: no sample that it doubts is taken for good.
@@ -332,51 +305,48 @@ class NiSession:
         self._options: Any = None
         try:
             if address:
-                self._channel = self._opened_channel(address, answer_s, tls)
+                self._channel = _open_channel(address, answer_s, tls)
                 self._options = self._nidaqmx.GrpcSessionOptions(self._channel, "")
             with self.explaining("opening"):
                 self._open()
-        except BaseException:
+            if identity not in (None, self.identity):
+                cause = f"{self.identity} answers instead of {identity}"
+                remedy = "plug the right one in, or start a new campaign with this one"
+                raise InstrumentError(self.instrument, "opening", cause, remedy)
+        except BaseException as failure:
             self.close()
+            if isinstance(failure, OSError):
+                cause = f"{failure.filename} cannot be read ({failure.strerror})"
+                remedy = f"correct tls_root, tls_certificate and tls_key of [{role}]"
+                raise InstrumentError(self.instrument, "opening", cause, remedy) from failure
             raise
 
-    def _opened_channel(self, address: str, answer_s: float, tls: TlsFiles | None) -> Any:
-        try:
-            return _open_channel(address, answer_s, tls)
-        except OSError as failure:
-            cause = f"{failure.filename} cannot be read ({failure.strerror})"
-            remedy = f"correct tls_root, tls_certificate and tls_key of [{self._role}]"
-            raise InstrumentError(self.instrument, "opening", cause, remedy) from failure
-
     def _open(self) -> None:
+        errors = self._nidaqmx.errors
         try:
             system = self._nidaqmx.system.System(self._options)
             version = system.driver_version
             self.driver_version = f"{version.major_version}.{version.minor_version}.{version.update_version}"
             self.handle = system.devices[self.device]
             self.identity = self.ask_identity()
-            self._seen = True
-        except self._nidaqmx.errors.DaqError as error:
-            if error.error_code in (-200220, -88705) and not self._seen:
-                raise self._misnamed(system, error) from error
-            raise
-        except (self._nidaqmx.errors.DaqNotFoundError, self._nidaqmx.errors.DaqNotSupportedError, OSError) as error:
+        except errors.DaqError as error:
+            names = []
+            if error.error_code in (NO_SUCH_DEVICE, -88705) and not self._known:
+                names = [name for name in system.devices.device_names if name != self.device]
+            if not names:
+                raise
+            explained = explain(error, self.instrument, "opening", role=self._role)
+            remedy = f"put a name that is there into device of [{self._role}]: {', '.join(names)}; or plug it in"
+            raise type(explained)(self.instrument, "opening", explained.cause, remedy) from error
+        except (errors.DaqNotFoundError, errors.DaqNotSupportedError, OSError) as error:
             cause = f"the NI-DAQmx driver is not on this computer ({' '.join(str(error).split())})"
             remedy = (
                 f"install NI-DAQmx from ni.com, or give address of [{self._role}], a computer that runs NI's gRPC "
                 "Device Server"
             )
             raise InstrumentError(self.instrument, "opening", cause, remedy) from error
+        self._known = True
         self.limits = self._ask_limits()
-
-    def _misnamed(self, system: Any, error: Any) -> InstrumentError:
-        """The error of a name that nothing has, with the names that there are."""
-        explained = explain(error, self.instrument, "opening", role=self._role)
-        names = [name for name in system.devices.device_names if name != self.device]
-        if not names:
-            return explained
-        remedy = f"put a name that is there into device of [{self._role}]: {', '.join(names)}; or plug it in"
-        return type(explained)(self.instrument, "opening", explained.cause, remedy)
 
     def ask_identity(self) -> DeviceIdentity:
         """Ask the device who it is."""
@@ -386,7 +356,7 @@ class NiSession:
     def terminals_of(self, name: str) -> tuple[str, ...] | None:
         """Terminal configurations of an input, None where the device does not report it."""
         channel = self._nidaqmx.system.PhysicalChannel(f"{self.device}/{name}", grpc_options=self._options)
-        known = self._known(lambda: channel.ai_term_cfgs)
+        known = self.reported(lambda: channel.ai_term_cfgs)
         if known is None:
             return None
         return tuple(name for name, nis_name in TERMINALS.items() if nis_name in {config.name for config in known})
@@ -402,18 +372,6 @@ class NiSession:
             self._nidaqmx.Task(name, grpc_options=self._options).close()
         return self._nidaqmx.Task(name, grpc_options=self._options)
 
-    def conversion_rate_hz(self, task: Any) -> float | None:
-        """The rate of a task's conversion clock (AI Convert), None where the device does not report it."""
-        return self._known(lambda: float(task.timing.ai_conv_rate))
-
-    def coefficients_of(self, channel: Any) -> list[float] | None:
-        """The calibration of a channel, None where the device does not report it."""
-        return self._known(lambda: [float(coefficient) for coefficient in channel.ai_dev_scaling_coeff])
-
-    def reset(self) -> None:
-        """Abort whatever runs on the device and take its reservations back."""
-        self.handle.reset_device()
-
     def close(self) -> None:
         """Close the channel; what still waits in it fails."""
         if self._channel is not None:
@@ -427,31 +385,31 @@ class NiSession:
             yield
         except (errors.Error, errors.DaqWarning, ServerSilentError, ValueError) as failure:
             raise explain(
-                failure, self.instrument, operation, known=self._seen, owned=self.owned, role=self._role
+                failure, self.instrument, operation, known=self._known, owned=self.owned, role=self._role
             ) from failure
 
     def _ask_limits(self) -> Limits:
         device = self.handle
-        bounds_v = self._known(lambda: {float(bound_v) for bound_v in device.ai_voltage_rngs})
-        terminals = self._known(lambda: [name.rpartition("/")[2] for name in device.terminals])
+        bounds_v = self.reported(lambda: {float(bound_v) for bound_v in device.ai_voltage_rngs})
+        terminals = self.reported(lambda: [name.rpartition("/")[2] for name in device.terminals])
         ranges_v = None if bounds_v is None else tuple(sorted(v for v in bounds_v if v > 0 and -v in bounds_v))
         triggers = None if terminals is None else tuple(name for name in terminals if name.startswith("PFI"))
         return Limits(
             inputs=tuple(name.rpartition("/")[2] for name in device.ai_physical_chans.channel_names),
             ranges_v=ranges_v,
-            slowest_hz=self._known(lambda: float(device.ai_min_rate)),
-            fastest_hz=self._known(lambda: self._fastest_hz(device)),
+            slowest_hz=self.reported(lambda: float(device.ai_min_rate)),
+            fastest_hz=self.reported(lambda: self._fastest_hz(device)),
             triggers=triggers,
-            simultaneous=self._known(lambda: bool(device.ai_simultaneous_sampling_supported)),
+            simultaneous=self.reported(lambda: bool(device.ai_simultaneous_sampling_supported)),
         )
 
     def _fastest_hz(self, device: Any) -> float:
         """Fastest rate of two inputs: what all share where one converter serves them, else each input's own."""
-        simultaneous = self._known(lambda: bool(device.ai_simultaneous_sampling_supported))
+        simultaneous = self.reported(lambda: bool(device.ai_simultaneous_sampling_supported))
         of_several_hz = device.ai_max_multi_chan_rate
         return float(min(device.ai_max_single_chan_rate, of_several_hz if simultaneous else of_several_hz / 2))
 
-    def _known(self, ask: Callable[[], T]) -> T | None:
+    def reported(self, ask: Callable[[], T]) -> T | None:
         """What a question yields, None where the device has no such property."""
         try:
             return ask()

@@ -192,7 +192,8 @@ class RecordTask:
             raise
 
     def _scale(self, channel: Any, range_v: float) -> _CountScale:
-        return count_scale(range_v, round(channel.ai_resolution), self._session.coefficients_of(channel))
+        coefficients = self._session.reported(lambda: [float(value) for value in channel.ai_dev_scaling_coeff])
+        return count_scale(range_v, round(channel.ai_resolution), coefficients)
 
     def _close_after(self, failure: BaseException) -> None:
         try:
@@ -227,7 +228,7 @@ def conversion_delay_s(session: NiSession, wiring: InputWiring, timing: TaskTimi
     task = session.new_task()
     try:
         _configure(task, session, wiring, timing, timing.samples)
-        rate_hz = session.conversion_rate_hz(task)
+        rate_hz = session.reported(lambda: float(task.timing.ai_conv_rate))
     finally:
         task.close()
     return 1 / rate_hz if rate_hz else None
