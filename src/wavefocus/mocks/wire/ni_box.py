@@ -5,15 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
 
 from wavefocus.drivers.protocols import Float64Array
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS
-from wavefocus.mocks.wire.ni_products import PRODUCTS, Converter, Product
+from wavefocus.mocks.wire.ni_products import PRODUCTS, Channel, Product
 
 Alive = Callable[[], bool]
 
@@ -79,23 +78,6 @@ class SignalSource(Protocol):
         ...
 
 
-class TaskState(Enum):
-    """States of a task."""
-
-    IDLE = "idle"
-    COMMITTED = "committed"
-    RUNNING = "running"
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One voltage channel: its name in the task, its input (``"ai0"``) and its converter."""
-
-    name: str
-    input: str
-    converter: Converter
-
-
 class NiTask:
     """One task; its state changes under the device's condition, which the callers hold.
 
@@ -114,7 +96,7 @@ class NiTask:
         self.channel_delay_s = 0.0
         self.outputs: list[str] = []
         """Analog outputs or digital lines, in order; a task has inputs or outputs."""
-        self.state = TaskState.IDLE
+        self.running = False
         self.commits = False  # asked to stay committed between starts
         self.broken: NiError | None = None
         self._condition = condition
@@ -126,7 +108,7 @@ class NiTask:
 
     def begin(self) -> None:
         """Start, at once or armed for the trigger's edge."""
-        self.state = TaskState.RUNNING
+        self.running = True
         self._started += 1
         self._read = 0
         self._start_ns = None if self.trigger else time.monotonic_ns()
@@ -134,15 +116,15 @@ class NiTask:
 
     def edge(self, terminal: str) -> None:
         """A rising edge at a terminal."""
-        if self.state is TaskState.RUNNING and self.trigger == terminal and self._start_ns is None:
+        if self.running and self.trigger == terminal and self._start_ns is None:
             self._start_ns = time.monotonic_ns()
             self._condition.notify_all()
 
     def end(self, broken: NiError | None = None) -> bool:
         """Stop, for good where `broken` says why; returns whether samples were still to come."""
-        early = self.state is TaskState.RUNNING and self.acquired() < self.samples
+        early = self.running and self.acquired() < self.samples
         self.broken = self.broken or broken
-        self.state = TaskState.COMMITTED if self.commits and broken is None else TaskState.IDLE
+        self.running = False
         self._start_ns = None
         self._condition.notify_all()
         return early
@@ -166,7 +148,7 @@ class NiTask:
 
     def wait_done(self, timeout_s: float, alive: Alive) -> None:
         """Return when every sample of a finite record has been, or raise."""
-        if self.state is not TaskState.RUNNING:
+        if not self.running:
             return
         if not self._wait(self.samples, timeout_s, alive):
             raise NiError(NiCode.NOT_DONE)
@@ -176,7 +158,7 @@ class NiTask:
 
         Waits up to `timeout_s`, for ever where that is negative.
         """
-        if self.state is not TaskState.RUNNING:
+        if not self.running:
             raise NiError(NiCode.NOT_STARTED)
         if self._read + samples > self.samples:
             raise NiError(NiCode.NOT_STARTED, f"The task has {self.samples - self._read} left.")
@@ -198,7 +180,7 @@ class NiTask:
 
     def converted(self, analog_v: Float64Array) -> Float64Array:
         """Analog voltages of all channels as the driver reports them."""
-        return np.stack([channel.converter.volts(row) for channel, row in zip(self.channels, analog_v, strict=True)])
+        return np.stack([channel.converted(row) for channel, row in zip(self.channels, analog_v, strict=True)])
 
     def _wait(self, acquired: int, timeout_s: float, alive: Alive) -> bool:
         """Whether this number of samples was there in time; raises when the task ends meanwhile."""
@@ -224,12 +206,12 @@ class NiTask:
     def _check(self, started: int) -> None:
         if self.broken is not None:
             raise self.broken
-        if self.state is not TaskState.RUNNING or self._started != started:
+        if not self.running or self._started != started:
             raise NiError(NiCode.ABORTED)
 
 
 class NiBox:
-    """The box; thread-safe.
+    """The box; what has to do with tasks is called with `condition` held.
 
     source: What is at the inputs.
     name: Device name: ``"Dev1"``.
@@ -280,80 +262,72 @@ class NiBox:
 
     def reset(self, name: str) -> None:
         """Abort what runs, take every reservation back, and put all outputs to 0 V."""
-        with self.condition:
-            self.touch(name)
-            for task in self._tasks.values():
-                task.commits = False
-                task.end(NiError(NiCode.ABORTED) if task.outputs else None)
-            self._reserved.clear()
-            self._drop_outputs()
+        self.touch(name)
+        for task in self._tasks.values():
+            task.commits = False
+            task.end(NiError(NiCode.ABORTED) if task.outputs else None)
+        self._reserved.clear()
+        self._drop_outputs()
 
     def touch(self, name: str) -> None:
         """What every call does that needs the box itself; raises `NiError` where it is not there."""
-        with self.condition:
-            if name != self.name:
-                raise NiError(NiCode.NO_SUCH_DEVICE, f"Device: {name}")
-            if self._absent_until_s is not None:
-                if time.monotonic() < self._absent_until_s:
-                    raise NiError(NiCode.UNPLUGGED, f"Device: {name}")
-                self._absent_until_s = None
+        if name != self.name:
+            raise NiError(NiCode.NO_SUCH_DEVICE, f"Device: {name}")
+        if self._absent_until_s is not None:
+            if time.monotonic() < self._absent_until_s:
+                raise NiError(NiCode.UNPLUGGED, f"Device: {name}")
+            self._absent_until_s = None
 
     def input_number(self, wanted: str) -> int:
         """Number of an input such as ``"ai1"``; raises `NiError` where the box has none of that name."""
-        inputs = [f"ai{number}" for number in range(self.product.inputs)]
-        if wanted not in inputs:
+        number = wanted.removeprefix("ai")
+        if f"ai{number}" != wanted or not number.isdecimal() or int(number) >= self.product.inputs:
             raise NiError(NiCode.NO_SUCH_INPUT, f"Physical Channel: {wanted}")
-        return inputs.index(wanted)
+        return int(number)
 
     # -- tasks -----------------------------------------------------------------------------------
 
     @property
     def task_names(self) -> tuple[str, ...]:
         """Names of all tasks."""
-        with self.condition:
-            return tuple(self._tasks)
+        return tuple(self._tasks)
 
     def create(self, name: str) -> NiTask:
         """A new task; without a name it gets one."""
-        with self.condition:
-            name = name or f"_unnamedTask<{self._made:X}>"
-            self._made += 1
-            if name in self._tasks:
-                raise NiError(NiCode.DUPLICATE_TASK, f"Task Name: {name}")
-            self._tasks[name] = NiTask(name, self.condition, self._source, self._speed)
-            return self._tasks[name]
+        name = name or f"_unnamedTask<{self._made:X}>"
+        self._made += 1
+        if name in self._tasks:
+            raise NiError(NiCode.DUPLICATE_TASK, f"Task Name: {name}")
+        self._tasks[name] = NiTask(name, self.condition, self._source, self._speed)
+        return self._tasks[name]
 
     def clear(self, name: str) -> None:
         """End a task and forget it; works on broken ones too."""
-        with self.condition:
-            task = self._named(name)
-            task.commits = False
-            task.end()
-            self.release(task)
-            del self._tasks[name]
+        task = self._named(name)
+        task.commits = False
+        task.end()
+        self.release(task)
+        del self._tasks[name]
 
     def task(self, name: str, *, at_rest: bool = False) -> NiTask:
         """The task of a call; one that lost its box says so, one that runs does not take changes."""
-        with self.condition:
-            task = self._named(name)
-            if task.broken is not None:
-                raise task.broken
-            if at_rest and task.state is TaskState.RUNNING:
-                raise NiError(NiCode.TASK_RUNNING)
-            return task
+        task = self._named(name)
+        if task.broken is not None:
+            raise task.broken
+        if at_rest and task.running:
+            raise NiError(NiCode.TASK_RUNNING)
+        return task
 
     def reserve(self, task: NiTask) -> None:
         """Take the inputs, or some outputs, for one task; they serve one at a time."""
-        with self.condition:
-            self.touch(self.name)
-            if any(self._reserved.get(resource) not in (None, task) for resource in task.resources):
-                raise NiError(NiCode.IN_USE, f"Device: {self.name}")
-            self._reserved.update(dict.fromkeys(task.resources, task))
+        self.touch(self.name)
+        if any(self._reserved.get(resource) not in (None, task) for resource in task.resources):
+            raise NiError(NiCode.IN_USE, f"Device: {self.name}")
+        self._reserved.update(dict.fromkeys(task.resources, task))
 
     def release(self, task: NiTask) -> None:
         """Give back what that task had."""
-        with self.condition:
-            self._reserved = {name: other for name, other in self._reserved.items() if other is not task}
+        self._reserved = {name: other for name, other in self._reserved.items() if other is not task}
 
     # -- outputs -----------------------------------------------------------------------------------
 

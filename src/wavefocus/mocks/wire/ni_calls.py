@@ -1,19 +1,20 @@
 """What each remote procedure of the emulated NI gRPC Device Server does."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from wavefocus.drivers.protocols import Float64Array
 from wavefocus.mocks.wire.faults import WireFault
-from wavefocus.mocks.wire.ni_box import Alive, Channel, NiBox, NiCode, NiError, NiTask, TaskState
-from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, RSE, Product
+from wavefocus.mocks.wire.ni_box import Alive, NiBox, NiCode, NiError, NiTask
+from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, OUTPUT_V, RSE
 
 Answer = dict[str, Any]
 """Fields of the answering message."""
 Handler = Callable[[Any, Alive], Answer]
-"""Takes the request and a function that returns whether the caller still waits."""
+"""Takes the request and a function that returns whether the caller still waits; called with the box's lock held."""
 
 TERMINALS = {10106: DIFFERENTIAL, 10083: RSE, 10078: NRSE, -1: DIFFERENTIAL}  # nidaqmx.constants.TerminalConfiguration
 TERMINAL_BITS = {RSE: 1, NRSE: 2, DIFFERENTIAL: 4}  # nidaqmx.constants._TermCfg
@@ -22,7 +23,9 @@ BY_CHANNEL = 0  # nidaqmx.constants.FillMode
 COMMIT = 3  # nidaqmx.constants.TaskMode
 MIN_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
 ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
-ENUMERATIONS = (0x29A9, 0x2326, 0x1300)  # their values travel under another name
+ENUMERATIONS = (0x29A9, 0x2326, 0x1300, 0x187F, 0x0695)  # their values travel under another name
+KINDS = ("String", "UInt32", "UInt64", "Int32", "Bool", "Double", "DoubleArray")
+"""Types of properties; each has a remote procedure of its own."""
 
 
 class NiCalls:
@@ -33,38 +36,18 @@ class NiCalls:
         self._spoilt: list[WireFault] = []
         self._generator = np.random.default_rng(box.serial_number)
         self.handlers: dict[str, Handler] = {
-            "GetSystemInfoAttributeUInt32": self._system_number,
-            "GetSystemInfoAttributeString": self._system_text,
             "GetErrorString": lambda request, alive: {"error_string": _text_of(request.error_code)},
-            "GetDeviceAttributeString": self._device_attribute,
-            "GetDeviceAttributeUInt32": self._device_attribute,
-            "GetDeviceAttributeInt32": self._device_attribute,
-            "GetDeviceAttributeBool": self._device_attribute,
-            "GetDeviceAttributeDouble": self._device_attribute,
-            "GetDeviceAttributeDoubleArray": self._device_attribute,
             "GetPhysicalChanAttributeInt32": self._input_terminals,
             "ResetDevice": self._reset,
             "CreateTask": self._create_task,
             "ClearTask": self._clear_task,
-            "GetTaskAttributeString": self._task_text,
-            "GetTaskAttributeUInt32": self._task_number,
             "CreateAIVoltageChan": self._create_channel,
-            "GetChanAttributeInt32": self._channel_attribute,
-            "GetChanAttributeString": self._channel_attribute,
-            "GetChanAttributeDouble": self._channel_attribute,
-            "GetChanAttributeDoubleArray": self._channel_attribute,
             "CreateAOVoltageChan": self._create_outputs,
             "CreateDOChan": self._create_lines,
             "WriteAnalogF64": self._write_volts,
             "WriteDigitalLines": self._write_lines,
             "ReadDigitalLines": self._read_lines,
             "CfgSampClkTiming": self._time,
-            "GetTimingAttributeDouble": self._timing_attribute,
-            "GetTimingAttributeInt32": self._timing_attribute,
-            "GetTimingAttributeUInt64": self._timing_attribute,
-            "GetReadAttributeString": self._read_attribute,
-            "GetReadAttributeUInt32": self._read_attribute,
-            "GetReadAttributeUInt64": self._read_attribute,
             "CfgDigEdgeStartTrig": self._trigger,
             "TaskControl": self._control,
             "StartTask": self._start,
@@ -72,39 +55,110 @@ class NiCalls:
             "WaitUntilTaskDone": self._wait,
             "ReadAnalogF64": self._read,
         }
+        properties: dict[str, Callable[[Any], dict[int, Any]]] = {
+            "GetSystemInfoAttribute": self._of_system,
+            "GetDeviceAttribute": self._of_device,
+            "GetTaskAttribute": self._of_task,
+            "GetChanAttribute": self._of_channel,
+            "GetTimingAttribute": self._of_timing,
+            "GetReadAttribute": self._of_read,
+        }
+        for name, values in properties.items():
+            self.handlers |= dict.fromkeys((name + kind for kind in KINDS), partial(_property, values))
 
     def spoil(self, fault: WireFault) -> None:
         """Let the next samples that are read meet a fault."""
         with self._box.condition:
             self._spoilt.append(fault)
 
-    # -- system and device ---------------------------------------------------------------------
+    # -- properties, by the numbers that travel on the wire: those of the header NIDAQmx.h -----------
 
-    def _system_number(self, request: Any, alive: Alive) -> Answer:
-        major, minor, update = (24, 5, 0)
-        return {"value": _found({0x1272: major, 0x1923: minor, 0x2F22: update}, request.attribute_raw)}
+    def _of_system(self, request: Any) -> dict[int, Any]:
+        # Version 24.5.0 of the driver, names of devices and of tasks.
+        return {0x1272: 24, 0x1923: 5, 0x2F22: 0, 0x193B: self._box.name, 0x1267: ", ".join(self._box.task_names)}
 
-    def _system_text(self, request: Any, alive: Alive) -> Answer:
-        values = {0x193B: self._box.name, 0x1267: ", ".join(self._box.task_names)}
-        return {"value": _found(values, request.attribute_raw)}
+    def _of_device(self, request: Any) -> dict[int, Any]:
+        self._box.touch(request.device_name)
+        product, name = self._box.product, self._box.name
+        return {
+            0x0631: product.name,
+            0x0632: self._box.serial_number,
+            0x231E: ", ".join(f"{name}/ai{number}" for number in range(product.inputs)),
+            0x231F: ", ".join(f"{name}/ao{number}" for number in range(product.outputs)),
+            0x2322: ", ".join(f"{name}/{line}" for line in product.lines),
+            0x2A40: ", ".join(f"/{name}/{terminal}" for terminal in product.triggers),
+            0x22CA: False,  # simulated
+            0x29A9: 14646,  # nidaqmx.constants.ProductCategory.USBDAQ
+            0x2326: 12586,  # nidaqmx.constants.BusType.USB
+            0x2985: True,  # digital trigger supported
+            0x2984: False,  # analog trigger supported
+            0x298F: product.simultaneous,  # simultaneous sampling supported
+            0x298C: product.aggregate_hz,
+            0x298D: product.aggregate_hz,
+            0x298E: product.slowest_hz,
+            0x2990: [bound for range_v in product.ranges_v for bound in (-range_v, range_v)],
+        }
 
-    def _device_attribute(self, request: Any, alive: Alive) -> Answer:
-        box = self._box
-        box.touch(request.device_name)
-        value = _device_value(box.product, box.name, box.serial_number, request.attribute_raw)
-        return {"value_raw" if request.attribute_raw in ENUMERATIONS else "value": value}
+    def _of_task(self, request: Any) -> dict[int, Any]:
+        task = self._task(request)
+        return {
+            0x1276: task.name,
+            0x1273: ", ".join(channel.name for channel in task.channels),
+            0x230E: self._box.name,
+            0x2181: len(task.channels) or len(task.outputs),
+            0x230F: 1,
+        }
+
+    def _of_channel(self, request: Any) -> dict[int, Any]:
+        several = not request.channel or "," in request.channel or ":" in request.channel
+        for channel in self._task(request).channels:
+            if several or request.channel == channel.name:
+                return {
+                    0x1765: 16.0,
+                    0x1815: channel.range_v,
+                    0x1816: -channel.range_v,
+                    0x17DD: channel.range_v,
+                    0x17DE: -channel.range_v,
+                    0x1930: [channel.offset_v, channel.step_v, 0.0, 0.0],
+                    0x187F: ANALOG_INPUT,
+                    0x0695: 10322,  # nidaqmx.constants.UsageTypeAI.VOLTAGE
+                    0x18F5: f"{self._box.name}/{channel.input}",
+                }
+        raise NiError(NiCode.NO_SUCH_INPUT, f"Channel: {request.channel}")
+
+    def _of_timing(self, request: Any) -> dict[int, Any]:
+        task, product = self._task(request), self._box.product
+        values = {
+            0x1344: task.rate_hz,
+            0x22C8: product.fastest_hz(len(task.channels)),
+            0x1300: FINITE,
+            0x1310: task.samples,
+        }
+        if not product.simultaneous:  # AI Convert: its rate, and the fastest
+            values |= {0x1848: 1 / task.channel_delay_s if task.channel_delay_s else 0.0, 0x22C9: product.aggregate_hz}
+        return values
+
+    def _of_read(self, request: Any) -> dict[int, Any]:
+        task = self._task(request)
+        return {
+            0x1823: ", ".join(channel.name for channel in task.channels),
+            0x217B: len(task.channels),
+            0x1223: task.unread,
+            0x1221: task.unread,
+            0x192A: task.acquired(),
+        }
+
+    # -- device and tasks --------------------------------------------------------------------------
 
     def _input_terminals(self, request: Any, alive: Alive) -> Answer:
         device, _, wanted = request.physical_channel.partition("/")
         self._box.touch(device)
-        terminals = self._box.product.terminals(self._box.input_number(wanted))
+        terminals = self._box.product.terminals_of(self._box.input_number(wanted))
         return {"value_raw": sum(TERMINAL_BITS[terminal] for terminal in terminals)}
 
     def _reset(self, request: Any, alive: Alive) -> Answer:
         self._box.reset(request.device_name)
         return {}
-
-    # -- tasks -----------------------------------------------------------------------------------
 
     def _create_task(self, request: Any, alive: Alive) -> Answer:
         # NI's server attaches to a session of this name where there is one: nidaqmx.SessionInitializationBehavior.AUTO.
@@ -116,41 +170,26 @@ class NiCalls:
         self._box.clear(request.task.name)
         return {}
 
-    def _task_text(self, request: Any, alive: Alive) -> Answer:
-        task = self._task(request)
-        names = ", ".join(channel.name for channel in task.channels)
-        return {"value": _found({0x1276: task.name, 0x1273: names, 0x230E: self._box.name}, request.attribute_raw)}
-
-    def _task_number(self, request: Any, alive: Alive) -> Answer:
-        task = self._task(request)
-        return {"value": _found({0x2181: len(task.channels) or len(task.outputs), 0x230F: 1}, request.attribute_raw)}
-
     def _create_channel(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request, at_rest=True)
-            inputs = _inputs(request.physical_channel)
-            for index, (device, wanted) in enumerate(inputs):
-                name = request.name_to_assign_to_channel or f"{device}/{wanted}"
-                if request.name_to_assign_to_channel and len(inputs) > 1:
-                    name += str(index)
-                task.channels.append(self._channel(device, wanted, name, request))
-            return {}
-
-    def _channel(self, device: str, wanted: str, name: str, request: Any) -> Channel:
-        product = self._box.product
-        self._box.touch(device)
-        number = self._box.input_number(wanted)
-        terminal = TERMINALS.get(request.terminal_config_raw)
-        if terminal not in product.terminals(number):
-            raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
-        range_v = product.range_v(terminal, max(-request.min_val, request.max_val))
-        if range_v is None or not request.min_val < request.max_val:
-            raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Max")
-        return Channel(name, wanted, product.converter(terminal, range_v, self._box.serial_number, number))
+        task = self._task(request, at_rest=True)
+        inputs = _inputs(request.physical_channel)
+        for index, (device, wanted) in enumerate(inputs):
+            name = request.name_to_assign_to_channel or f"{device}/{wanted}"
+            if request.name_to_assign_to_channel and len(inputs) > 1:
+                name += str(index)
+            self._box.touch(device)
+            number = self._box.input_number(wanted)
+            if TERMINALS.get(request.terminal_config_raw) not in self._box.product.terminals_of(number):
+                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
+            largest_v = max(-request.min_val, request.max_val)
+            channel = self._box.product.channel(name, number, largest_v, self._box.serial_number)
+            if channel is None or not request.min_val < request.max_val:
+                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Max")
+            task.channels.append(channel)
+        return {}
 
     def _create_outputs(self, request: Any, alive: Alive) -> Answer:
-        lowest_v, highest_v = self._box.product.output_range_v
-        if not lowest_v <= request.min_val < request.max_val <= highest_v:
+        if not -OUTPUT_V <= request.min_val < request.max_val <= OUTPUT_V:
             raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AO_Max")
         return self._create_named(request, request.physical_channel)
 
@@ -158,35 +197,28 @@ class NiCalls:
         return self._create_named(request, request.lines)
 
     def _create_named(self, request: Any, physical: str) -> Answer:
-        with self._box.condition:
-            task = self._task(request, at_rest=True)
-            for device, wanted in _inputs(physical):
-                self._box.touch(device)
-                if wanted not in self._box.output_names:
-                    raise NiError(NiCode.NO_SUCH_INPUT, f"Physical Channel: {wanted}")
-                task.outputs.append(wanted)
-            return {}
+        task = self._task(request, at_rest=True)
+        for device, wanted in _inputs(physical):
+            self._box.touch(device)
+            if wanted not in self._box.output_names:
+                raise NiError(NiCode.NO_SUCH_INPUT, f"Physical Channel: {wanted}")
+            task.outputs.append(wanted)
+        return {}
 
     def _write_volts(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task, volts = self._writing(request), list(request.write_array)
-            lowest_v, highest_v = self._box.product.output_range_v
-            if not all(lowest_v <= value <= highest_v for value in volts):
-                raise NiError(NiCode.INVALID_VALUE, "Generated data is outside the range of the channel.")
-            self._box.set_levels(dict(zip(task.outputs, volts, strict=True)))
-            return {"samps_per_chan_written": 1}
+        if not all(abs(volts) <= OUTPUT_V for volts in request.write_array):
+            raise NiError(NiCode.INVALID_VALUE, "Generated data is outside the range of the channel.")
+        return self._write_lines(request, alive)
 
     def _write_lines(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._writing(request)
-            self._box.set_levels(dict(zip(task.outputs, map(float, request.write_array), strict=True)))
-            return {"samps_per_chan_written": 1}
+        task = self._writing(request)
+        self._box.set_levels(dict(zip(task.outputs, map(float, request.write_array), strict=True)))
+        return {"samps_per_chan_written": 1}
 
     def _read_lines(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._writing(request)
-            levels = bytes(int(self._box.level(name)) for name in task.outputs)
-            return {"read_array": levels, "samps_per_chan_read": 1, "num_bytes_per_samp": 1}
+        task = self._writing(request)
+        levels = bytes(int(self._box.level(name)) for name in task.outputs)
+        return {"read_array": levels, "samps_per_chan_read": 1, "num_bytes_per_samp": 1}
 
     def _writing(self, request: Any) -> NiTask:
         """The task of an output that is written or read back now."""
@@ -195,127 +227,78 @@ class NiCalls:
         if not task.outputs:
             raise NiError(NiCode.NO_CHANNELS)
         self._box.reserve(task)
-        task.state = TaskState.RUNNING
+        task.running = True
         return task
 
-    def _channel_attribute(self, request: Any, alive: Alive) -> Answer:
-        task = self._task(request)
-        several = not request.channel or "," in request.channel or ":" in request.channel
-        for channel in task.channels:
-            if several or request.channel == channel.name:
-                value = _channel_value(channel, self._box.name, request.attribute_raw)
-                # Enumerations travel under another name.
-                return {"value_raw" if isinstance(value, int) else "value": value}
-        raise NiError(NiCode.NO_SUCH_INPUT, f"Channel: {request.channel}")
-
     def _time(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request, at_rest=True)
-            if not task.channels:
-                raise NiError(NiCode.NO_CHANNELS)
-            fastest_hz = self._box.product.fastest_hz(len(task.channels))
-            if request.rate > fastest_hz * (1 + 1e-9):
-                code = (
-                    NiCode.SAMPLE_RATE_TOO_HIGH
-                    if request.rate <= self._box.product.aggregate_hz
-                    else NiCode.INVALID_VALUE
-                )
-                raise NiError(code, f"Property: DAQmx_SampClk_Rate. Maximum Value: {fastest_hz:g}")
-            if request.rate < self._box.product.slowest_hz:
-                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
-            if request.sample_mode_raw != FINITE:
-                raise NiError(NiCode.NOT_SUPPORTED, "Property: DAQmx_SampQuant_SampMode")
-            if request.samps_per_chan < MIN_SAMPLES:
-                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
-            task.rate_hz = self._box.product.coerced_rate_hz(request.rate)
-            task.samples = request.samps_per_chan
-            task.channel_delay_s = self._box.product.channel_delay_s(task.rate_hz, len(task.channels))
-            return {}
-
-    def _timing_attribute(self, request: Any, alive: Alive) -> Answer:
-        task, product = self._task(request), self._box.product
-        values = {
-            0x1344: task.rate_hz,
-            0x22C8: product.fastest_hz(len(task.channels)),
-            0x1300: FINITE,
-            0x1310: task.samples,
-        }
-        if not product.simultaneous:  # AI Convert: its rate, and the fastest
-            values |= {0x1848: 1 / task.channel_delay_s if task.channel_delay_s else 0.0, 0x22C9: product.aggregate_hz}
-        value = _found(values, request.attribute_raw)
-        return {"value_raw" if request.attribute_raw in ENUMERATIONS else "value": value}
-
-    def _read_attribute(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request)
-            values = {
-                0x1823: ", ".join(channel.name for channel in task.channels),
-                0x217B: len(task.channels),
-                0x1223: task.unread,
-                0x1221: task.unread,
-                0x192A: task.acquired(),
-            }
-            return {"value": _found(values, request.attribute_raw)}
+        task, product = self._task(request, at_rest=True), self._box.product
+        if not task.channels:
+            raise NiError(NiCode.NO_CHANNELS)
+        fastest_hz = product.fastest_hz(len(task.channels))
+        if request.rate > fastest_hz * (1 + 1e-9):
+            code = NiCode.SAMPLE_RATE_TOO_HIGH if request.rate <= product.aggregate_hz else NiCode.INVALID_VALUE
+            raise NiError(code, f"Property: DAQmx_SampClk_Rate. Maximum Value: {fastest_hz:g}")
+        if request.rate < product.slowest_hz:
+            raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
+        if request.sample_mode_raw != FINITE:
+            raise NiError(NiCode.NOT_SUPPORTED, "Property: DAQmx_SampQuant_SampMode")
+        if request.samps_per_chan < MIN_SAMPLES:
+            raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
+        task.rate_hz = product.coerced_rate_hz(request.rate)
+        task.samples = request.samps_per_chan
+        task.channel_delay_s = product.channel_delay_s(task.rate_hz, len(task.channels))
+        return {}
 
     def _trigger(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request, at_rest=True)
-            terminal = request.trigger_source.removeprefix(f"/{self._box.name}/")
-            if terminal not in self._box.product.triggers:
-                raise NiError(NiCode.NO_SUCH_TERMINAL, f"Terminal: {request.trigger_source}")
-            task.trigger = terminal
-            return {}
+        task = self._task(request, at_rest=True)
+        terminal = request.trigger_source.removeprefix(f"/{self._box.name}/")
+        if terminal not in self._box.product.triggers:
+            raise NiError(NiCode.NO_SUCH_TERMINAL, f"Terminal: {request.trigger_source}")
+        task.trigger = terminal
+        return {}
 
     def _control(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task, action = self._task(request), request.action_raw
-            if action != COMMIT:
-                raise NiError(NiCode.NOT_SUPPORTED, f"Task action: {action}")
-            self._box.reserve(task)
-            task.commits = True
-            task.state = TaskState.COMMITTED
-            return {}
+        if request.action_raw != COMMIT:
+            raise NiError(NiCode.NOT_SUPPORTED, f"Task action: {request.action_raw}")
+        task = self._task(request)
+        self._box.reserve(task)
+        task.commits, task.running = True, False
+        return {}
 
     def _start(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request, at_rest=True)
-            if not task.outputs and (not task.channels or not task.rate_hz):
-                raise NiError(NiCode.NO_CHANNELS)
-            self._box.reserve(task)
-            task.begin()
-            return {}
+        task = self._task(request, at_rest=True)
+        if not task.outputs and (not task.channels or not task.rate_hz):
+            raise NiError(NiCode.NO_CHANNELS)
+        self._box.reserve(task)
+        task.begin()
+        return {}
 
     def _stop(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request)
-            early = task.end()
-            if task.state is TaskState.IDLE:
-                self._box.release(task)
-            return {"status": NiCode.STOPPED_BEFORE_DONE if early else 0}
+        task = self._task(request)
+        early = task.end()
+        if not task.commits:
+            self._box.release(task)
+        return {"status": NiCode.STOPPED_BEFORE_DONE if early else 0}
 
     def _wait(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request)
-            self._box.touch(self._box.name)
-            task.wait_done(request.time_to_wait, alive)
-            return {}
+        task = self._task(request)
+        self._box.touch(self._box.name)
+        task.wait_done(request.time_to_wait, alive)
+        return {}
 
     def _read(self, request: Any, alive: Alive) -> Answer:
-        with self._box.condition:
-            task = self._task(request)
-            self._box.touch(self._box.name)
-            if task.state is not TaskState.RUNNING:
-                self._start(request, alive)
-            asked = request.num_samps_per_chan
-            if asked < 0:
-                asked = task.samples
-            if asked * len(task.channels) > request.array_size_in_samps:
-                raise NiError(NiCode.NOT_STARTED, "The array is too small.")
-            analog_v, complete = task.read(asked, request.timeout, alive)
-            analog_v, complete, status = self._spoil(task, analog_v, complete)
-            volts = np.zeros((len(task.channels), asked))
-            count = analog_v.shape[1]
-            volts[:, :count] = task.converted(analog_v)
+        task = self._task(request)
+        self._box.touch(self._box.name)
+        if not task.running:
+            self._start(request, alive)
+        asked = request.num_samps_per_chan if request.num_samps_per_chan >= 0 else task.samples
+        if asked * len(task.channels) > request.array_size_in_samps:
+            raise NiError(NiCode.NOT_STARTED, "The array is too small.")
+        analog_v, complete = task.read(asked, request.timeout, alive)
+        analog_v, complete, status = self._spoil(task, analog_v, complete)
+        volts = np.zeros((len(task.channels), asked))
+        count = analog_v.shape[1]
+        volts[:, :count] = task.converted(analog_v)
         rows = volts if request.fill_mode_raw == BY_CHANNEL else volts.T
         return {
             "read_array": rows.ravel().tolist(),  # twice as fast as the array itself
@@ -338,7 +321,7 @@ class NiCalls:
             elif fault.kind == "over_range":
                 analog_v = analog_v.copy()
                 largest_v = max(float(np.abs(analog_v[-1]).max()), 1e-9)
-                analog_v[-1] *= 1.5 * task.channels[-1].converter.range_v / largest_v
+                analog_v[-1] *= 1.5 * task.channels[-1].range_v / largest_v
             elif fault.kind == "warning":
                 status = NiCode.ADC_OVERLOADED
         return analog_v, complete, status
@@ -347,60 +330,17 @@ class NiCalls:
         return self._box.task(request.task.name, at_rest=at_rest)
 
 
-# -- properties, by the numbers that travel on the wire: those of the header NIDAQmx.h
-
-
-def _device_value(product: Product, name: str, serial_number: int, attribute: int) -> Any:
-    """A property of the device. Raises NiError."""
-    ranges_v = [bound for range_v in product.all_ranges_v for bound in (-range_v, range_v)]
-    values = {
-        0x0631: product.name,
-        0x0632: serial_number,
-        0x231E: ", ".join(f"{name}/ai{number}" for number in range(product.inputs)),
-        0x231F: ", ".join(f"{name}/ao{number}" for number in range(product.outputs)),
-        0x2322: ", ".join(f"{name}/{line}" for line in product.lines),
-        0x2A40: ", ".join(f"/{name}/{terminal}" for terminal in product.triggers),
-        0x22CA: False,  # simulated
-        0x29A9: 14646,  # nidaqmx.constants.ProductCategory.USBDAQ
-        0x2326: 12586,  # nidaqmx.constants.BusType.USB
-        0x2985: True,  # digital trigger supported
-        0x2984: False,  # analog trigger supported
-        0x298F: product.simultaneous,  # simultaneous sampling supported
-        0x298C: product.aggregate_hz,
-        0x298D: product.aggregate_hz,
-        0x298E: product.slowest_hz,
-        0x2990: ranges_v,
-    }
-    return _found(values, attribute)
-
-
-def _channel_value(channel: Channel, device: str, attribute: int) -> Any:
-    """A property of a channel. Raises NiError."""
-    converter = channel.converter
-    values = {
-        0x1765: float(converter.bits),
-        0x1815: converter.range_v,
-        0x1816: -converter.range_v,
-        0x17DD: converter.range_v,
-        0x17DE: -converter.range_v,
-        0x1930: [converter.offset_v, converter.step_v, 0.0, 0.0],
-        0x187F: ANALOG_INPUT,
-        0x0695: 10322,  # nidaqmx.constants.UsageTypeAI.VOLTAGE
-        0x18F5: f"{device}/{channel.input}",
-    }
-    return _found(values, attribute)
+def _property(values: Callable[[Any], dict[int, Any]], request: Any, alive: Alive) -> Answer:
+    """The value of a property among those that there are. Raises NiError."""
+    attribute, known = request.attribute_raw, values(request)
+    if attribute not in known:
+        raise NiError(NiCode.NOT_SUPPORTED, f"Property: {attribute:#x}")
+    return {"value_raw" if attribute in ENUMERATIONS else "value": known[attribute]}
 
 
 def _inputs(physical: str) -> list[tuple[str, str]]:
     """Devices and inputs or outputs of a physical channel string: ``Dev1/ai0, Dev1/ai2``."""
     return [(device, name) for device, _, name in (part.strip().partition("/") for part in physical.split(","))]
-
-
-def _found(values: dict[int, Any], attribute: int) -> Any:
-    """The value of a property among those that there are; raises `NiError` for others."""
-    if attribute not in values:
-        raise NiError(NiCode.NOT_SUPPORTED, f"Property: {attribute:#x}")
-    return values[attribute]
 
 
 def _text_of(code: int) -> str:

@@ -189,6 +189,7 @@ class NiServer:
         return {
             name: grpc.unary_unary_rpc_method_handler(functools.partial(self.answer, name), *_wire_format(name))
             for name in self._calls.handlers
+            if name in METHODS
         }
 
     # -- answering -------------------------------------------------------------------------------
@@ -211,7 +212,8 @@ class NiServer:
             if refused := next((STATUSES[fault.kind] for fault in due if fault.kind in STATUSES), None):
                 return context.abort(refused, "on order")
             warning = self._meet(name, due, gone)
-            fields = self._calls.handlers[name](request, alive)
+            with self._box.condition:
+                fields = self._calls.handlers[name](request, alive)
             status = fields["status"] = int(fields.get("status", 0)) or warning
             return GetMessageClass(METHODS[name].output_type)(**fields)
         except NiError as error:
