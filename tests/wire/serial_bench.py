@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from wavefocus.drivers.protocols import WallClock
-from wavefocus.drivers.registry import MIRRORS
+from wavefocus.drivers.registry import MIRRORS, MirrorSettings
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, garble
@@ -83,7 +83,9 @@ class MirrorBench:
         keys = {key.name: given[key.name] for key in fields(driver) if key.name in given}
         port = changes.pop("port", self.far.address)
         changes = {name: value for name, value in changes.items() if name not in keys}
-        self.opened.append(SerialMirror(driver(**keys), port, **{**settings, **changes}))
+        patience = {name: (settings | changes)[name] for name in ("answer_s", "patience_s")}
+        of_mirror = {name: value for name, value in (settings | changes).items() if name not in patience}
+        self.opened.append(SerialMirror(driver(**keys), MirrorSettings(port=port, **of_mirror), **patience))
         return self.opened[-1]
 
     def stands_at(self, x_mrad, y_mrad):

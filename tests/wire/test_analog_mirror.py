@@ -41,7 +41,7 @@ class Scanner:
 
     def mirror(self, *, settle_s=0.0, limit_mrad=200.0, park_mrad=PARK_MRAD, **keys):
         driver = AnalogMirrorDriver(device="Dev1", address=self.server.address, **keys)
-        settings = MirrorSettings("", None, None, settle_s, limit_mrad, park_mrad, WallClock())
+        settings = MirrorSettings(settle_s=settle_s, limit_mrad=limit_mrad, park_mrad=park_mrad, clock=WallClock())
         mirror = driver.open(settings)
         self._opened.callback(mirror.close)
         return mirror

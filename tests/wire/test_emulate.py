@@ -6,6 +6,7 @@ from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
 from wavefocus.drivers.protocols import WallClock
+from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.drivers.serial_device import SerialMirror
 
 
@@ -57,16 +58,10 @@ def test_given_a_keyboard_then_the_spot_the_patch_bay_and_mistakes_are_answered(
     rig_file.write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
     with emulated_instruments(rig_file) as sides:
         assert sides.say("spot") == "spot: not on the plate"
-        mirror = SerialMirror(
-            AsiTiger(),
-            str(tmp_path / "mirror"),
-            baud=None,
-            identity=None,
-            settle_s=0.0,
-            limit_mrad=155.0,
-            park_mrad=(-150.0, -150.0),
-            clock=WallClock(),
+        settings = MirrorSettings(
+            port=str(tmp_path / "mirror"), settle_s=0.0, limit_mrad=155.0, park_mrad=(-150.0, -150.0), clock=WallClock()
         )
+        mirror = SerialMirror(AsiTiger(), settings)
         mirror.move_to(30.0, -20.0)
         mirror.wait_settled(5.0)
         _, x_mm, y_mm, _ = sides.say("spot").split()

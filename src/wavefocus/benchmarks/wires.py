@@ -31,6 +31,7 @@ from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
 from wavefocus.drivers.protocols import Float64Array, Instruments, RecordLabel, WallClock
+from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
@@ -115,10 +116,10 @@ class EmulatedInstruments:
 def opened(sides: EmulatedInstruments, post_roll_s: float = 0.4) -> Iterator[Setup]:
     """Production drivers on the emulated instruments."""
     virtual, clock = settings(), WallClock()
-    mirror = SerialMirror(
-        AsiTiger(), sides.mirror, baud=None, identity=None, settle_s=0.0, limit_mrad=virtual.limit_mrad,
-        park_mrad=virtual.park_mrad, clock=clock,
-    )  # fmt: skip
+    of_mirror = MirrorSettings(
+        port=sides.mirror, settle_s=0.0, limit_mrad=virtual.limit_mrad, park_mrad=virtual.park_mrad, clock=clock
+    )
+    mirror = SerialMirror(AsiTiger(), of_mirror)
     recorder = NiRecorder(
         "Dev1", address=sides.recorder, reference_input="ai0", response_input="ai1", terminal="differential",
         trigger=None,

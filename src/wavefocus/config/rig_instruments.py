@@ -137,7 +137,7 @@ class DriverTable(Table):
         return self
 
 
-def _with_drivers(section: type[Section], registry: Registry[Any]) -> type[Section]:
+def _with_drivers(section: type[Section], registry: Registry) -> type[Section]:
     """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it.
 
     Another distribution's driver with a key of the table's own, or with keys that are none, is left out.

@@ -76,9 +76,9 @@ class Marker:
 
 
 # Closing a port is a matter of milliseconds, unless its driver hangs.
-CLOSING_S = 1.0
+_CLOSING_S = 1.0
 # Pause after a command whose answer is not waited for, as public drivers make it (0.2 s, lab-built ones for MTI).
-BEFORE_S = 0.2
+_BEFORE_S = 0.2
 
 
 class Dialogue:
@@ -115,7 +115,7 @@ class Dialogue:
         """Release the line, whether or not a call of another thread still hangs in it; never waits for long."""
         guard = CallThread(f"closing of {self._instrument}")
         with suppress(HungError):  # what hangs ends by itself, or never
-            guard.call(self._line.close, CLOSING_S, needs_thread=False)
+            guard.call(self._line.close, _CLOSING_S, needs_thread=False)
         guard.abandon()
 
     def introduce(
@@ -148,7 +148,7 @@ class Dialogue:
                     # An end rounds off what another program may have left half said.
                     self._line.send(before)
                     if before:
-                        self._clock.sleep(BEFORE_S)
+                        self._clock.sleep(_BEFORE_S)
                     self._send(question.text)
                     answer = self._first_readable(question)
                     self._due[question.text] -= 1

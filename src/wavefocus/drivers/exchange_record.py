@@ -14,8 +14,8 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 
-FORMAT = "wavefocus-exchanges"
-FORMAT_VERSION = 1
+_FORMAT = "wavefocus-exchanges"
+_FORMAT_VERSION = 1
 Role = TypeVar("Role")
 
 
@@ -30,7 +30,7 @@ class ExchangeRecord:
         self._began_s = time.monotonic()
         self._lock = threading.Lock()
         self.failure = ""
-        self._write({"format": FORMAT, "format_version": FORMAT_VERSION, **about})
+        self._write({"format": _FORMAT, "format_version": _FORMAT_VERSION, **about})
 
     def note(self, instrument: str, **what: Any) -> None:
         """Write a line: seconds since the beginning, the instrument, and what happened."""

@@ -25,19 +25,19 @@ from typing import IO, Any, TypeVar
 ANSWER_S = 5.0
 """A process that is well answers within milliseconds; on a busy machine within a second."""
 
-LOOK_S = 0.5
+_LOOK_S = 0.5
 """How often a process that is waited for is asked for a sign of life."""
 
 OPENING_S = 20.0
 """Loading a vendor's library and opening a device; ASIO drivers take seconds."""
 
-CLOSING_S = 6.0
+_CLOSING_S = 6.0
 """Longer than the process allows itself."""
 
 SILENT_S = 5.0
 """A parent that gives no sign of life for so long is stopped; a busy one is late by a second."""
 
-STOPPED = (
+_STOPPED = (
     f"this program was stopped for more than {SILENT_S:g} s (Ctrl-Z, SIGSTOP or a debugger), and its outputs were put"
     " to rest meanwhile"
 )
@@ -54,7 +54,7 @@ ALIVE = "alive"
 CLOSE = "close"
 """Asks a process to release its device and end."""
 
-AT_REST = ("lost", STOPPED, True)
+AT_REST = ("lost", _STOPPED, True)
 """The last message of a process whose parent is stopped: "lost", the cause, and that its outputs are at rest."""
 
 
@@ -111,10 +111,10 @@ def wait_for_silence(pipe: MessagePipe) -> None:
     """In the process, in a thread of its own: return when the parent has given no sign of life for `SILENT_S`."""
     silent_s, looked_s, received = 0.0, time.monotonic(), pipe.received
     while silent_s < SILENT_S:
-        time.sleep(LOOK_S)
+        time.sleep(_LOOK_S)
         now_s = time.monotonic()
         # Time in which this process itself was kept waiting, or the computer slept, does not count.
-        silent_s = 0.0 if pipe.received != received else silent_s + min(now_s - looked_s, 2 * LOOK_S)
+        silent_s = 0.0 if pipe.received != received else silent_s + min(now_s - looked_s, 2 * _LOOK_S)
         looked_s, received = now_s, pipe.received
 
 
@@ -184,9 +184,8 @@ class DriverProcess:
         """Send messages in a row; a process that does not take them in time is killed. Raises ProcessGoneError."""
         if self.gone:
             raise ProcessGoneError(self.gone)
-        guard = threading.Timer(ANSWER_S, self.kill, [f"it took nothing in for {ANSWER_S:g} s and was killed"])
-        guard.daemon = True
-        guard.start()
+        sent = threading.Event()
+        threading.Thread(target=self._kill_unless, args=(sent,), daemon=True).start()
         try:
             for message in messages:
                 self._pipe.send(message)
@@ -194,7 +193,16 @@ class DriverProcess:
             self._reader.join(ANSWER_S)  # its last message says why
             raise ProcessGoneError(self._why()) from None
         finally:
-            guard.cancel()
+            sent.set()
+
+    def _kill_unless(self, sent: threading.Event) -> None:
+        began_s = time.monotonic()
+        while not sent.wait(ANSWER_S):
+            now_s = time.monotonic()
+            if now_s - began_s < ANSWER_S + 1.0:  # longer: this process itself was stopped meanwhile
+                self.kill(f"it took nothing in for {ANSWER_S:g} s and was killed")
+                return
+            began_s = now_s
 
     def wait_for(self, look: Callable[[], Value | None], until_s: float) -> Value | None:
         """Wait for news; the process is asked for a sign of life meanwhile. Raises ProcessGoneError.
@@ -207,7 +215,7 @@ class DriverProcess:
         asked_s, silent_s, looked_s = -math.inf, 0.0, time.monotonic()
         while True:
             with self._news:
-                self._news.wait_for(lambda: look() is not None or self.gone, min(max(0.0, until_s - looked_s), LOOK_S))
+                self._news.wait_for(lambda: look() is not None or self.gone, min(max(0.0, until_s - looked_s), _LOOK_S))
                 value = look()
                 if value is not None:
                     return value
@@ -216,10 +224,10 @@ class DriverProcess:
                 answered_s = self._answered_s
             now_s = time.monotonic()
             # Time in which this process itself was stopped or kept waiting does not count against the other.
-            until_s += max(0.0, now_s - looked_s - 2 * LOOK_S)
+            until_s += max(0.0, now_s - looked_s - 2 * _LOOK_S)
             if now_s >= until_s:
                 return None
-            silent_s += min(now_s - looked_s, 2 * LOOK_S)
+            silent_s += min(now_s - looked_s, 2 * _LOOK_S)
             looked_s = now_s
             if answered_s > asked_s:
                 asked_s, silent_s = now_s, 0.0
@@ -250,12 +258,12 @@ class DriverProcess:
         except ProcessGoneError as gone:
             self.kill(str(gone))
         try:
-            self._process.wait(CLOSING_S)
+            self._process.wait(_CLOSING_S)
         except subprocess.TimeoutExpired:
             self.kill("it did not end and was killed")
         self._ending.set()
-        self._reader.join(CLOSING_S)
-        self._signs.join(CLOSING_S)
+        self._reader.join(_CLOSING_S)
+        self._signs.join(_CLOSING_S)
         self._pipe.close()
         self._errors.close()
 

@@ -14,23 +14,16 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import isabstract
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_type_hints
 
 if TYPE_CHECKING:
-    from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder, Shutter
+    from wavefocus.drivers.protocols import Clock
+
+Entry = TypeVar("Entry", bound=type[Any])
 
 
-class Named(Protocol):
-    """A class that is registered; ``name`` is what the rig file calls it."""
-
-    name: str
-
-
-Entry = TypeVar("Entry", bound=type[Named])
-
-
-class Registry(Generic[Entry]):
-    """Classes by name, registered in the modules of a package, which are imported when they are first asked for.
+class Registry:
+    """Classes by their ``name``, registered in the modules of a package, which are imported when first asked for.
 
     A subfolder holds what only one driver needs; it is not searched. Entry points of other distributions come after
     them. One that cannot be used, for a package that is not installed or another reason, is left out, so that it harms
@@ -47,7 +40,7 @@ class Registry(Generic[Entry]):
         self._package = package
         self._group = group
         self._method = method
-        self._found: dict[str, Entry] = {}
+        self._found: dict[str, type[Any]] = {}
         self._complete = False
         self.sources: dict[str, str] = {}
         self.failures: dict[str, str] = {}
@@ -57,7 +50,7 @@ class Registry(Generic[Entry]):
         self._found[entry.name] = entry
         return entry
 
-    def all(self) -> Mapping[str, Entry]:
+    def all(self) -> Mapping[str, type[Any]]:
         """Every class that is registered, by name."""
         if not self._complete:
             for module in iter_modules(import_module(self._package).__path__):
@@ -114,7 +107,7 @@ class Registry(Generic[Entry]):
             if "in_plan" not in key.metadata:
                 return f"has a field that is not declared with rig_key: {key.name}"
             for other in self._found.values():
-                theirs = {field.name for field in fields(other)}  # type: ignore[arg-type]  # all are data classes
+                theirs = {field.name for field in fields(other)}
                 if key.name in theirs and get_type_hints(other)[key.name] != hints[key.name]:
                     return f"has a key that driver {other.name} has with another type: {key.name}"
         return ""
@@ -175,7 +168,7 @@ class Outputs:
     rate_hz: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MirrorSettings:
     """Keys of ``[mirror]`` that every mirror has.
 
@@ -188,41 +181,13 @@ class MirrorSettings:
     clock: The time that `Mirror.wait_settled` goes by.
     """
 
-    port: str
-    baud: int | None
-    identity: str | None
+    port: str = ""
+    baud: int | None = None
+    identity: str | None = None
     settle_s: float
     limit_mrad: float
     park_mrad: tuple[float, float]
     clock: Clock
-
-
-class MirrorDriver(Named, Protocol):
-    """Opens a mirror; its fields are the keys of ``[mirror]`` that it has.
-
-    Optional attributes: `table_defaults`, a mapping from keys that every mirror has to other defaults, and
-    `without_keys`, those of ``port``, ``baud`` and ``identity`` that it does not have.
-    """
-
-    def open(self, settings: MirrorSettings) -> Mirror:
-        """Open the device, without moving it. Raises InstrumentError."""
-        ...
-
-
-class PlayerDriver(Named, Protocol):
-    """Opens a player; its fields are the keys of ``[player]`` that it has."""
-
-    def open(self, outputs: Outputs) -> Player:
-        """Open the device. Raises InstrumentError."""
-        ...
-
-
-class RecorderDriver(Named, Protocol):
-    """Opens a recorder; its fields are the keys of ``[recorder]`` that it has."""
-
-    def open(self) -> Recorder:
-        """Open the device. Raises InstrumentError."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,31 +209,23 @@ class VibrometerReading:
     identity: str
 
 
-class VibrometerDriver(Named, Protocol):
-    """Asks a vibrometer; its fields are the keys of ``[vibrometer]`` that it has."""
+MIRRORS = Registry("wavefocus.drivers.mirror", "wavefocus.mirrors", "open")
+"""`open(settings: MirrorSettings) -> Mirror` opens the device without moving it.
 
-    def read(
-        self, port: str, *, baud: int | None = None, identity: str | None = None, any_level: bool = False
-    ) -> VibrometerReading:
-        """Ask the controller and release it again; a signal too weak is an error unless any level will do.
+Optional attributes: `table_defaults`, a mapping from keys that every mirror has to other defaults, and `without_keys`,
+those of ``port``, ``baud`` and ``identity`` that it does not have. The methods of all drivers raise InstrumentError.
+"""
 
-        Raises InstrumentError: it does not answer, is another device, or has too weak a signal.
-        """
-        ...
+RECORDERS = Registry("wavefocus.drivers.daq", "wavefocus.recorders", "open")
+"""`open() -> Recorder` opens the device."""
 
+PLAYERS = Registry("wavefocus.drivers.audio", "wavefocus.players", "open")
+"""`open(outputs: Outputs) -> Player` opens the device."""
 
-class ShutterDriver(Named, Protocol):
-    """Opens a shutter; its fields are the keys of ``[shutter]`` that it has."""
+SHUTTERS = Registry("wavefocus.drivers.shutter", "wavefocus.shutters", "open")
+"""`open() -> Shutter` opens the device without moving it."""
 
-    def open(self) -> Shutter:
-        """Open the device, without moving it. Raises InstrumentError."""
-        ...
-
-
-MIRRORS: Registry[type[MirrorDriver]] = Registry("wavefocus.drivers.mirror", "wavefocus.mirrors", "open")
-RECORDERS: Registry[type[RecorderDriver]] = Registry("wavefocus.drivers.daq", "wavefocus.recorders", "open")
-PLAYERS: Registry[type[PlayerDriver]] = Registry("wavefocus.drivers.audio", "wavefocus.players", "open")
-SHUTTERS: Registry[type[ShutterDriver]] = Registry("wavefocus.drivers.shutter", "wavefocus.shutters", "open")
-VIBROMETERS: Registry[type[VibrometerDriver]] = Registry(
-    "wavefocus.drivers.vibrometer", "wavefocus.vibrometers", "read"
-)
+VIBROMETERS = Registry("wavefocus.drivers.vibrometer", "wavefocus.vibrometers", "read")
+"""`read(port: str, *, baud: int | None, identity: str | None, any_level: bool) -> VibrometerReading` asks the
+controller and releases it again; a signal too weak is an error unless any level will do.
+"""

@@ -44,16 +44,7 @@ class Dialect(ABC):
 
     def open(self, settings: MirrorSettings) -> SerialMirror:
         """Open the mirror that speaks this dialect. Raises InstrumentError."""
-        return SerialMirror(
-            self,
-            settings.port,
-            baud=settings.baud,
-            identity=settings.identity,
-            settle_s=settings.settle_s,
-            limit_mrad=settings.limit_mrad,
-            park_mrad=settings.park_mrad,
-            clock=settings.clock,
-        )
+        return SerialMirror(self, settings)
 
     @property
     @abstractmethod
@@ -105,7 +96,7 @@ def tolerance_key() -> Any:
 
 
 # Pause between two questions whether the mirror still moves.
-POLL_S = 0.001
+_POLL_S = 0.001
 
 
 class SerialMirror(Mirror):
@@ -115,52 +106,30 @@ class SerialMirror(Mirror):
 
     Raises InstrumentError or InstrumentLostError.
 
-    port: A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
-    baud: Bits per second; by default the dialect's, one after the other where it has several.
-    identity: Text that the device's identification must contain. Whatever it is at the first open, it must be the same
-        at every other.
-    settle_s: How long the beam swings after the device says that it stands, or, where it cannot say so, after the move
-        was acknowledged; >= 0.
-    limit_mrad: Largest optical angle in x and in y, in mrad, > 0.
-    park_mrad: The safe direction, within the limit.
+    settings: Its baud is the dialect's by default, one after the other where it has several. Whatever answers at the
+        first open must be the same at every other. `settle_s` counts from when the device says that it stands, or,
+        where it cannot say so, from when the move was acknowledged.
     answer_s: Longest wait for one answer, in s, > 0.
     patience_s: How long a device whose port was just opened may take until it answers, in s; by default the dialect's.
     """
 
     def __init__(
-        self,
-        dialect: Dialect,
-        port: str,
-        *,
-        baud: int | None = None,
-        identity: str | None = None,
-        settle_s: float,
-        limit_mrad: float,
-        park_mrad: tuple[float, float],
-        clock: Clock,
-        answer_s: float = 1.0,
-        patience_s: float | None = None,
+        self, dialect: Dialect, settings: MirrorSettings, *, answer_s: float = 1.0, patience_s: float | None = None
     ) -> None:
-        self._name = f"mirror ({dialect.name} at {port})"
-        self._dialect = dialect
-        self._wanted_identity = identity
+        self._name = f"mirror ({dialect.name} at {settings.port})"
+        self._dialect, self._settings, self._clock = dialect, settings, settings.clock
         self._identity: str | None = None
-        self._settle_s = settle_s
-        self._limit_mrad = limit_mrad
-        self._park_mrad = park_mrad
-        self._patience_s = self._dialect.patience_s if patience_s is None else patience_s
-        self._clock = clock
+        self._answer_s = answer_s
+        self._patience_s = dialect.patience_s if patience_s is None else patience_s
         self._closed = False
         self._target_mrad: tuple[float, float] | None = None
         self._standing_since_s: float | None = None
         self._settled = False
         self._astray = ""
         self._check_settings()
-        self._port = port
-        self._answer_s = answer_s
         # The one that was answered last comes first.
-        self._bauds = list(self._dialect.bauds if baud is None else (baud,))
-        if port.startswith(NETWORK):
+        self._bauds = list(dialect.bauds if settings.baud is None else (settings.baud,))
+        if settings.port.startswith(NETWORK):
             del self._bauds[1:]  # the serial server has its own
         self._dialogue = self._new_dialogue(self._bauds[0])
         self._open()
@@ -177,7 +146,7 @@ class SerialMirror(Mirror):
         self._check_open("identifying")
         self._dialogue.verify("identifying")
         at = f" at {self._bauds[0]} baud" if len(self._bauds) > 1 else ""
-        return f"{self._name}: {_words(self._identity or '')}{at}, within +-{self._limit_mrad:g} mrad"
+        return f"{self._name}: {_words(self._identity or '')}{at}, within +-{self._settings.limit_mrad:g} mrad"
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
         doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
@@ -210,11 +179,12 @@ class SerialMirror(Mirror):
         """Move to the safe direction; a lost device is given one more chance. Does nothing once closed."""
         if self._closed:
             return
+        park_mrad = self._settings.park_mrad
         try:
-            self._start(lambda: self._dialect.park(self._dialogue, self._park_mrad), self._park_mrad)
+            self._start(lambda: self._dialect.park(self._dialogue, park_mrad), park_mrad)
         except InstrumentLostError:
             self._open()
-            self._start(lambda: self._dialect.park(self._dialogue, self._park_mrad), self._park_mrad)
+            self._start(lambda: self._dialect.park(self._dialogue, park_mrad), park_mrad)
 
     def reconnect(self) -> None:
         """Open the same port again, make sure that the same device answers, and enable it."""
@@ -250,7 +220,7 @@ class SerialMirror(Mirror):
                 identity = self._dialect.wake(self._dialogue, self._patience_s)
             self._check_identity(identity)
             self._dialogue.recognise(self._dialect.marker(identity))
-            self._dialect.enable(self._dialogue, self._park_mrad)
+            self._dialect.enable(self._dialogue, self._settings.park_mrad)
             self._check_settings()
         except BaseException:
             self._dialogue.close()
@@ -278,7 +248,7 @@ class SerialMirror(Mirror):
 
     def _new_dialogue(self, baud: int) -> Dialogue:
         settings = LineSettings(baud, self._dialect.command_end, self._answer_s, self._dialect.encoding)
-        return Dialogue(self._name, SerialLine(self._name, self._port, settings), self._clock)
+        return Dialogue(self._name, SerialLine(self._name, self._settings.port, settings), self._clock)
 
     def _check_identity(self, identity: str) -> None:
         stranger = self._stranger(identity)
@@ -289,7 +259,7 @@ class SerialMirror(Mirror):
 
     def _stranger(self, identity: str) -> str:
         """Why this is not the device that is wanted; empty if it is."""
-        says, wanted = _words(identity), self._wanted_identity
+        says, wanted = _words(identity), self._settings.identity
         if wanted is not None and wanted not in says:
             return f"another device answers: {says!r} does not contain {wanted!r}"
         if self._identity is not None and identity != self._identity:
@@ -313,12 +283,12 @@ class SerialMirror(Mirror):
         if self._dialect.says_when_idle:
             if self._dialect.moving(self._dialogue, "settling"):
                 self._standing_since_s = None
-                self._clock.sleep(POLL_S)
+                self._clock.sleep(_POLL_S)
                 return "still moving"
             if self._standing_since_s is None:
                 # It rests now; since when, it does not say.
                 self._standing_since_s = self._clock.now_s()
-        left_s = self._settle_s - (self._clock.now_s() - (self._standing_since_s or 0.0))
+        left_s = self._settings.settle_s - (self._clock.now_s() - (self._standing_since_s or 0.0))
         if left_s > 0:
             self._clock.sleep(min(left_s, gives_up_s - self._clock.now_s()))
             return ""
@@ -328,7 +298,7 @@ class SerialMirror(Mirror):
             self._settled = True
             return ""
         self._standing_since_s = None
-        self._clock.sleep(POLL_S)
+        self._clock.sleep(_POLL_S)
         stands, sent = (f"({x:.3f}, {y:.3f}) mrad" for x, y in (where_mrad, target_mrad))
         return f"standing at {stands} and not at {sent}"
 
@@ -338,14 +308,14 @@ class SerialMirror(Mirror):
     def _check_settings(self) -> None:
         """Hold the rig file against what the device can reach, as far as that has been read."""
         reach_mrad = self._dialect.reach_mrad
-        if self._limit_mrad > reach_mrad:
-            cause = f"limit_mrad is {self._limit_mrad:g}, and the device ends at {reach_mrad:.4g} mrad"
+        if self._settings.limit_mrad > reach_mrad:
+            cause = f"limit_mrad is {self._settings.limit_mrad:g}, and the device ends at {reach_mrad:.4g} mrad"
             remedy = f"lower limit_mrad and park_mrad of [mirror] in the rig file to {reach_mrad:.4g} or less"
             raise InstrumentError(self._name, "preparing", cause, remedy)
-        self._check_reach(*self._park_mrad, "preparing to park")
+        self._check_reach(*self._settings.park_mrad, "preparing to park")
 
     def _check_reach(self, x_mrad: float, y_mrad: float, doing: str) -> None:
-        limit = self._limit_mrad
+        limit = self._settings.limit_mrad
         if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
             cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of +-{limit:g} mrad"
             raise InstrumentError(self._name, doing, cause, "choose a grid within the mirror's reach")

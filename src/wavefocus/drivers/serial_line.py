@@ -14,7 +14,7 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, Missi
 from wavefocus.drivers.exchange_record import note_exchange
 
 NETWORK = "socket://"
-BY_SERIAL_NUMBER = "serial-number:"
+_BY_SERIAL_NUMBER = "serial-number:"
 # udev rules of this package for all devices that it knows; installed under the same name.
 RULES = Path(__file__).with_name("70-wavefocus.rules")
 RULES_FOLDER = "/etc/udev/rules.d/"
@@ -67,11 +67,11 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
     """
     if port.startswith(NETWORK):
         return _network_address(port, instrument)
-    if not port.startswith(BY_SERIAL_NUMBER):
+    if not port.startswith(_BY_SERIAL_NUMBER):
         if not port.strip():
             raise InstrumentError(instrument, "opening", "port is empty", "write its path into the rig file, port")
         return port
-    wanted = port.removeprefix(BY_SERIAL_NUMBER).strip()
+    wanted = port.removeprefix(_BY_SERIAL_NUMBER).strip()
     listed = tuple(_serial_ports(instrument) if present is None else present)
     found = _with_serial_number(listed, wanted)
     if len(found) == 1:
@@ -79,7 +79,7 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
     doing = f"looking for the port with serial number {wanted!r}"
     if found:
         names = " and ".join(port.device for port in found)
-        forms = (f"{BY_SERIAL_NUMBER}{_own_name(found, port, wanted)} is {port.device}" for port in found)
+        forms = (f"{_BY_SERIAL_NUMBER}{_own_name(found, port, wanted)} is {port.device}" for port in found)
         remedy = f"name one of them in the rig file, port: {', '.join(forms)}"
         raise InstrumentLostError(instrument, doing, f"{names} have it", remedy)
     numbers = ", ".join(f"{port.serial_number} ({port.device})" for port in listed if port.serial_number)
@@ -156,11 +156,11 @@ def _network_address(port: str, instrument: str) -> str:
     return port
 
 
-ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO)
-FORBIDDEN = (errno.EACCES, errno.EPERM)
+_ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO)
+_FORBIDDEN = (errno.EACCES, errno.EPERM)
 BUSY = (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK)
-NO_SERIAL_PORT = (errno.ENOTTY, errno.EINVAL, errno.EISDIR)
-UNREACHABLE = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT)
+_NO_SERIAL_PORT = (errno.ENOTTY, errno.EINVAL, errno.EISDIR)
+_UNREACHABLE = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT)
 
 
 def open_failure(address: str, failure: Exception) -> tuple[str, str]:
@@ -180,15 +180,15 @@ def open_failure(address: str, failure: Exception) -> tuple[str, str]:
     # Windows denies access to a port that another program has open.
     if number in BUSY or "PermissionError(13" in text:
         return "another program has the port open", "close the other program; on Linux, fuser names it"
-    if number in ABSENT or "FileNotFoundError" in text:
+    if number in _ABSENT or "FileNotFoundError" in text:
         return "there is no such port now", "plug the device in and switch it on, or correct the rig file, port"
-    if number in FORBIDDEN:
+    if number in _FORBIDDEN:
         return (
             "this user may not open the port",
             "join the group that owns it (often dialout: sudo usermod -aG dialout NAME) and log in again, or permit it "
             f"to whoever is logged in: sudo cp {RULES} {RULES_FOLDER}, and plug the device in again",
         )
-    if number in NO_SERIAL_PORT or "configure port" in text or "IsADirectory" in text:
+    if number in _NO_SERIAL_PORT or "configure port" in text or "IsADirectory" in text:
         return f"that is not a serial port ({text})", "correct the rig file, port or baud"
     return f"it cannot be opened ({text})", "check the rig file, port, and the cable"
 
@@ -196,7 +196,7 @@ def open_failure(address: str, failure: Exception) -> tuple[str, str]:
 def _network_failure(number: int | None, text: str) -> tuple[str, str]:
     if number == errno.ECONNREFUSED or "10061" in text:  # Windows: WSAECONNREFUSED
         return "nothing there accepts connections", "switch the device or its serial server on; check the port number"
-    if number in UNREACHABLE or "timed out" in text:
+    if number in _UNREACHABLE or "timed out" in text:
         return "the host cannot be reached", "check the network cable and the address in the rig file, port"
     return f"no connection ({text})", "check the address in the rig file, port"
 
@@ -215,8 +215,8 @@ def _error_number(failure: BaseException | None) -> int | None:
 
 
 # How long pyserial waits for bytes before the deadline is looked at again.
-POLL_S = 0.02
-MAX_ANSWER = 4096
+_POLL_S = 0.02
+_MAX_ANSWER = 4096
 
 
 class LineFailedError(Exception):
@@ -278,7 +278,7 @@ class SerialLine:
             self._port = serial.serial_for_url(
                 address,
                 baudrate=self.settings.baud,
-                timeout=POLL_S,
+                timeout=_POLL_S,
                 write_timeout=self.settings.answer_s,
                 exclusive=True,
             )
@@ -312,9 +312,9 @@ class SerialLine:
         """
         while b"\n" not in self._input:
             self._input += self._read()
-            if len(self._input) > MAX_ANSWER:
+            if len(self._input) > _MAX_ANSWER:
                 self._input.clear()
-                raise NoAnswerError(f"more than {MAX_ANSWER} bytes came and no end of the line")
+                raise NoAnswerError(f"more than {_MAX_ANSWER} bytes came and no end of the line")
             if time.monotonic() > deadline_s and b"\n" not in self._input:
                 got = bytes(self._input)
                 raise NoAnswerError(f"the answer broke off after {got!r}" if got else "no answer came")
@@ -346,7 +346,7 @@ class SerialLine:
                 step()
 
     def _read(self) -> bytes:
-        """What is there; at least a byte if one comes within `POLL_S`."""
+        """What is there; at least a byte if one comes within `_POLL_S`."""
         try:
             data = bytes(self._port.read(self._port.in_waiting or 1))
         except self._failures as failure:

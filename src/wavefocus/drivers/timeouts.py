@@ -114,7 +114,7 @@ def in_time(instrument: str, operation: str, ask: Callable[[], Answer], limit_s:
     try:
         return thread.call(ask, limit_s)
     except HungError:
-        raise InstrumentLostError(instrument, operation, _hung_cause(limit_s), REMEDY) from None
+        raise InstrumentLostError(instrument, operation, _hung_cause(limit_s), _REMEDY) from None
     finally:
         thread.abandon()
 
@@ -141,7 +141,7 @@ Role = Literal["mirror", "recorder", "player"]
 
 # Opening a device afresh comprises several answers, and some boot.
 RECONNECTING = 3.0
-REMEDY = "its driver hangs: switch the instrument off and on or plug it in again, and restart its server if it has one"
+_REMEDY = "its driver hangs: switch the instrument off and on or plug it in again, and restart its server if it has one"
 
 
 def bounded(instruments: Instruments, hung_after_s: float) -> Instruments:
@@ -222,7 +222,7 @@ class _Bounded(Instrument, Generic[Device]):
             raise
 
     def _lost(self, operation: str, cause: str) -> InstrumentLostError:
-        lost = InstrumentLostError(self._name, operation, cause, REMEDY)
+        lost = InstrumentLostError(self._name, operation, cause, _REMEDY)
         lost.role = self._role
         return lost
 

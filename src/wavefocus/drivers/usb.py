@@ -14,10 +14,10 @@ from typing import Any
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
 from wavefocus.drivers.serial_line import LETTERS, RULES, RULES_FOLDER
 
-FTDI_VENDOR = 0x0403
-LISTING, RESETTING = "listing USB devices", "resetting it over USB"
-BY_HAND = "unplug it, wait a moment and plug it in again"
-BACK_WITHIN_S = 15.0
+_FTDI_VENDOR = 0x0403
+_LISTING, _RESETTING = "listing USB devices", "resetting it over USB"
+_BY_HAND = "unplug it, wait a moment and plug it in again"
+_BACK_WITHIN_S = 15.0
 """DAQ boxes and audio interfaces load firmware after a reset."""
 
 
@@ -74,17 +74,17 @@ def _list_with_handles(backend: Any) -> list[tuple[UsbDevice, Any]]:
         import usb.core
     except ImportError as missing:
         cause = f"pyusb is not installed ({missing})"
-        raise MissingPackageError("usb", LISTING, cause, "pip install pyusb") from missing
+        raise MissingPackageError("usb", _LISTING, cause, "pip install pyusb") from missing
     try:
         handles = list(usb.core.find(find_all=True, backend=backend))
     except usb.core.NoBackendError as missing:
         remedy = (
             "install libusb (https://libusb.info): apt install libusb-1.0-0, brew install libusb, or libusb-1.0.dll"
         )
-        raise InstrumentError("usb", LISTING, "no libusb was found", remedy) from missing
+        raise InstrumentError("usb", _LISTING, "no libusb was found", remedy) from missing
     except usb.core.USBError as failure:
         remedy = "try again; if it stays, unplug hubs one by one"
-        raise InstrumentError("usb", LISTING, str(failure), remedy) from failure
+        raise InstrumentError("usb", _LISTING, str(failure), remedy) from failure
     return [(_describe(handle), handle) for handle in handles]
 
 
@@ -121,26 +121,26 @@ def find_device(
     listed = "; ".join(map(str, chosen or alike))
     if chosen:
         remedy = "write the serial_number of the right one into its [[usb]] table, or unplug the other"
-        raise InstrumentError(name, LISTING, f"{len(chosen)} such devices are plugged in: {listed}", remedy)
+        raise InstrumentError(name, _LISTING, f"{len(chosen)} such devices are plugged in: {listed}", remedy)
     if not alike:
         remedy = "check its cable, its power and the hub, and the vendor_id and product_id in its [[usb]] table"
-        raise InstrumentError(name, LISTING, "it is not plugged in", remedy)
+        raise InstrumentError(name, _LISTING, "it is not plugged in", remedy)
     remedy = "plug in the rig's own device, or write the new one's serial_number into its [[usb]] table"
     if any(device.problem for device in alike):
         remedy = permit(vendor_id, product_id)
-    raise InstrumentError(name, LISTING, f"none with serial number {serial_number} is plugged in: {listed}", remedy)
+    raise InstrumentError(name, _LISTING, f"none with serial number {serial_number} is plugged in: {listed}", remedy)
 
 
 def _has_number(device: UsbDevice, wanted: str) -> bool:
     """Whether a device has a serial number as people copy it: from a label, or from Windows with FTDI's letter."""
     own, wanted = device.serial_number.casefold(), wanted.strip().casefold()
-    ftdi = device.vendor_id == FTDI_VENDOR and wanted[-1:].upper() in LETTERS
+    ftdi = device.vendor_id == _FTDI_VENDOR and wanted[-1:].upper() in LETTERS
     return own != "" and (own == wanted or (ftdi and own == wanted[:-1]))
 
 
 def reset_device(
     role: str, vendor_id: int, product_id: int, serial_number: str | None = None, *, backend: Any = None,
-    within_s: float = BACK_WITHIN_S,
+    within_s: float = _BACK_WITHIN_S,
 ) -> UsbDevice:  # fmt: skip
     """Reset the device of a ``[[usb]]`` table and wait until it is back.
 
@@ -160,8 +160,8 @@ def reset_device(
         number = getattr(failure, "errno", None)
         # Under a new address it is not found, which is a success.
         if number not in (errno.ENOENT, errno.ENODEV):
-            remedy = permit(vendor_id, product_id) if number == errno.EACCES else BY_HAND
-            raise InstrumentError(name, RESETTING, str(failure), remedy) from failure
+            remedy = permit(vendor_id, product_id) if number == errno.EACCES else _BY_HAND
+            raise InstrumentError(name, _RESETTING, str(failure), remedy) from failure
     finally:
         usb.util.dispose_resources(handle)
     until_s = time.monotonic() + within_s
@@ -170,4 +170,4 @@ def reset_device(
             if before in list_devices(backend):  # its address may be another, which is not compared
                 return before
         time.sleep(0.1)
-    raise InstrumentLostError(name, RESETTING, f"it is not back after {within_s:g} s", BY_HAND)
+    raise InstrumentLostError(name, _RESETTING, f"it is not back after {within_s:g} s", _BY_HAND)

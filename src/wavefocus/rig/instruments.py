@@ -19,13 +19,8 @@ from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
 from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, Shutter, WallClock, with_defaults
 from wavefocus.drivers.registry import (
-    MirrorDriver,
     MirrorSettings,
     Outputs,
-    PlayerDriver,
-    RecorderDriver,
-    ShutterDriver,
-    VibrometerDriver,
     VibrometerReading,
 )
 from wavefocus.drivers.shutter import ShutteredMirror
@@ -92,16 +87,16 @@ def open_instruments(openers: Openers) -> tuple[Instruments, VibrometerReading]:
 
 def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
     mirror = rig.mirror
-    driver: MirrorDriver = mirror.make_driver()
+    driver = mirror.make_driver()
     with _reporting_missing_packages("mirror", mirror.driver):
         settings = MirrorSettings(
-            mirror.port or "",
-            mirror.baud,
-            mirror.identity,
-            mirror.settle_s,
-            mirror.limit_mrad,
-            mirror.park_mrad,
-            clock,
+            port=mirror.port or "",
+            baud=mirror.baud,
+            identity=mirror.identity,
+            settle_s=mirror.settle_s,
+            limit_mrad=mirror.limit_mrad,
+            park_mrad=mirror.park_mrad,
+            clock=clock,
         )
         opened: Mirror = with_defaults(driver.open(settings), Mirror)
         return opened
@@ -124,13 +119,13 @@ def open_shutter(section: ShutterSection) -> Shutter:
         from wavefocus.mocks.virtual.mirror import VirtualShutter  # a real rig needs none of it
 
         return VirtualShutter()
-    driver: ShutterDriver = section.make_driver()
     with _reporting_missing_packages("shutter", section.driver):
-        return driver.open()
+        shutter: Shutter = section.make_driver().open()
+        return shutter
 
 
 def _recorder(rig: RigConfig) -> Recorder:
-    driver: RecorderDriver = rig.recorder.make_driver()
+    driver = rig.recorder.make_driver()
     with _reporting_missing_packages("recorder", rig.recorder.driver):
         if isinstance(driver, NiDaqmx):
             name = _task_name(driver.device, driver.address)
@@ -165,7 +160,7 @@ def _outputs_in_use(rig: RigConfig) -> bool:
 
 
 def _player(rig: RigConfig, outputs: int) -> Player:
-    driver: PlayerDriver = rig.player.make_driver()
+    driver = rig.player.make_driver()
     wired_v = rig.player.output_full_scale_v
     further_v = (rig.player.full_scale_v,) * (outputs - len(wired_v))
     with _reporting_missing_packages("player", rig.player.driver):
@@ -195,9 +190,11 @@ def _reporting_missing_packages(role: str, driver: str) -> Iterator[None]:
 
 def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> VibrometerReading:
     """Ask a vibrometer's controller for its settings; a signal too weak is an error unless any level will do."""
-    driver: VibrometerDriver = section.make_driver()
     with _reporting_missing_packages("vibrometer", section.driver):
-        return driver.read(section.port or "", baud=section.baud, identity=section.identity, any_level=any_level)
+        reading: VibrometerReading = section.make_driver().read(
+            section.port or "", baud=section.baud, identity=section.identity, any_level=any_level
+        )
+        return reading
 
 
 def _vibrometer(rig: RigConfig) -> VibrometerReading:

@@ -16,12 +16,12 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 
 # Kaiser's window for 105 dB: flat up to 0.9 of half the lower rate and nothing left above it, both to -105 dB.
-CUT = 0.95
-BETA = 10.6
+_CUT = 0.95
+_BETA = 10.6
 HALF_LENGTH = 72
 """Reach of the low-pass to either side, in periods of the lower rate."""
 
-MAX_TERM = 1000
+_MAX_TERM = 1000
 """Largest whole number in a ratio of rates; 44,100 to 48,000 is 160 / 147."""
 
 
@@ -34,9 +34,9 @@ def rate_ratio(from_hz: float, to_hz: float) -> Fraction:
     """
     ratio = Fraction(0)
     if from_hz > 0 and to_hz > 0 and math.isfinite(from_hz * to_hz):
-        ratio = (Fraction(to_hz) / Fraction(from_hz)).limit_denominator(MAX_TERM)
-    if not 0 < ratio.numerator <= MAX_TERM or abs(float(ratio) * from_hz / to_hz - 1) > 1e-12:
-        raise ValueError(f"the rates {from_hz:g} Hz and {to_hz:g} Hz have no ratio of whole numbers up to {MAX_TERM}")
+        ratio = (Fraction(to_hz) / Fraction(from_hz)).limit_denominator(_MAX_TERM)
+    if not 0 < ratio.numerator <= _MAX_TERM or abs(float(ratio) * from_hz / to_hz - 1) > 1e-12:
+        raise ValueError(f"the rates {from_hz:g} Hz and {to_hz:g} Hz have no ratio of whole numbers up to {_MAX_TERM}")
     return ratio
 
 
@@ -77,15 +77,15 @@ def _low_pass(distance: Float64Array, ratio: Fraction) -> Float64Array:
     """Weights of old samples by their distance from a new one, in old samples."""
     lower = min(1.0, float(ratio))
     inside = np.clip(1 - (distance * lower / HALF_LENGTH) ** 2, 0, None)
-    window = np.i0(BETA * np.sqrt(inside)) / np.i0(BETA) * (inside > 0)
-    weights: Float64Array = lower * CUT * np.sinc(lower * CUT * distance) * window
+    window = np.i0(_BETA * np.sqrt(inside)) / np.i0(_BETA) * (inside > 0)
+    weights: Float64Array = lower * _CUT * np.sinc(lower * _CUT * distance) * window
     return weights
 
 
 HALF_STEP = 2.0**-25
 """Half a step of a 24-bit converter, as a part of full scale: less than that at either end is silence."""
 
-FADED = 0.01
+_FADED = 0.01
 """A signal that begins or ends above this part of its peak has no fade there."""
 
 
@@ -181,7 +181,7 @@ def converted_frames(parts: Float64Array, ratio: Fraction) -> tuple[Float32Array
     if beyond.any():
         # Up to -80 dB beyond full scale is the low-pass's own ripple, and cut off.
         beyond &= np.abs(frames) > 1 + 1e-4
-        audible = FADED * float(np.abs(parts).max())
+        audible = _FADED * float(np.abs(parts).max())
         if abs(parts[0]) > audible:
             beyond[: 2 * lead] = False
         if abs(parts[-1]) > audible:

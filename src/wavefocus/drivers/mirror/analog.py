@@ -15,7 +15,7 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, Trans
 from wavefocus.drivers.protocols import DeviceIdentity, Mirror
 from wavefocus.drivers.registry import MIRRORS, KeyMistakeError, MirrorSettings, rig_key
 
-ANALOG_OUTPUT = (r"ao\d{1,2}", 'must be "ao0", "ao1" and so on')
+_ANALOG_OUTPUT = (r"ao\d{1,2}", 'must be "ao0", "ao1" and so on')
 
 
 @MIRRORS.register
@@ -29,11 +29,11 @@ class AnalogMirrorDriver:
     )
     x_output: str = rig_key(
         "Output for x", "Analog output of the mirror that moves the beam in x", default="ao0", in_plan="free",
-        pattern=ANALOG_OUTPUT,
+        pattern=_ANALOG_OUTPUT,
     )  # fmt: skip
     y_output: str = rig_key(
         "Output for y", "Analog output of the mirror that moves the beam in y", default="ao1", in_plan="free",
-        pattern=ANALOG_OUTPUT,
+        pattern=_ANALOG_OUTPUT,
     )  # fmt: skip
     volts_per_degree: float = rig_key(
         "Volts per degree", "Volts per degree of the mirror, of which the beam turns by two; by its jumper",
@@ -54,10 +54,10 @@ class AnalogMirrorDriver:
 
     def open(self, settings: MirrorSettings) -> Mirror:
         """Open the outputs; the mirror does not move yet."""
-        return AnalogMirror(self, settings)
+        return _AnalogMirror(self, settings)
 
 
-class AnalogMirror(Mirror):
+class _AnalogMirror(Mirror):
     """Points the laser by two voltages.
 
     It is left at the voltages of `park_mrad`, also where this program is killed; the outputs keep them as long as the

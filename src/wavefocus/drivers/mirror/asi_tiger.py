@@ -29,17 +29,17 @@ from wavefocus.drivers.registry import MIRRORS, rig_key
 from wavefocus.drivers.serial_device import Dialect, tolerance_key
 
 # Every answer ends with a line feed, and a move answers without its target.
-PLAIN_ANSWERS = "VB X=0"
+_PLAIN_ANSWERS = "VB X=0"
 # Type of a scanner's axes in the answer to BU X.
-SCANNER = "u"
-NUMBER = r"-?\d{1,9}(?:\.\d{1,9})?"
+_SCANNER = "u"
+_NUMBER = r"-?\d{1,9}(?:\.\d{1,9})?"
 # The first lines of the banner that the controller sends when it has started.
-BANNER = re.compile(r"At 3[0-9A-F]: ")
+_BANNER = re.compile(r"At 3[0-9A-F]: ")
 # Firmware modules whose cards have output ranges, and no analog input that the mirror could follow.
-OUTPUT_MODULES = ("DAC_4CH", "SIGNAL_DAC")
+_OUTPUT_MODULES = ("DAC_4CH", "SIGNAL_DAC")
 # One lost character of a command reads as another axis or another number.
-ASKED_ONCE_MORE = {2, 4}
-CODES = {
+_ASKED_ONCE_MORE = {2, 4}
+_CODES = {
     1: ("it does not know the command", "check driver in the rig file", True),
     2: ("it has no such axis", "correct axes of [mirror] in the rig file", False),
     3: ("it misses a parameter", "check driver in the rig file", True),
@@ -90,7 +90,7 @@ class AsiTiger(Dialect):
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
         # Answers without a line feed cannot be read before they are asked for in another form.
-        self._build = dialogue.introduce(Query("BU X", _build), patience_s, between=PLAIN_ANSWERS)
+        self._build = dialogue.introduce(Query("BU X", _build), patience_s, between=_PLAIN_ANSWERS)
         return _printable(self._build)
 
     def device(self, identity: str) -> DeviceIdentity:
@@ -98,7 +98,7 @@ class AsiTiger(Dialect):
 
     def marker(self, identity: str) -> Marker:
         def stranger(line: str) -> str | None:
-            if BANNER.search(line):
+            if _BANNER.search(line):
                 raise RestartedError(line)
             return line if "Motor Axes:" in line else None
 
@@ -107,7 +107,7 @@ class AsiTiger(Dialect):
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         # What the axes are comes first: nothing is set or moved on a controller that has no scanner.
         self._axes = _scanner_axes(self._build, self.axes, dialogue.instrument)
-        for command in (PLAIN_ANSWERS, "VB F=0"):
+        for command in (_PLAIN_ANSWERS, "VB F=0"):
             dialogue.ask(Query(command, _accepted), "choosing the syntax of its answers")
         for axis in self._axes:
             self._require_serial_input(dialogue, axis)
@@ -143,7 +143,7 @@ class AsiTiger(Dialect):
         """Refuse a micro-mirror that follows its analog input: it would accept every move and make none."""
         command = f"{_address(self._build, axis, dialogue.instrument)}BU X"
         card = dialogue.ask(Query(command, _card), f"asking the card of axis {axis} for its firmware modules")
-        if any(module in card for module in OUTPUT_MODULES):
+        if any(module in card for module in _OUTPUT_MODULES):
             return  # there, PM is the range of the output
         doing = f"reading the input mode of axis {axis}"
         try:
@@ -166,11 +166,11 @@ def _scanner_axes(build: str, wanted: tuple[str, str] | None, instrument: str) -
 
     letters = [letter.upper() for letter in _row(build, "Motor Axes:")]
     kinds = _row(build, "Axis Types:")
-    scanner = [letter for letter, kind in zip(letters, kinds, strict=False) if kind == SCANNER]
+    scanner = [letter for letter, kind in zip(letters, kinds, strict=False) if kind == _SCANNER]
     has = ", ".join(f"{letter} ({kind})" for letter, kind in zip(letters, kinds, strict=False)) or "none"
     if len(scanner) < 2:
         raise refuse(
-            f"the controller has no scanner: its axes and their types are {has}, a scanner's are {SCANNER}",
+            f"the controller has no scanner: its axes and their types are {has}, a scanner's are {_SCANNER}",
             "plug in a scanner card, or correct driver and port of [mirror] in the rig file",
         )
     choose = f"choose two of {', '.join(scanner)} as axes of [mirror] in the rig file"
@@ -208,7 +208,7 @@ def _printable(text: str) -> str:
 
 
 def _build(answer: str) -> str:
-    if "Motor Axes:" not in answer or BANNER.search(answer):
+    if "Motor Axes:" not in answer or _BANNER.search(answer):
         raise UnreadableError(answer)
     # Answers that ended with only a carriage return may stand before it in the same line.
     before = answer[: answer.rindex("Motor Axes:")].rstrip("\r")
@@ -222,13 +222,13 @@ def _card(answer: str) -> str:
 
 def _accepted(answer: str) -> None:
     """Older firmware has no such setting, and answers it in more than one way."""
-    if BANNER.search(answer):
+    if _BANNER.search(answer):
         raise RestartedError(answer)
 
 
 def _done(answer: str) -> None:
     # The target, where a card prints it all the same.
-    _match(rf":A ?(?:{NUMBER} ?)*", answer)
+    _match(rf":A ?(?:{_NUMBER} ?)*", answer)
 
 
 def _busy(answer: str) -> bool:
@@ -236,14 +236,14 @@ def _busy(answer: str) -> bool:
 
 
 def _position(answer: str) -> float:
-    return float(_match(rf":A ({NUMBER}) ?", answer).group(1))
+    return float(_match(rf":A ({_NUMBER}) ?", answer).group(1))
 
 
 def _setting(axis: str) -> Callable[[str], float]:
     """Read ``:A X=1000``, or ``:X=1000 A`` as older firmware says it, or ``X=1000 :A``."""
 
     def read(answer: str) -> float:
-        number = rf"{axis}=({NUMBER})"
+        number = rf"{axis}=({_NUMBER})"
         found = _match(rf":A {number} ?|:{number} A ?|{number} :A ?", answer)
         return float(next(group for group in found.groups() if group is not None))
 
@@ -252,14 +252,14 @@ def _setting(axis: str) -> Callable[[str], float]:
 
 def _match(pattern: str, answer: str) -> re.Match[str]:
     """Match the whole answer, or say what its error code means."""
-    if BANNER.search(answer):
+    if _BANNER.search(answer):
         raise RestartedError(answer)
     refusal = re.fullmatch(r":N-(\d{1,2}) ?", answer)
     if refusal is not None:
         code = int(refusal.group(1))
-        meaning, remedy, passing = CODES.get(code, ("an error that the manual does not list", "see the manual", True))
+        meaning, remedy, passing = _CODES.get(code, ("an error that the manual does not list", "see the manual", True))
         raise RefusedError(
-            f"the controller answers :N-{code}: {meaning}", remedy, passing=passing, again=code in ASKED_ONCE_MORE
+            f"the controller answers :N-{code}: {meaning}", remedy, passing=passing, again=code in _ASKED_ONCE_MORE
         )
     found = re.fullmatch(pattern, answer)
     if found is None:

@@ -14,8 +14,8 @@ from wavefocus.drivers.serial_device import Dialect, tolerance_key
 
 Answer = TypeVar("Answer")
 
-NUMBER = r"(-?\d{1,5}(?:\.\d{1,6})?)"
-CODES = {
+_NUMBER = r"(-?\d{1,5}(?:\.\d{1,6})?)"
+_CODES = {
     1: ("it does not know the command", "check the controller's program", False),
     2: ("it cannot read the number", "check the controller's program", False),
     3: ("the angle is out of its range", "lower limit_mrad in the rig file", False),
@@ -98,7 +98,7 @@ def _checked(answer: str) -> str:
     refusal = re.fullmatch(r"ERR (\d{1,3})(?: .*)?", text)
     if refusal is not None:
         code = int(refusal.group(1))
-        meaning, remedy, passing = CODES.get(code, ("an error of its own", "see its documentation", True))
+        meaning, remedy, passing = _CODES.get(code, ("an error of its own", "see its documentation", True))
         raise RefusedError(f"the controller answers {text}: {meaning}", remedy, passing=passing)
     return text
 
@@ -121,7 +121,7 @@ def _busy(text: str) -> bool:
 
 
 def _angles(text: str) -> tuple[float, float]:
-    found = re.fullmatch(f"{NUMBER},{NUMBER}", text)
+    found = re.fullmatch(f"{_NUMBER},{_NUMBER}", text)
     if found is None:
         raise UnreadableError(text)
     return float(found.group(1)), float(found.group(2))

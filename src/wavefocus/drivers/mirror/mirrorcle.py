@@ -24,7 +24,7 @@ from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, rig_key
 from wavefocus.drivers.serial_device import Dialect
 
-WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
+_WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
 
 
 @MIRRORS.register
@@ -69,7 +69,7 @@ class MirrorcleMti(Dialect):
                 raise RestartedError(line)
             return line
 
-        return Marker("$MTI$", identity, lambda line: line.endswith(WITHIN_COMMAND_MODE), stranger)
+        return Marker("$MTI$", identity, lambda line: line.endswith(_WITHIN_COMMAND_MODE), stranger)
 
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         if self.setup:

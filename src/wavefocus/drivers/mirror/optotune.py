@@ -22,12 +22,12 @@ from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS
 from wavefocus.drivers.serial_device import Dialect
 
-IDENTITY = "Optotune MR-E-2"
-FULL_SCALE = math.tan(math.radians(50.0))
-LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
-NOT_STABLE = 1 << 4
-REGISTER = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{8,10})")
-REFUSALS = {
+_IDENTITY = "Optotune MR-E-2"
+_FULL_SCALE = math.tan(math.radians(50.0))
+_LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
+_NOT_STABLE = 1 << 4
+_REGISTER = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{8,10})")
+_REFUSALS = {
     "OU": ("a value was over its range: it moved to the edge of its reach", "lower limit_mrad in the rig file", False),
     "OL": ("a value was under its range: it moved to the edge of its reach", "lower limit_mrad in the rig file", False),
     "NO": ("it did not recognise the command", "try again; if it stays, check driver and baud in the rig file", True),
@@ -48,14 +48,14 @@ class OptotuneMre2(Dialect):
         return math.hypot(*_deflections(x_mrad, y_mrad)) <= 1.0
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
-        dialogue.introduce(Query("start", _ready), patience_s, before=LEAVE_PRO_MODE)
-        return IDENTITY
+        dialogue.introduce(Query("start", _ready), patience_s, before=_LEAVE_PRO_MODE)
+        return _IDENTITY
 
     def device(self, identity: str) -> DeviceIdentity:
         return DeviceIdentity("", identity)
 
     def marker(self, identity: str) -> Marker:
-        return Marker("status", identity, lambda line: re.search(REGISTER.pattern + "$", line) is not None, _nobody)
+        return Marker("status", identity, lambda line: re.search(_REGISTER.pattern + "$", line) is not None, _nobody)
 
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         dialogue.ask(Query("acknowledge", _done), "acknowledging earlier errors")
@@ -65,12 +65,12 @@ class OptotuneMre2(Dialect):
         dialogue.ask(Query(f"xy={x:.4f};{y:.4f}", _done), doing)
 
     def moving(self, dialogue: Dialogue, doing: str) -> bool:
-        return bool(dialogue.ask(Query("status", _register), doing) & NOT_STABLE)
+        return bool(dialogue.ask(Query("status", _register), doing) & _NOT_STABLE)
 
 
 def _deflections(x_mrad: float, y_mrad: float) -> tuple[float, float]:
     """Parts of full scale; the two lie in the unit circle."""
-    return math.tan(x_mrad / 1000) / FULL_SCALE, math.tan(y_mrad / 1000) / FULL_SCALE
+    return math.tan(x_mrad / 1000) / _FULL_SCALE, math.tan(y_mrad / 1000) / _FULL_SCALE
 
 
 def _nobody(line: str) -> None:
@@ -84,7 +84,7 @@ def _ready(answer: str) -> str:
 
 
 def _register(answer: str) -> int:
-    found = REGISTER.fullmatch(answer.strip())
+    found = _REGISTER.fullmatch(answer.strip())
     if found is None:
         _done(answer)
         raise UnreadableError(answer)
@@ -96,6 +96,6 @@ def _done(answer: str) -> None:
     if text == "OK":
         return
     if re.fullmatch(r"[A-Z]{2}|ERROR[ -~]*", text):
-        meaning, remedy, passing = REFUSALS.get(text, ("an error", "see the controller's manual", True))
+        meaning, remedy, passing = _REFUSALS.get(text, ("an error", "see the controller's manual", True))
         raise RefusedError(f"the controller answers {text}: {meaning}", remedy, passing=passing)
     raise UnreadableError(answer)

@@ -10,7 +10,7 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Clock, DeviceIdentity, Mirror, Shutter
 from wavefocus.drivers.timeouts import in_time
 
-SHUTTER_CALL_S = 8.0
+_SHUTTER_CALL_S = 8.0
 """Longest call to a shutter, less than a call to the mirror may take: the mirror is parked all the same."""
 
 
@@ -47,14 +47,14 @@ class ShutteredMirror(Mirror):
             self._mirror.wait_settled(timeout_s)
             # Also where it is open as far as is known: its process closes it while this program is stopped.
             was_open, self._is_open = self._is_open, True
-            in_time("shutter", "opening", self._shutter.open_beam, SHUTTER_CALL_S)
+            in_time("shutter", "opening", self._shutter.open_beam, _SHUTTER_CALL_S)
             if not was_open:
                 self._clock.sleep(self._opens_s)
 
     def block(self) -> None:
         """Close the shutter, unless it is known to be closed."""
         if self._is_open:
-            in_time("shutter", "closing", self._shutter.block_beam, SHUTTER_CALL_S)
+            in_time("shutter", "closing", self._shutter.block_beam, _SHUTTER_CALL_S)
             self._is_open = False
 
     def park(self) -> None:
@@ -63,7 +63,7 @@ class ShutteredMirror(Mirror):
     def reconnect(self) -> None:
         """Connect mirror and shutter afresh, and close the shutter."""
         self._is_open = True
-        in_time("shutter", "reconnecting", self._shutter.reconnect, SHUTTER_CALL_S)
+        in_time("shutter", "reconnecting", self._shutter.reconnect, _SHUTTER_CALL_S)
         self.block()
         self._mirror.reconnect()
 

@@ -28,10 +28,10 @@ class NiShutterDriver:
 
     def open(self) -> Shutter:
         """Open the device; the shutter is as it was."""
-        return NiShutter(self)
+        return _NiShutter(self)
 
 
-class NiShutter(Shutter):
+class _NiShutter(Shutter):
     """Blocks the beam by a digital line, also where this program is killed.
 
     Raises InstrumentLostError or InstrumentError; also where the line does not read as it was set.

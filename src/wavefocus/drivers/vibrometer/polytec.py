@@ -26,12 +26,12 @@ from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, Un
 from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading, rig_key
 from wavefocus.drivers.serial_device import SerialVibrometer, optional_answer
 
-FULL_SIGNAL_LEVEL = 775
+_FULL_SIGNAL_LEVEL = 775
 # All programs known ask the first; PLACE's driver has the second as well.
-NAME_QUESTIONS = ("GetDevInfo,Controller,0,Name", "Get,Controller,0,Name")
-NUMBER = r"(\d{1,6}(?:[.,]\d{1,9})?)"
-METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+_NAME_QUESTIONS = ("GetDevInfo,Controller,0,Name", "Get,Controller,0,Name")
+_NUMBER = r"(\d{1,6}(?:[.,]\d{1,9})?)"
+_METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 
 
 @VIBROMETERS.register
@@ -53,7 +53,7 @@ class Polytec(SerialVibrometer):
         """Ask for all settings; see `SerialVibrometer`."""
         # With echo on, the controller repeats every command before its answer.
         asked, who = dialogue.introduce(
-            _who(NAME_QUESTIONS[0]), 2.0, before="Set,Interface,0,Echo,Off", also=_who(NAME_QUESTIONS[1])
+            _who(_NAME_QUESTIONS[0]), 2.0, before="Set,Interface,0,Echo,Off", also=_who(_NAME_QUESTIONS[1])
         )
         dialogue.recognise(Marker(asked, who, lambda line: line.endswith(who), _stranger))
         decoder_name = optional_answer(dialogue, Query(f"Get,VeloDec,{self.decoder},Name", _name))
@@ -96,24 +96,24 @@ def sensitivity_m_s_per_v(text: str) -> float:
     if text.lower() == "off":
         remedy = "choose a range at the controller, or the number of the decoder in use in the rig file, decoder"
         raise RefusedError("the decoder is switched off: its range is Off", remedy)
-    found = re.fullmatch(rf"{NUMBER} ?(nm|um|mm|cm|m)/s/V(?: ?LP)?", text)
+    found = re.fullmatch(rf"{_NUMBER} ?(nm|um|mm|cm|m)/s/V(?: ?LP)?", text)
     if found is None or _number(found.group(1)) == 0:
         raise UnreadableError(text)
-    return _number(found.group(1)) * METRES[found.group(2)]
+    return _number(found.group(1)) * _METRES[found.group(2)]
 
 
 def _delay_s(answer: str) -> float:
-    found = re.fullmatch(rf"{NUMBER} ?(ns|us|ms|s)", _given(answer))
+    found = re.fullmatch(rf"{_NUMBER} ?(ns|us|ms|s)", _given(answer))
     if found is None:
         raise UnreadableError(answer)
-    return _number(found.group(1)) * SECONDS[found.group(2)]
+    return _number(found.group(1)) * _SECONDS[found.group(2)]
 
 
 def _level(answer: str) -> float:
-    found = re.fullmatch(NUMBER, _given(answer))
+    found = re.fullmatch(_NUMBER, _given(answer))
     if found is None:
         raise UnreadableError(answer)
-    return min(1.0, _number(found.group()) / FULL_SIGNAL_LEVEL)
+    return min(1.0, _number(found.group()) / _FULL_SIGNAL_LEVEL)
 
 
 def _number(text: str) -> float:

@@ -119,15 +119,15 @@ class Plate(ABC):
         return np.stack(spectra)
 
 
-PLATES: Registry[type[Plate]] = Registry("wavefocus.mocks.plates")
+PLATES = Registry("wavefocus.mocks.plates")
 
-POSITIONS_AT_ONCE = 64
+_POSITIONS_AT_ONCE = 64
 
 # Responses in single precision are computed at frequencies so much denser than they must be, and interpolated by so
 # many of them on either side, which together leave -135 dB (Kaiser's window, J. F. Kaiser, 1974).
-OVERSAMPLING = 4.0
-SIDE_TAPS = 6
-KAISER_BETA = 14.0
+_OVERSAMPLING = 4.0
+_SIDE_TAPS = 6
+_KAISER_BETA = 14.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ class _Spread:
 
     bins: All of them.
     dense: How many of them are given.
-    weights, complex64 (2 SIDE_TAPS, every): Of the bins given around a cell, for each bin in it.
+    weights, complex64 (2 _SIDE_TAPS, every): Of the bins given around a cell, for each bin in it.
     chain, complex64 (bins,): What all of them are multiplied by.
     """
 
@@ -207,8 +207,8 @@ class ModalPlate(Plate):
         table = self._cut_table(taps, sample_rate_hz, length, bins.start, bins.stop)
         place = np.asarray(position_mm, dtype=np.float64).reshape(-1, 2)
         spectra = np.empty((len(place), len(self._actuator_mm), table.shape[1]), dtype=np.complex128)
-        for first in range(0, len(place), POSITIONS_AT_ONCE):
-            some = slice(first, first + POSITIONS_AT_ONCE)
+        for first in range(0, len(place), _POSITIONS_AT_ONCE):
+            some = slice(first, first + _POSITIONS_AT_ONCE)
             spectra[some] = _product(self.coefficients(place[some]), table)
         return spectra
 
@@ -244,15 +244,15 @@ def _spread(
     """
     # Tails below this share are of no account in single precision.
     lasts_s = -np.log(1e-7) / smoothness.decay_per_s
-    every = int(1.0 / (OVERSAMPLING * lasts_s * step_hz))
-    dense = ceil(smoothness.from_hz / step_hz) + SIDE_TAPS * every
+    every = int(1.0 / (_OVERSAMPLING * lasts_s * step_hz))
+    dense = ceil(smoothness.from_hz / step_hz) + _SIDE_TAPS * every
     if every < 2 or dense + 2 * every >= bins:
         return None, np.zeros(0)
     cells = -(-(bins - dense) // every)
-    given = dense + every * np.arange(1 - SIDE_TAPS, cells + SIDE_TAPS)
+    given = dense + every * np.arange(1 - _SIDE_TAPS, cells + _SIDE_TAPS)
     # In distances of the values: where each bin of a cell lies, from each value around it.
-    apart = np.arange(every) / every - np.arange(1 - SIDE_TAPS, SIDE_TAPS + 1)[:, None]
-    window = np.i0(KAISER_BETA * np.sqrt(np.maximum(1.0 - np.square(apart / SIDE_TAPS), 0.0))) / np.i0(KAISER_BETA)
+    apart = np.arange(every) / every - np.arange(1 - _SIDE_TAPS, _SIDE_TAPS + 1)[:, None]
+    window = np.i0(_KAISER_BETA * np.sqrt(np.maximum(1.0 - np.square(apart / _SIDE_TAPS), 0.0))) / np.i0(_KAISER_BETA)
     weights = np.sinc(apart) * window * np.exp(-1j * np.pi * every * step_hz * lasts_s * apart)
     spread = _Spread(bins, dense, weights.astype(np.complex64), chain.astype(np.complex64))
     return spread, step_hz * np.concatenate([np.arange(dense), given]).astype(np.float64)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
 
-ComplexType = type[np.complex64] | type[np.complex128]
+_ComplexType = type[np.complex64] | type[np.complex128]
 
-NODES = 24  # Chebyshev nodes in log radius; the error they leave is measured in tests/unit/test_plates.py
-PHASE_BLOCK = 256
+_NODES = 24  # Chebyshev nodes in log radius; the error they leave is measured in tests/unit/test_plates.py
+_PHASE_BLOCK = 256
 
 
 class Wave(Protocol):
@@ -79,12 +79,12 @@ class PlateTable:
         self._colour = colour
         self._span_mm = (source_radius_mm, furthest_mm)
         self._source_radius_mm = source_radius_mm
-        self._complex: ComplexType = np.complex64 if single else np.complex128
+        self._complex: _ComplexType = np.complex64 if single else np.complex128
         self._real = np.dtype(np.float32 if single else np.float64)
 
-        angle = np.pi * (np.arange(NODES) + 0.5) / NODES
+        angle = np.pi * (np.arange(_NODES) + 0.5) / _NODES
         self._nodes = np.cos(angle)
-        self._weights = np.sin(angle) * (-1.0) ** np.arange(NODES)
+        self._weights = np.sin(angle) * (-1.0) ** np.arange(_NODES)
         low, high = np.log(self._span_mm)
         node_mm = np.exp(low + (high - low) * (self._nodes + 1) / 2)
         frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
@@ -96,7 +96,7 @@ class PlateTable:
             rows.append(wave.kernels(frequency_hz, radius_mm, source_radius_mm) * colour / carrier)
         table = np.stack(rows, axis=1).astype(self._complex)
         self._kernels = len(table)
-        self._table = table.reshape(self._kernels * NODES, bins).view(self._real)
+        self._table = table.reshape(self._kernels * _NODES, bins).view(self._real)
 
     def evaluate(
         self, radius_mm: Float64Array, weights: Float64Array | None = None
@@ -156,7 +156,7 @@ class PlateTable:
 
 
 def phase_ramp(
-    radians_per_bin: Float64Array, bins: int, dtype: ComplexType, amplitude: Float64Array | float = 1.0
+    radians_per_bin: Float64Array, bins: int, dtype: _ComplexType, amplitude: Float64Array | float = 1.0
 ) -> NDArray[np.complex128] | NDArray[np.complex64]:
     """Amplitude * exp(j * bin * radians_per_bin), from two short float64 exponentials a row.
 
@@ -167,11 +167,11 @@ def phase_ramp(
 
     Returns complex (rows, bins).
     """
-    blocks = -(-bins // PHASE_BLOCK)
+    blocks = -(-bins // _PHASE_BLOCK)
     step = np.asarray(radians_per_bin, dtype=np.float64)[:, None]
     scale = np.broadcast_to(np.asarray(amplitude, dtype=np.float64), (len(step),))[:, None]
-    coarse = (scale * np.exp(1j * step * (PHASE_BLOCK * np.arange(blocks)))).astype(dtype)
-    fine = np.exp(1j * step * np.arange(PHASE_BLOCK)).astype(dtype)
+    coarse = (scale * np.exp(1j * step * (_PHASE_BLOCK * np.arange(blocks)))).astype(dtype)
+    fine = np.exp(1j * step * np.arange(_PHASE_BLOCK)).astype(dtype)
     ramp: NDArray[np.complex128] | NDArray[np.complex64] = coarse[:, :, None] * fine[:, None, :]
     ramp = ramp.reshape(len(step), -1)
     return ramp[:, :bins]

@@ -20,7 +20,7 @@ from wavefocus.mocks.plates import (
     PlateChange,
 )
 
-OF_NO_PLATE = ("edge", "speed_per_k", "loss_per_k", "finger", "mode_tolerance")
+_OF_NO_PLATE = ("edge", "speed_per_k", "loss_per_k", "finger", "mode_tolerance")
 """Keys that are carried out here; `mode_tolerance`, of earlier versions, has no effect."""
 
 
@@ -28,8 +28,8 @@ def make_plate(
     name: str, actuator_mm: Float64Array, outline: Outline, chain: Chain, keys: Mapping[str, Any], warmer_k: float = 0.0
 ) -> Plate:
     """Make a plate by its name and the keys of its table, some kelvin above `REFERENCE_C`. Raises ValueError."""
-    own = {key: value for key, value in keys.items() if key not in OF_NO_PLATE}
-    kind = PLATES.all()[f"{name}, infinite" if keys.get("edge") == "infinite" else name]
+    own = {key: value for key, value in keys.items() if key not in _OF_NO_PLATE}
+    kind: type[Plate] = PLATES.all()[f"{name}, infinite" if keys.get("edge") == "infinite" else name]
     change = PlateChange(1 + keys.get("speed_per_k", 0.0) * warmer_k, 1 + keys.get("loss_per_k", 0.0) * warmer_k)
     if (finger := keys.get("finger")) is None:
         return kind(actuator_mm, outline, chain, change=change, **own)
@@ -40,7 +40,7 @@ def make_plate(
     if name == "solid":
         own["force_deg"] = own.get("oscillation_deg", 0.0)
     beneath = kind(np.array([finger["place_mm"]]), outline, np.ones_like, change=change, **own)
-    return TouchedPlate(plate, beneath, chain, **finger)
+    return _TouchedPlate(plate, beneath, chain, **finger)
 
 
 _ANGLES = np.pi / 3 * np.arange(6)
@@ -51,7 +51,7 @@ DISK_WEIGHTS = np.array([1 / 4] + 6 * [1 / 8])
 """Mean over a disk, exact for polynomials of degree 5 (Abramowitz and Stegun 25.4.61)."""
 
 
-class TouchedPlate(Plate):
+class _TouchedPlate(Plate):
     """Any plate with a finger on it, which pushes back with Z times the velocity of the disk that it covers.
 
     With responses H from actuators s and finger f to places r, it is H_rs - H_rf Z / (1 + Z H_ff) H_fs.

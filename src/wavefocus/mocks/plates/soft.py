@@ -214,7 +214,7 @@ class SoftPlate(InfinitePlate):
         super().__init__(actuator_mm, outline, change.softened(chain), (self._wave,))
 
 
-PRESSURE_SPEED_M_S = 9.4
+_PRESSURE_SPEED_M_S = 9.4
 """Twice the shear speed: pressure waves of a thin free layer of an incompressible gel."""
 
 
@@ -275,7 +275,7 @@ class SolidPlate(InfinitePlate):
         chain: Chain,
         *,
         shear_speed_m_s: float = SOFT_PLATE.speed_m_s,
-        pressure_speed_m_s: float = PRESSURE_SPEED_M_S,
+        pressure_speed_m_s: float = _PRESSURE_SPEED_M_S,
         damping_per_s: float = SOFT_PLATE.damping_per_s,
         force_deg: float = 0.0,
         oscillation_deg: float = 0.0,

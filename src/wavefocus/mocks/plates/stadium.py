@@ -45,11 +45,11 @@ from wavefocus.mocks.plates import (
 )
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
-HIGHEST_HZ = 500.0
+_HIGHEST_HZ = 500.0
 """Upper end of the band in which the plate is accurate to 1 %; above, it is a causal plate with fewer modes."""
-RECIPE = 2
+_RECIPE = 2
 """Raised when the same plate is computed in another way, so that no older file is used."""
-SOLVED_STEP_HZ = 26.0
+_SOLVED_STEP_HZ = 26.0
 """Distance of the frequencies that are solved for; they go on to a quarter beyond the band."""
 
 
@@ -139,26 +139,26 @@ def _elements_and_modes(
     actuator_mm: Float64Array, outline: Outline, admittance: float
 ) -> tuple[Elements, _RitzModes, tuple[object, ...]]:
     """Elements and modes, from the disk or computed, and the facts that they follow from."""
-    facts = (SOFT_PLATE, HIGHEST_HZ, outline, admittance, np.asarray(actuator_mm, dtype=np.float64).tolist())
+    facts = (SOFT_PLATE, _HIGHEST_HZ, outline, admittance, np.asarray(actuator_mm, dtype=np.float64).tolist())
 
     def compute() -> dict[str, NDArray[Any]]:
-        triangles = triangulate(outline, spacing_mm(SOFT_PLATE, HIGHEST_HZ))
-        modes = _ritz_modes(Elements(triangles), actuator_mm, SOFT_PLATE, admittance, HIGHEST_HZ)
+        triangles = triangulate(outline, spacing_mm(SOFT_PLATE, _HIGHEST_HZ))
+        modes = _ritz_modes(Elements(triangles), actuator_mm, SOFT_PLATE, admittance, _HIGHEST_HZ)
         return _arrays(triangles) | _arrays(replace(modes, shapes=modes.shapes.astype(np.float32)))
 
     kept = _kept("stadium", facts, compute)
-    triangles = Triangles(*(kept[item.name] for item in fields(Triangles)))
+    triangles = _Triangles(*(kept[item.name] for item in fields(_Triangles)))
     return Elements(triangles), _RitzModes(*(kept[item.name] for item in fields(_RitzModes))), facts
 
 
-def _arrays(part: Triangles | _RitzModes | _DampedPairs) -> dict[str, NDArray[Any]]:
+def _arrays(part: _Triangles | _RitzModes | _DampedPairs) -> dict[str, NDArray[Any]]:
     return {item.name: getattr(part, item.name) for item in fields(part)}
 
 
 def _kept(name: str, facts: tuple[object, ...], compute: Callable[[], dict[str, Any]]) -> Mapping[str, Any]:
     """Arrays from the disk, or computed and kept there; without a file that can be used, computed again."""
-    digest = hashlib.sha256(repr((RECIPE, *facts)).encode()).hexdigest()
-    path = cache_dir() / f"{name}-{digest[:32]}.npz"
+    digest = hashlib.sha256(repr((_RECIPE, *facts)).encode()).hexdigest()
+    path = _cache_dir() / f"{name}-{digest[:32]}.npz"
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             return dict(kept)
@@ -172,7 +172,7 @@ def _kept(name: str, facts: tuple[object, ...], compute: Callable[[], dict[str, 
     return found
 
 
-def cache_dir() -> Path:
+def _cache_dir() -> Path:
     """Folder of computed plates: WAVEFOCUS_CACHE, or the user's cache folder of this system."""
     if chosen := os.environ.get("WAVEFOCUS_CACHE"):
         return Path(chosen)
@@ -200,8 +200,8 @@ class _RitzModes:
 
 
 @dataclass(frozen=True, slots=True)
-class Triangles:
-    """Triangles on a plate, those at the rim curved.
+class _Triangles:
+    """_Triangles on a plate, those at the rim curved.
 
     node_mm, float64 (nodes, 2): Corners, those of the outline first and in its order.
     corners, int64 (triangles, 3): Which nodes each triangle joins.
@@ -219,7 +219,7 @@ class Elements:
     triangles: The plate.
     """
 
-    def __init__(self, triangles: Triangles) -> None:
+    def __init__(self, triangles: _Triangles) -> None:
         skfem = _scikit_fem()
         corner = np.ascontiguousarray(triangles.node_mm.T / 1e3)
         self._straight = skfem.MeshTri(corner, np.ascontiguousarray(triangles.corners.T))
@@ -313,7 +313,7 @@ def _ritz_modes(
     from scipy.linalg import eigh
 
     force = elements.forces(actuator_mm)
-    solved_hz = np.linspace(0.6 * SOLVED_STEP_HZ, 1.25 * highest_hz, int(np.ceil(1.25 * highest_hz / SOLVED_STEP_HZ)))
+    solved_hz = np.linspace(0.6 * _SOLVED_STEP_HZ, 1.25 * highest_hz, int(np.ceil(1.25 * highest_hz / _SOLVED_STEP_HZ)))
     found = np.concatenate([elements.solve(wave, admittance, hertz, force) for hertz in solved_hz.tolist()], axis=1)
     space = np.concatenate([found.real, found.imag], axis=1)
     space /= np.sqrt(np.einsum("ij,ij->j", space, elements.mass @ space))
@@ -328,7 +328,7 @@ def _ritz_modes(
     return _RitzModes(shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
 
 
-def triangulate(outline: Outline, spacing: float) -> Triangles:
+def triangulate(outline: Outline, spacing: float) -> _Triangles:
     """Divide a plate into nearly equilateral triangles.
 
     outline: The plate's.
@@ -360,7 +360,7 @@ def triangulate(outline: Outline, spacing: float) -> Triangles:
         joined = coo_matrix((np.ones(len(both[0])), both), shape=(len(node), len(node))).tocsr()
         joined.data[:] = 1.0
         node[len(rim_mm) :] = ((joined @ node) / joined.sum(axis=1))[len(rim_mm) :]
-    return Triangles(node, within(), half_mm)
+    return _Triangles(node, within(), half_mm)
 
 
 def _scikit_fem() -> Any:

@@ -28,7 +28,7 @@ from wavefocus.mocks.plates.soft import mean_hankel
 KAPPA_M2_S = 1.57
 """sqrt(D / (rho h)) of 1 mm of glass."""
 MASS_KG_M2 = 2.5
-QUALITY = 100.0
+_QUALITY = 100.0
 HIGHEST_HZ = 8000.0
 """Modes up to here are summed; those beyond move each response by less than 1 % in a band to 500 Hz."""
 STRENGTH = 5.0
@@ -55,7 +55,7 @@ class ThinRectangle(ModalPlate):
         outline: Outline,
         chain: Chain,
         *,
-        quality: float = QUALITY,
+        quality: float = _QUALITY,
         change: PlateChange = UNCHANGED,
     ) -> None:
         super().__init__(actuator_mm, outline, chain)
@@ -152,7 +152,7 @@ class InfiniteGlass(InfinitePlate):
         outline: Outline,
         chain: Chain,
         *,
-        quality: float = QUALITY,
+        quality: float = _QUALITY,
         change: PlateChange = UNCHANGED,
     ) -> None:
         facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2

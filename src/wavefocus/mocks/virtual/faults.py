@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Instrument, RecordLabel
 
-OPERATIONS = {
+_OPERATIONS = {
     "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
     "recorder": ("identify", "start", "read", "reconnect"),
     "player": ("identify", "play", "wait", "mute", "reconnect"),
 }
 ANYWHERE = ("timeout", "lost", "unplugged", "hang")
-RAISED = ("timeout", "underflow", "short_read")
+_RAISED = ("timeout", "underflow", "short_read")
 CORRUPTING = (
     "missing_reference", "over_range", "dropout", "drift", "dark", "faint_reference",
     "clipped", "lost_sample", "hum", "dead_response",
@@ -59,10 +59,10 @@ class RigFault:
     spot_mm: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        if self.role not in OPERATIONS:
-            raise ValueError(f"fault role is {self.role!r}; allowed: {', '.join(OPERATIONS)}")
-        if self.operation not in OPERATIONS[self.role]:
-            allowed = ", ".join(OPERATIONS[self.role])
+        if self.role not in _OPERATIONS:
+            raise ValueError(f"fault role is {self.role!r}; allowed: {', '.join(_OPERATIONS)}")
+        if self.operation not in _OPERATIONS[self.role]:
+            allowed = ", ".join(_OPERATIONS[self.role])
             raise ValueError(f"fault operation of the {self.role} is {self.operation!r}; allowed: {allowed}")
         allowed_kinds = [kind for kind in ANYWHERE if (self.operation, kind) != ("reconnect", "unplugged")]
         if (self.role, self.operation) == ("player", "wait"):
@@ -101,7 +101,7 @@ class RigFault:
         )
 
 
-class FaultPlan:
+class _FaultPlan:
     """The faults that one instrument has before it.
 
     role: The instrument's role.
@@ -146,7 +146,7 @@ class FaultPlan:
         if hangs:
             threading.Event().wait()
         for fault in due:
-            if fault.kind in RAISED:
+            if fault.kind in _RAISED:
                 cause, remedy = _EXPLANATIONS[fault.kind]
                 raise TransientInstrumentError(self._device, doing, cause, remedy)
         return due
@@ -185,7 +185,7 @@ class VirtualDevice(Instrument):
 
     def __init__(self, role: str, faults: tuple[RigFault, ...], limits: str) -> None:
         self._name = f"virtual {role}"
-        self._faults = FaultPlan(role, self._name, faults)
+        self._faults = _FaultPlan(role, self._name, faults)
         self._limits = limits
         self._closed = False
 

@@ -70,7 +70,7 @@ def sensor_of(clock: VirtualClock, course: tuple[tuple[float, float], ...]) -> C
     return lambda: float(np.interp(clock.now_s(), instants, values))
 
 
-VIBROMETER, SUM, BOTH = "vibrometer", "sum", "both"
+_VIBROMETER, _SUM, _BOTH = "vibrometer", "sum", "both"
 
 
 class PatchBay:
@@ -87,7 +87,7 @@ class PatchBay:
     def __init__(self, actuator_outputs: Sequence[int], loopback_output: int) -> None:
         self._actuator_outputs = tuple(actuator_outputs)
         self._loopback_output = loopback_output
-        self._word = VIBROMETER
+        self._word = _VIBROMETER
         self._lock = threading.Lock()
 
     @property
@@ -108,11 +108,11 @@ class PatchBay:
         return self._outputs_of(self.word)
 
     def _outputs_of(self, word: str) -> tuple[int, ...] | None:
-        if word == VIBROMETER:
+        if word == _VIBROMETER:
             return None
-        if word == SUM:
+        if word == _SUM:
             return self._actuator_outputs
-        if word == BOTH:
+        if word == _BOTH:
             return (self._loopback_output,)
         output = re.fullmatch(r"output (\d{1,4})", word)
         if output is not None and int(output[1]) in (*self._actuator_outputs, self._loopback_output):
@@ -122,8 +122,8 @@ class PatchBay:
 
 
 # Randomness depends on the seed and the label, and on nothing that happened before.
-LATENCY, NOISE, DROPOUT, GROWING = range(4)  # what is drawn for a label, each from a stream of its own
-EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole attempt
+_LATENCY, NOISE, DROPOUT, GROWING = range(4)  # what is drawn for a label, each from a stream of its own
+_EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole attempt
 
 
 # A normal distribution as 65,536 equally likely values (the middle quantiles, unit variance). Drawing
@@ -142,10 +142,10 @@ def label_generator(seed: int, label: RecordLabel, stream: int, *, whole_attempt
 
     seed: Seed of the rig, >= 0.
     label: The measurement.
-    stream: ``LATENCY``, ``NOISE``, ``DROPOUT`` or ``GROWING``.
+    stream: ``_LATENCY``, ``NOISE``, ``DROPOUT`` or ``GROWING``.
     whole_attempt: One stream for all records of the attempt.
     """
-    record = EVERY_RECORD if whole_attempt else label.record
+    record = _EVERY_RECORD if whole_attempt else label.record
     return np.random.Generator(np.random.SFC64(_digest(seed, label, record, stream, 16)))
 
 
@@ -155,7 +155,7 @@ def label_share(seed: int, label: RecordLabel) -> float:
     seed: Seed of the rig, >= 0.
     label: The measurement.
     """
-    return (_digest(seed, label, label.record, LATENCY, 8) >> 11) / 2**53
+    return (_digest(seed, label, label.record, _LATENCY, 8) >> 11) / 2**53
 
 
 def _digest(seed: int, label: RecordLabel, record: int, stream: int, size: int) -> int:

@@ -13,7 +13,7 @@ from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
 # What rounding to a device's own units may add to an angle at the limit.
-ROUNDING_MRAD = 0.1
+_ROUNDING_MRAD = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class MirrorMotion:
 
     def reaches(self, x_mrad: float, y_mrad: float) -> bool:
         """Whether a target is within the limit, or beyond it by no more than rounding can do."""
-        return max(abs(x_mrad), abs(y_mrad)) <= self.limit_mrad + ROUNDING_MRAD
+        return max(abs(x_mrad), abs(y_mrad)) <= self.limit_mrad + _ROUNDING_MRAD
 
     def settled_at_ns(self) -> int:
         """When the latest move is over."""

@@ -26,7 +26,7 @@ from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from wavefocus.mocks.virtual.synthesis import Spot, Synthesis
 
-DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
+_DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class _Speckle:
     place: float
 
 
-class VirtualRecorder(VirtualDevice, Recorder):
+class _VirtualRecorder(VirtualDevice, Recorder):
     """Records reference and response.
 
     mirror, player: Where the laser is, and what is played.
@@ -184,7 +184,7 @@ class VirtualRecorder(VirtualDevice, Recorder):
         duration_s, place = speckle.duration_s, speckle.place
         if always:
             # One on order is the longest there is, and never in the silence before or after the signal.
-            duration_s, place = DROPOUT_S[1], 0.25 + 0.5 * place
+            duration_s, place = _DROPOUT_S[1], 0.25 + 0.5 * place
         elif label.record != speckle.record:
             return []
         samples = round(duration_s * request.sample_rate_hz)
@@ -195,7 +195,7 @@ class VirtualRecorder(VirtualDevice, Recorder):
         chance = label_generator(self._settings.seed, label, DROPOUT, whole_attempt=True)
         happens = chance.random() < self._settings.dropout_probability
         record = int(chance.integers(self._settings.actuators))
-        return _Speckle(record if happens else None, chance.uniform(*DROPOUT_S), chance.random())
+        return _Speckle(record if happens else None, chance.uniform(*_DROPOUT_S), chance.random())
 
     def _corrupted(
         self,
@@ -276,7 +276,7 @@ class VirtualRig:
         clock = VirtualClock(realtime=self.settings.realtime)
         mirror = VirtualMirror(self.settings, clock)
         player = VirtualPlayer(self.settings, clock)
-        recorder = VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
+        recorder = _VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
         player.follow(recorder.label_under_way)
         self.sensors = {
             "room": sensor_of(clock, self.settings.room_c),

@@ -31,7 +31,7 @@ class MirrorGeometry:
         return float(x / scale), float(y / scale)
 
 
-OUTLINE = Outline.stadium(250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
+_OUTLINE = Outline.stadium(250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class VirtualSettings:
     actuator_strength: tuple[float, ...] | None = None
     plate: str = "soft"
     plate_keys: tuple[tuple[str, Any], ...] = ()
-    outline: Outline = OUTLINE
+    outline: Outline = _OUTLINE
     mirror: MirrorGeometry = field(default_factory=MirrorGeometry)
     settle_s: float = 0.005
     slew_mrad_s: float = 20_000.0

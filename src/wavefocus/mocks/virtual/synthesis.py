@@ -20,7 +20,7 @@ from wavefocus.mocks.plates.infinite import phase_ramp
 from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
-LEFT_OUT = 1e-12  # share of a signal's energy above the bins that are kept: -120 dB
+_LEFT_OUT = 1e-12  # share of a signal's energy above the bins that are kept: -120 dB
 
 
 class PlayedSignal:
@@ -61,7 +61,7 @@ class PlayedSignal:
         Returns float32 (wanted,).
         """
         spectrum = self.spectrum(length, scale, samples)
-        turned = spectrum * delay_factor(delay, spectrum.size, length)
+        turned = spectrum * _delay_factor(delay, spectrum.size, length)
         return np.asarray(scipy.fft.irfft(turned, length)[:wanted], dtype=np.float32)
 
     def _transform(self, length: int, scale: float, samples: int) -> Complex64Array:
@@ -69,9 +69,9 @@ class PlayedSignal:
         counts = np.clip(np.rint(self.volts[:samples] / self._step_v), -32768, 32767)
         if counts.size == 0:
             return np.zeros(bins, dtype=np.complex64)
-        spectrum = fourier_sum(counts, 2 * np.pi * scale / length, 0, bins)
+        spectrum = _fourier_sum(counts, 2 * np.pi * scale / length, 0, bins)
         energy_above = np.cumsum(np.abs(spectrum[::-1]) ** 2)[::-1]
-        kept = int(np.count_nonzero(energy_above > LEFT_OUT * energy_above[0]))
+        kept = int(np.count_nonzero(energy_above > _LEFT_OUT * energy_above[0]))
         return np.asarray(scale * self._step_v * spectrum[:kept], dtype=np.complex64)
 
 
@@ -102,7 +102,7 @@ class SignalStore:
             return held
 
 
-def fourier_sum(signal: Float64Array, turn: float, first: int, bins: int) -> NDArray[np.complex128]:
+def _fourier_sum(signal: Float64Array, turn: float, first: int, bins: int) -> NDArray[np.complex128]:
     """Fourier sum of a signal at evenly spaced frequencies, by Bluestein's chirp transform.
 
     ``sum over n of signal[n] * exp(-j * n * turn * (first + m))`` for m = 0 ... bins - 1.
@@ -120,15 +120,15 @@ def fourier_sum(signal: Float64Array, turn: float, first: int, bins: int) -> NDA
     return np.asarray(product * np.exp(-0.5j * turn * bin_index**2), dtype=np.complex128)
 
 
-def delay_factor(samples: float, bins: int, length: int) -> Complex64Array:
+def _delay_factor(samples: float, bins: int, length: int) -> Complex64Array:
     """The factor that delays a spectrum of a transform of some length."""
     return np.asarray(phase_ramp(np.array([-2 * np.pi * samples / length]), bins, np.complex64)[0])
 
 
-COIL_OHM = 14.0  # the paper, section IV.A
+_COIL_OHM = 14.0  # the paper, section IV.A
 # Poles of the Bessel filter of order 4 with -3 dB at 1 rad/s, each with its conjugate (`scipy.signal.bessel` with
 # norm="mag", whose import would cost every command half a second).
-VIBROMETER_POLES = (-0.995208764350272 + 1.257105739454664j, -1.3700678305514422 + 0.41024971749375155j)
+_VIBROMETER_POLES = (-0.995208764350272 + 1.257105739454664j, -1.3700678305514422 + 0.41024971749375155j)
 
 
 def chain_response(frequency_hz: Float64Array) -> Complex128Array:
@@ -143,12 +143,12 @@ def chain_response(frequency_hz: Float64Array) -> Complex128Array:
     # frequencies.
     amplifier = slow**2 / (slow**2 + np.sqrt(2) * slow + 1)
     # The paper, section IV.A: a coil of 5 mH.
-    coil = COIL_OHM / (COIL_OHM + 2j * np.pi * frequency * 5e-3)
+    coil = _COIL_OHM / (_COIL_OHM + 2j * np.pi * frequency * 5e-3)
     # The decoder's low-pass. With coil and magnet it leaves -85 dB at 5 kHz, so that 10 kHz is free of aliasing and the
     # FIR of pre-ringing; a Bessel filter, for it does not ring itself.
     fast = 1j * frequency / 1200.0
     response = np.asarray(amplifier * coil, dtype=np.complex128)
-    for pole in VIBROMETER_POLES:
+    for pole in _VIBROMETER_POLES:
         response *= abs(pole) ** 2 / ((fast - pole) * (fast - pole.conjugate()))
     return response
 
@@ -183,7 +183,7 @@ def output_errors(
 
 
 TAIL_S = 0.3  # what a response may ring on before a transform may wrap
-TABLE_BINS = 1000  # tables end at a multiple of this, so that few are made
+_TABLE_BINS = 1000  # tables end at a multiple of this, so that few are made
 
 
 @dataclass(slots=True)
@@ -284,8 +284,8 @@ class Synthesis:
                 continue
             spectra = {actuator: signal.spectrum(length, scale, play.samples) for actuator, signal in driven.items()}
             bins = max(spectrum.size for spectrum in spectra.values())
-            delay = delay_factor(offset, bins, length)
-            table_bins = min(length // 2 + 1, TABLE_BINS * ceil(bins / TABLE_BINS))
+            delay = _delay_factor(offset, bins, length)
+            table_bins = min(length // 2 + 1, _TABLE_BINS * ceil(bins / _TABLE_BINS))
             for place_mm, before in responses.items():
                 transfer = self._transfer(place_mm, rate_hz / length, table_bins, warmer_k)
                 total = np.zeros(max(bins, before.size), dtype=np.complex64)
@@ -372,7 +372,7 @@ class Synthesis:
     def _output_factor(self, actuator: int, bins: int, step_hz: float) -> Complex64Array:
         """Gain and delay of an actuator's output, as a factor on its spectrum."""
         channel = self._settings.channel_of_actuator[actuator]
-        return delay_factor(self._output_late_s[channel] * step_hz, bins, 1) * np.float32(self._output_gain[channel])
+        return _delay_factor(self._output_late_s[channel] * step_hz, bins, 1) * np.float32(self._output_gain[channel])
 
     def _warmer_k(self, instant_ns: int) -> float:
         """Kelvin by which a plate that follows the room is warmer than its keys say, in steps of 0.05."""
@@ -394,7 +394,7 @@ class Synthesis:
         response *= gains.astype(np.float32)[:, None]
         # The response is sampled later, so the same wave appears earlier in it; the vibrometer makes it late.
         earlier = (self._settings.vibrometer_latency_s - self._settings.inter_channel_delay_s) * step_hz
-        response *= delay_factor(earlier, bins, 1)
+        response *= _delay_factor(earlier, bins, 1)
         return response.astype(np.complex64, copy=False)
 
     def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]) -> int:

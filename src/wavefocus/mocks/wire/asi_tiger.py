@@ -33,18 +33,18 @@ from typing import Literal
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_serial import MirrorDevice, number
 
-Board = Literal["mems", "dac_4ch", "signal_dac", "stage"]
-ASI_AXIS = re.compile(r"([A-Z])(?:=(\S+))?")
+_Board = Literal["mems", "dac_4ch", "signal_dac", "stage"]
+_ASI_AXIS = re.compile(r"([A-Z])(?:=(\S+))?")
 # "MicroMirror Drive Card User Guide": largest angle of its mirror in x and in y.
-MEMS_DEGREES = 4.6
-STAGE_AXES = ("X", "Y")
-STAGE_CARD = "1"
+_MEMS_DEGREES = 4.6
+_STAGE_AXES = ("X", "Y")
+_STAGE_CARD = "1"
 # Bits of VB X.
-CR_ONLY, PRINT_TARGET = 8, 16
-COMM_ADDRESS, BUILD_NAME = "0", "TIGER_COMM"
-SHORT_NAMES = {"BUILD": "BU", "MOVE": "M", "WHERE": "W", "STATUS": "/", "SETLOW": "SL", "SETUP": "SU", "UNITS": "UM",
+_CR_ONLY, _PRINT_TARGET = 8, 16
+_COMM_ADDRESS, _BUILD_NAME = "0", "TIGER_COMM"
+_SHORT_NAMES = {"BUILD": "BU", "MOVE": "M", "WHERE": "W", "STATUS": "/", "SETLOW": "SL", "SETUP": "SU", "UNITS": "UM",
                "VERSION": "V", "CDATE": "CD"}  # fmt: skip
-MODULES: dict[Board, tuple[str, ...]] = {
+_MODULES: dict[_Board, tuple[str, ...]] = {
     "mems": ("RING BUFFER 250", "MM_TARGET"),
     "dac_4ch": ("DAC_4CH", "RING BUFFER 250"),
     "signal_dac": ("DAC_4CH", "SIGNAL_DAC", "RING BUFFER 250"),
@@ -87,9 +87,9 @@ class AsiTigerDevice(MirrorDevice):
         motion: MirrorMotion,
         axes: tuple[str, str] = ("A", "B"),
         *,
-        board: Board = "mems",
+        board: _Board = "mems",
         units_per_degree: float = 1000.0,
-        limit_degrees: float = MEMS_DEGREES,
+        limit_degrees: float = _MEMS_DEGREES,
         beam_per_mirror: float = 2.0,
         external_input: bool = False,
         tiger_syntax: bool = False,
@@ -107,10 +107,10 @@ class AsiTigerDevice(MirrorDevice):
         self._board = board
         self._tiger_syntax = tiger_syntax
         self._saved_verbosity = self._verbosity = verbosity
-        self._cards = [Card("STD_XY", STAGE_CARD, STAGE_AXES, "x", ())]
+        self._cards = [Card("STD_XY", _STAGE_CARD, _STAGE_AXES, "x", ())]
         if board != "stage":
-            self._cards.append(Card(board.upper(), address, axes, "u", MODULES[board]))
-        self.stage_units = dict.fromkeys(STAGE_AXES, 0.0)
+            self._cards.append(Card(board.upper(), address, axes, "u", _MODULES[board]))
+        self.stage_units = dict.fromkeys(_STAGE_AXES, 0.0)
         """Where the XY stage stands, in tenths of a micrometre."""
 
     @property
@@ -132,17 +132,17 @@ class AsiTigerDevice(MirrorDevice):
         return {"BU": "identify", "M": "move", "/": "busy", "W": "where", "UM": "units"}.get(verb, verb.lower())
 
     def answer(self, command: str) -> str:
-        end = "\r" if self._verbosity & CR_ONLY else "\r\n"
+        end = "\r" if self._verbosity & _CR_ONLY else "\r\n"
         return self._obey(*self._parsed(command)).removesuffix("\r\n") + end
 
     def _parsed(self, command: str) -> tuple[str | None, str, str]:
         """Address of the card (None without one, empty where no card has it), short name, and the rest."""
         text, address = command.strip(" "), None
         if text[:1].isdigit() or text[:1] > "~":
-            known = [COMM_ADDRESS, *(card.address for card in self._cards)]
+            known = [_COMM_ADDRESS, *(card.address for card in self._cards)]
             address, text = (text[0] if text[0] in known else ""), text[1:].strip(" ")
         verb, _, rest = text.upper().partition(" ")
-        return address, SHORT_NAMES.get(verb, verb), rest
+        return address, _SHORT_NAMES.get(verb, verb), rest
 
     def _obey(self, address: str | None, verb: str, rest: str) -> str:
         if address == "":
@@ -185,12 +185,12 @@ class AsiTigerDevice(MirrorDevice):
             f" v3.30 {card.name} Mar 01 2019:15:42:05"
             for card in self._cards
         ]
-        return "\r".join([f"At 30: Comm v3.30 {BUILD_NAME} Mar 01 2019:15:42:05", *cards]) + "\r\n"
+        return "\r".join([f"At 30: Comm v3.30 {_BUILD_NAME} Mar 01 2019:15:42:05", *cards]) + "\r\n"
 
     def _build(self, card: Card | None, in_full: bool) -> str:
         if not in_full:
-            return f"{card.name if card else BUILD_NAME}\r\n"
-        return self._overview(BUILD_NAME) if card is None else self._rows(card.name, [card], card.modules)
+            return f"{card.name if card else _BUILD_NAME}\r\n"
+        return self._overview(_BUILD_NAME) if card is None else self._rows(card.name, [card], card.modules)
 
     def _overview(self, name: str) -> str:
         return self._rows(name, self._cards, ())
@@ -228,13 +228,13 @@ class AsiTigerDevice(MirrorDevice):
         asked = [axis.rstrip("?") for axis in rest.split()]
         if not asked:
             return ":N-3\r\n"
-        if any(axis not in (*self._axes, *STAGE_AXES) for axis in asked):
+        if any(axis not in (*self._axes, *_STAGE_AXES) for axis in asked):
             return ":N-2\r\n"
         values = {}
-        for axis in (*STAGE_AXES, *self._axes):
+        for axis in (*_STAGE_AXES, *self._axes):
             if axis not in asked:
                 continue
-            stage = axis in STAGE_AXES
+            stage = axis in _STAGE_AXES
             if verb == "PM":
                 if stage:
                     return ":N-2\r\n"
@@ -248,7 +248,7 @@ class AsiTigerDevice(MirrorDevice):
 
     def _set_modes(self, rest: str) -> str:
         for part in rest.split():
-            found = ASI_AXIS.fullmatch(part)
+            found = _ASI_AXIS.fullmatch(part)
             mode = number(found.group(2)) if found else None
             if found is None or found.group(1) not in self._modes:
                 return ":N-2\r\n"
@@ -270,14 +270,14 @@ class AsiTigerDevice(MirrorDevice):
         stage: dict[str, float] = {}
         target = list(self._motion.where_mrad())
         for part in parts:
-            found = ASI_AXIS.fullmatch(part)
-            if found is None or found.group(1) not in (*self._axes, *STAGE_AXES):
+            found = _ASI_AXIS.fullmatch(part)
+            if found is None or found.group(1) not in (*self._axes, *_STAGE_AXES):
                 return ":N-2\r\n"
             axis, units = found.group(1), number(found.group(2))
             if units is None:
                 return ":N-3\r\n"
             targets.append(f"{units:.1f}")
-            if axis in STAGE_AXES:
+            if axis in _STAGE_AXES:
                 stage[axis] = units
             # Rounding of UM and SL to the digits of an answer.
             elif abs(units) > (self._limit_degrees + 1e-3) * self._units_per_degree:
@@ -289,11 +289,11 @@ class AsiTigerDevice(MirrorDevice):
         self.stage_units.update(stage)
         if self._axes and not (self._board == "mems" and any(self._modes.values())):
             self._motion.start(*target)
-        return f":A {' '.join(targets)} \r\n" if self._verbosity & PRINT_TARGET else ":A \r\n"
+        return f":A {' '.join(targets)} \r\n" if self._verbosity & _PRINT_TARGET else ":A \r\n"
 
     def _where(self, rest: str) -> str:
         asked = rest.split()
-        if not asked or any(axis not in (*self._axes, *STAGE_AXES) for axis in asked):
+        if not asked or any(axis not in (*self._axes, *_STAGE_AXES) for axis in asked):
             return ":N-2\r\n" if asked else ":N-3\r\n"
         # In the order of the hardware, whatever the order of the question.
         values = {axis: f"{units:.1f}" for axis, units in self._units().items() if axis in asked}

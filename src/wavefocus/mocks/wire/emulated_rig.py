@@ -48,7 +48,7 @@ class AnalogScanner:
 
 
 # What a converter cannot put out is silence: -160 dB of full scale.
-SILENCE = 1e-8
+_SILENCE = 1e-8
 
 
 class WireBench:
@@ -151,7 +151,7 @@ class WireBench:
         first = int(np.floor(zero - TAIL_S * rate_hz))
         stop = int(np.ceil(zero + (end_ns - start_ns) / NANOSECONDS * rate_hz)) + 1
         frames = self._played.read(first, stop)
-        sounding = np.flatnonzero((np.abs(frames) > SILENCE).any(axis=0))
+        sounding = np.flatnonzero((np.abs(frames) > _SILENCE).any(axis=0))
         if not sounding.size:
             return []
         # Silence on all channels that parts one sound from the next; sweeps of one record become one sound each, which
@@ -168,7 +168,7 @@ class WireBench:
         signals = {
             channel: self._store.find(volts.astype(np.float64) * self._full_scale_v[channel])
             for channel, volts in enumerate(frames[: len(self._full_scale_v)])
-            if (np.abs(volts) > SILENCE).any()
+            if (np.abs(volts) > _SILENCE).any()
         }
         begins_ns = round(begins_s * NANOSECONDS)
         rest_s = begins_s - begins_ns / NANOSECONDS
@@ -181,7 +181,7 @@ class WireBench:
         return self._synthesis[delay_s]
 
 
-SOCKET = "socket://"
+_SOCKET = "socket://"
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,9 +306,9 @@ class EmulatedRig(ExitStack):
 
 def _wire(role: str, port: str) -> Wire:
     """The wire at an address: a TCP port, or a pseudo-terminal behind a link of that path."""
-    if not port.startswith(SOCKET):
+    if not port.startswith(_SOCKET):
         return PtyWire(Path(port))
-    host, _, number = port.removeprefix(SOCKET).rpartition(":")
+    host, _, number = port.removeprefix(_SOCKET).rpartition(":")
     try:
         return TcpWire(host, int(number))
     except OSError as refused:

@@ -23,9 +23,9 @@ from types import TracebackType
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 
-IDLE_S = 0.5
-TICK_S = 0.01
-CHUNK = 4096
+_IDLE_S = 0.5
+_TICK_S = 0.01
+_CHUNK = 4096
 
 
 class SerialDevice(ABC):
@@ -185,9 +185,9 @@ class EmulatedSerial:
             if self._plug_at_s is not None and now_s >= self._plug_at_s:
                 self._plug()
             if now_s < self._read_again_s:
-                self._stopping.wait(TICK_S)
+                self._stopping.wait(_TICK_S)
                 continue
-            idle_s = IDLE_S if self._plug_at_s is None else max(0.0, min(IDLE_S, self._plug_at_s - now_s))
+            idle_s = _IDLE_S if self._plug_at_s is None else max(0.0, min(_IDLE_S, self._plug_at_s - now_s))
             self._take(self._wire.receive(idle_s, self._wake))
 
     def _take(self, data: bytes) -> None:
@@ -242,7 +242,7 @@ class EmulatedSerial:
         """Let time pass; orders and the end are still obeyed."""
         ends_s = time.monotonic() + seconds
         while not self._stopping.is_set() and self._plugged and (left_s := ends_s - time.monotonic()) > 0:
-            self._stopping.wait(min(left_s, TICK_S))
+            self._stopping.wait(min(left_s, _TICK_S))
             self._obey()
 
     def _unplug(self, seconds: float) -> None:
@@ -332,7 +332,7 @@ class PtyWire:
         ready, _, _ = select.select(sources, [], [], timeout_s)
         if self._ends is None or self._ends[0] not in ready:
             return b""
-        return os.read(self._ends[0], CHUNK)
+        return os.read(self._ends[0], _CHUNK)
 
     def send(self, data: bytes) -> None:
         """Send to the client."""
@@ -394,7 +394,7 @@ class TcpWire:
         ready, _, _ = select.select(sources, [], [], timeout_s)
         if self._client in ready and self._client is not None:
             try:
-                data = self._client.recv(CHUNK)
+                data = self._client.recv(_CHUNK)
             except OSError:
                 data = b""
             if not data:

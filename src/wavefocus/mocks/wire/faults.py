@@ -5,7 +5,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 
-KINDS = {
+_KINDS = {
     "mirror": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor", "restarted"),
     "vibrometer": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor"),
     "recorder": (
@@ -29,15 +29,15 @@ KINDS = {
     ),
     "player": ("underflow", "lost", "frozen"),
 }
-ANY = "any"
+_ANY = "any"
 
 
 @dataclass(frozen=True, slots=True)
 class WireFault:
     """One entry of a wire's fault plan. Raises ValueError.
 
-    role: Whose emulated instrument: a key of `KINDS`.
-    kind: What happens: one of `KINDS[role]`.
+    role: Whose emulated instrument: a key of `_KINDS`.
+    kind: What happens: one of `_KINDS[role]`.
     operation: The call that meets it: the verb of a serial dialect (``"identify"``, ``"move"``, ``"busy"``,
         ``"where"``...), the name of a remote procedure (``"ReadAnalogF64"``), ``"period"`` of an audio server, or
         ``"any"``.
@@ -49,17 +49,17 @@ class WireFault:
 
     role: str
     kind: str
-    operation: str = ANY
+    operation: str = _ANY
     at_call: int | None = None
     at_s: float | None = None
     count: int = 1
     seconds: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.role not in KINDS:
-            raise ValueError(f"fault role is {self.role!r}; allowed: {', '.join(KINDS)}")
-        if self.kind not in KINDS[self.role]:
-            allowed = ", ".join(KINDS[self.role])
+        if self.role not in _KINDS:
+            raise ValueError(f"fault role is {self.role!r}; allowed: {', '.join(_KINDS)}")
+        if self.kind not in _KINDS[self.role]:
+            allowed = ", ".join(_KINDS[self.role])
             raise ValueError(f"fault kind of the {self.role} is {self.kind!r}; allowed: {allowed}")
         if (self.at_call is None) == (self.at_s is None):
             raise ValueError("a fault needs either at_call or at_s")
@@ -86,11 +86,11 @@ class WireFaultPlan:
         """Count a call of an operation and return the faults that it meets."""
         with self._lock:
             self._calls[operation] += 1
-            self._calls[ANY] += 1
+            self._calls[_ANY] += 1
             elapsed_s = time.monotonic() - self._started_s
             due = []
             for index, fault in enumerate(self._faults):
-                if fault.operation not in (ANY, operation) or self._struck[index] >= fault.count:
+                if fault.operation not in (_ANY, operation) or self._struck[index] >= fault.count:
                     continue
                 call = self._calls[fault.operation]
                 reached = call >= fault.at_call if fault.at_call is not None else elapsed_s >= (fault.at_s or 0.0)

@@ -25,7 +25,7 @@ from wavefocus.mocks.wire.jack_server import DEVICE, PLACE_S, START_S, STOP_S, A
 
 
 @contextlib.contextmanager
-def server_place() -> Iterator[str]:
+def _server_place() -> Iterator[str]:
     """The name of a server that no other program on this machine uses, and room for it in shared memory.
 
     A few names, used again and again: a server that was killed stays registered until one of its name follows, and
@@ -58,11 +58,11 @@ def _not_through_links(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW, 0o600)
 
 
-TERMINATE_S = 1.0
+_TERMINATE_S = 1.0
 """jackd takes five seconds over a client that died; that is not waited for."""
 
 
-class JackInterface:
+class _JackInterface:
     """One audio server and its recording client.
 
     faults: What goes wrong, by periods.
@@ -198,9 +198,9 @@ class JackInterface:
 
         leaving = threading.Thread(target=leave, daemon=True)
         leaving.start()
-        leaving.join(TERMINATE_S)
+        leaving.join(_TERMINATE_S)
         try:
-            server.wait(TERMINATE_S)
+            server.wait(_TERMINATE_S)
         except subprocess.TimeoutExpired:
             self.kill()
             leaving.join(STOP_S)
@@ -234,9 +234,9 @@ def main() -> None:
             print(json.dumps(what), file=answers, flush=True)
 
     try:
-        with server_place() as name:
+        with _server_place() as name:
             os.environ["JACK_DEFAULT_SERVER"] = name
-            interface = JackInterface(ring, name, faults, orders)
+            interface = _JackInterface(ring, name, faults, orders)
             interface.start()
             answer(server=name)
             threading.Thread(target=_listen, args=(orders,), daemon=True).start()
@@ -255,7 +255,9 @@ def _listen(orders: queue.SimpleQueue[tuple[str, float]]) -> None:
     orders.put(("end", 0.0))
 
 
-def _obey(interface: JackInterface, orders: queue.SimpleQueue[tuple[str, float]], period_s: float, answer: Any) -> None:
+def _obey(
+    interface: _JackInterface, orders: queue.SimpleQueue[tuple[str, float]], period_s: float, answer: Any
+) -> None:
     """Carry out orders, which want an answer and have -1 seconds, and faults, which do not."""
 
     def later(word: str, seconds: float) -> None:

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from wavefocus.drivers.protocols import Float32Array
 from wavefocus.mocks.wire.faults import WireFault
 
-Int64Array = NDArray[np.int64]
+_Int64Array = NDArray[np.int64]
 
-HEADER = np.dtype(
+_HEADER = np.dtype(
     [
         ("channels", "<i8"),
         ("rate_hz", "<i8"),
@@ -37,33 +37,33 @@ HEADER = np.dtype(
         ("written", "<i8"),  # frames so far; moved on when they are in the ring
         ("silent", "<i8"),  # 1 while the audio server is down or frozen
         ("revision", "<i8"),  # moved on when frames and time were found to be related otherwise than was thought
-        ("cycle", "<i8"),  # how many cycles; the newest is at cycle % CYCLES - 1
+        ("cycle", "<i8"),  # how many cycles; the newest is at cycle % _CYCLES - 1
     ]
 )
-CYCLES = 64
-NANOSECONDS = 1_000_000_000
+_CYCLES = 64
+_NANOSECONDS = 1_000_000_000
 
-SLOWEST = 2e-5
+_SLOWEST = 2e-5
 """How much slower than the monotonic clock the server's may run, so that the recording keeps up with it."""
 
-LOOKS = 4
+_LOOKS = 4
 """Callbacks that are all late show that the grid has moved, and not that they were late."""
 
 
 class AudioRing:
     """The last seconds of all outputs, and when they were asked for.
 
-    header, record (1,): As `HEADER`.
-    cycles, int64 (CYCLES, 2): First frame of a cycle, and its nominal start by `time.monotonic_ns`.
+    header, record (1,): As `_HEADER`.
+    cycles, int64 (_CYCLES, 2): First frame of a cycle, and its nominal start by `time.monotonic_ns`.
     samples, float32 (channels, ring_frames): Parts of full scale.
     """
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
         memory = mmap.mmap(descriptor, 0)
-        self.header = np.frombuffer(memory, HEADER, 1)
-        at = HEADER.itemsize
-        self.cycles: Int64Array = np.frombuffer(memory, np.int64, 2 * CYCLES, at).reshape(CYCLES, 2)
+        self.header = np.frombuffer(memory, _HEADER, 1)
+        at = _HEADER.itemsize
+        self.cycles: _Int64Array = np.frombuffer(memory, np.int64, 2 * _CYCLES, at).reshape(_CYCLES, 2)
         at += self.cycles.nbytes
         channels, frames = int(self.header["channels"][0]), int(self.header["ring_frames"][0])
         samples = np.frombuffer(memory, np.float32, channels * frames, at)
@@ -114,7 +114,7 @@ class RingWriter:
         self._ring = ring
         self._rate_hz = ring["rate_hz"]
         self._grid_ns = 0
-        self._lates_ns: deque[int] = deque(maxlen=LOOKS)
+        self._lates_ns: deque[int] = deque(maxlen=_LOOKS)
         self._resumed = False
 
     def note_return(self) -> None:
@@ -130,7 +130,7 @@ class RingWriter:
         Returns bool: whether anything sounds in it.
         """
         ring, frames = self._ring, block[0].size
-        period_ns = frames * NANOSECONDS // self._rate_hz
+        period_ns = frames * _NANOSECONDS // self._rate_hz
         sounds = any(channel.any() for channel in block)
         if ring["cycle"] == 0:
             self._grid_ns = now_ns
@@ -141,22 +141,22 @@ class RingWriter:
         self._keep_time(now_ns - self._grid_ns, silent=not sounds)
         written = ring["written"]
         ring.write(written, block)
-        ring.cycles[ring["cycle"] % CYCLES] = (written, self._grid_ns)
+        ring.cycles[ring["cycle"] % _CYCLES] = (written, self._grid_ns)
         ring["cycle"] += 1
         ring["written"] = written + frames
-        self._grid_ns += round(period_ns * (1 + SLOWEST))
+        self._grid_ns += round(period_ns * (1 + _SLOWEST))
         return sounds
 
     def _keep_time(self, late_ns: int, *, silent: bool) -> None:
         """Let the clock go on where the server's did not, as an interface's would have done."""
         ring = self._ring
         self._lates_ns.append(late_ns)
-        enough = len(self._lates_ns) == LOOKS
+        enough = len(self._lates_ns) == _LOOKS
         moved_ns = late_ns if self._resumed else min(self._lates_ns) * enough
         # When a cycle was late the server's clock stood still, and no sample was lost: made up for in silence.
         # A grid of periods that has moved by less is not noticed.
         if moved_ns > 2_000_000 and (self._resumed or silent):
-            gap = moved_ns * self._rate_hz // NANOSECONDS
+            gap = moved_ns * self._rate_hz // _NANOSECONDS
             ring.silence(ring["written"], gap)
             ring["revision"] += 1
             self._grid_ns += moved_ns
@@ -165,33 +165,33 @@ class RingWriter:
         self._resumed = False
 
 
-def make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -> AudioRing:
+def _make_ring(channels: int, rate_hz: int, period_frames: int, seconds: float) -> AudioRing:
     """A ring whose descriptor a child process may inherit.
 
     In anonymous memory where there is such a thing: /dev/shm is small in containers, and a file on a disk would
     keep the audio waiting.
     """
     frames = -(-round(seconds * rate_hz) // period_frames) * period_frames
-    size = HEADER.itemsize + 16 * CYCLES + 4 * channels * frames
+    size = _HEADER.itemsize + 16 * _CYCLES + 4 * channels * frames
     if sys.platform == "linux":
         descriptor = os.memfd_create("wavefocus-audio")
     else:
         with tempfile.TemporaryFile() as file:
             descriptor = os.dup(file.fileno())
     os.ftruncate(descriptor, size)
-    header = np.zeros(1, HEADER)
+    header = np.zeros(1, _HEADER)
     header["channels"], header["rate_hz"] = channels, rate_hz
     header["period_frames"], header["ring_frames"] = period_frames, frames
     with mmap.mmap(descriptor, 0) as memory:
-        memory[: HEADER.itemsize] = header.tobytes()
+        memory[: _HEADER.itemsize] = header.tobytes()
     return AudioRing(descriptor)
 
 
-LATE_S = 10.0
+_LATE_S = 10.0
 """How late frames may come on a busy machine."""
 
 
-class AudioNotCapturedError(Exception):
+class _AudioNotCapturedError(Exception):
     """Frames that were asked for are not to be had: too old, or the capture is gone."""
 
 
@@ -227,13 +227,13 @@ class PlayedAudio:
             held = self._held
             # How long one relation of frames and time is held: longer than a record, shorter than two clocks take to
             # part.
-            if held is None or abs(instant_ns - held[1]) > 30 * NANOSECONDS or held[2] != revision:
+            if held is None or abs(instant_ns - held[1]) > 30 * _NANOSECONDS or held[2] != revision:
                 frame, start_ns = self._newest_cycle()
                 self._held = held = (frame, start_ns, revision)
-        return held[0] - ring["period_frames"] + (instant_ns - held[1]) * self.rate_hz / NANOSECONDS
+        return held[0] - ring["period_frames"] + (instant_ns - held[1]) * self.rate_hz / _NANOSECONDS
 
     def read(self, first_frame: int, stop_frame: int) -> Float32Array:
-        """Frames as parts of full scale, once the last one is there. Raises AudioNotCapturedError.
+        """Frames as parts of full scale, once the last one is there. Raises _AudioNotCapturedError.
 
         first_frame, stop_frame: Which frames; those before the interface was there, below 0, are silent.
 
@@ -249,7 +249,7 @@ class PlayedAudio:
             # A cycle more, because the next one may have been on its way into the ring meanwhile.
             oldest = self._ring["written"] + self._ring["period_frames"] - self._ring["ring_frames"]
             if first < oldest:
-                raise AudioNotCapturedError(f"frame {first} is gone, the oldest is {oldest}: keep more seconds")
+                raise _AudioNotCapturedError(f"frame {first} is gone, the oldest is {oldest}: keep more seconds")
         return out
 
     def _wait_for(self, stop: int) -> int:
@@ -261,19 +261,19 @@ class PlayedAudio:
             if silent and missing_s <= 0 and self._ring["silent"]:
                 return written
             now_s = time.monotonic()
-            latest_s = latest_s or now_s + max(0.0, missing_s) + LATE_S
+            latest_s = latest_s or now_s + max(0.0, missing_s) + _LATE_S
             if not self._alive():
-                raise AudioNotCapturedError("the process that records the audio is gone")
+                raise _AudioNotCapturedError("the process that records the audio is gone")
             if now_s > latest_s:
-                raise AudioNotCapturedError(f"frame {stop} is {LATE_S:g} s late, {written} are there")
+                raise _AudioNotCapturedError(f"frame {stop} is {_LATE_S:g} s late, {written} are there")
             time.sleep(min(max(missing_s, 0.001), 0.02))
         return written
 
     def _newest_cycle(self) -> tuple[int, int]:
         while True:
             cycle = self._ring["cycle"]
-            frame, start_ns = self._ring.cycles[(cycle - 1) % CYCLES]
-            if self._ring["cycle"] - cycle < CYCLES - 1:  # it was not overwritten in between
+            frame, start_ns = self._ring.cycles[(cycle - 1) % _CYCLES]
+            if self._ring["cycle"] - cycle < _CYCLES - 1:  # it was not overwritten in between
                 return int(frame), int(start_ns)
 
 
@@ -282,7 +282,7 @@ PLACE_S = 60.0
 """How long an interface waits for room in shared memory."""
 START_S = 20.0
 STOP_S = 5.0
-ANSWER_S = PLACE_S + START_S + 10.0
+_ANSWER_S = PLACE_S + START_S + 10.0
 
 
 class JackServerError(Exception):
@@ -314,7 +314,7 @@ class JackServer:
         ring_s: float = 30.0,
         faults: Sequence[WireFault] = (),
     ) -> None:
-        self._ring = make_ring(channels, rate_hz, period_frames, ring_s)
+        self._ring = _make_ring(channels, rate_hz, period_frames, ring_s)
         root = str(Path(__file__).parents[3])
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "wavefocus.mocks.wire.jack_interface", str(self._ring.descriptor)],
@@ -329,7 +329,7 @@ class JackServer:
         self.played = PlayedAudio(self._ring, lambda: self._process.poll() is None)
         settings = {"faults": [asdict(fault) for fault in faults if fault.role == "player"]}
         try:
-            name = self._ask(json.dumps(settings), ANSWER_S)["server"]
+            name = self._ask(json.dumps(settings), _ANSWER_S)["server"]
         except BaseException:
             self.stop()
             raise
@@ -387,7 +387,7 @@ class JackServer:
 
     def _order(self, word: str) -> None:
         with self._lock:
-            self._ask(word, ANSWER_S)
+            self._ask(word, _ANSWER_S)
 
     def _ask(self, line: str, timeout_s: float) -> dict[str, str]:
         """Send a line and wait for the answer; a process that gives none is ended."""

@@ -90,7 +90,7 @@ class GenericMirrorDevice(MirrorDevice):
 
 
 # Bias, largest difference and filter, as public drivers limit them.
-RANGES = {"VB": (0, 100), "VD": (0, 200), "BW": (50, 15000)}
+_RANGES = {"VB": (0, 100), "VD": (0, 200), "BW": (50, 15000)}
 
 
 class MirrorcleDevice(MirrorDevice):
@@ -161,10 +161,10 @@ class MirrorcleDevice(MirrorDevice):
             self._motion.start(0.0, 0.0)
         elif verb == "MTI+GT" and len(numbers) == 3:
             return self._point(numbers[0], numbers[1])
-        elif verb[4:] in RANGES and len(numbers) == 1 and self._enabled:
+        elif verb[4:] in _RANGES and len(numbers) == 1 and self._enabled:
             return "MTI-ERR InvalidCommand"
-        elif verb[4:] in RANGES and len(numbers) == 1:
-            least, most = RANGES[verb[4:]]
+        elif verb[4:] in _RANGES and len(numbers) == 1:
+            least, most = _RANGES[verb[4:]]
             if numbers[0] is None or not least <= numbers[0] <= most:
                 return "MTI-ERR InvalidParameter"
         else:
@@ -188,9 +188,9 @@ class MirrorcleDevice(MirrorDevice):
         return f"MTI-Device {name} Ready in Command Mode\r\n"
 
 
-LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
-NOT_STABLE = 1 << 4
-FULL_SCALE = math.tan(math.radians(50.0))
+_LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
+_NOT_STABLE = 1 << 4
+_FULL_SCALE = math.tan(math.radians(50.0))
 
 
 class OptotuneDevice(MirrorDevice):
@@ -230,7 +230,7 @@ class OptotuneDevice(MirrorDevice):
 
     def answer(self, command: str) -> str:
         if self._pro_mode:
-            self._pro_mode = LEAVE_PRO_MODE not in command
+            self._pro_mode = _LEAVE_PRO_MODE not in command
             return ""
         verb = command.strip().lower()
         if verb == "gopro":
@@ -238,7 +238,7 @@ class OptotuneDevice(MirrorDevice):
         if verb in {"start", "acknowledge", "gopro"}:
             return "OK\r\n"
         if verb == "status":
-            return f"{NOT_STABLE if self._motion.busy() else 0:08X}\r\n"
+            return f"{_NOT_STABLE if self._motion.busy() else 0:08X}\r\n"
         found = re.fullmatch(r"xy= ?([^;]+); ?([^;]+)", verb)
         x, y = (number(found.group(1)), number(found.group(2))) if found else (None, None)
         return "NO\r\n" if x is None or y is None else self._point(x, y)
@@ -255,7 +255,7 @@ class OptotuneDevice(MirrorDevice):
 
     def _point(self, x: float, y: float) -> str:
         beyond = max(1.0, math.hypot(x, y))
-        angles_mrad = (1000 * math.atan(share / beyond * FULL_SCALE) for share in (x, y))
+        angles_mrad = (1000 * math.atan(share / beyond * _FULL_SCALE) for share in (x, y))
         limit_mrad = self._motion.limit_mrad
         self._motion.start(*(max(-limit_mrad, min(limit_mrad, angle_mrad)) for angle_mrad in angles_mrad))
         if beyond <= 1.0:

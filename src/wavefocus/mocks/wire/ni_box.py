@@ -17,7 +17,7 @@ from wavefocus.mocks.wire.ni_products import PRODUCTS, Channel, Product
 Alive = Callable[[], bool]
 
 # How often a wait looks whether its caller is still there.
-POLL_S = 0.05
+_POLL_S = 0.05
 
 
 class NiCode(IntEnum):
@@ -192,7 +192,7 @@ class NiTask:
                 return False
             if not alive():
                 raise NiError(NiCode.ABORTED)
-            self._condition.wait(min(left_s, POLL_S, self._due_s(acquired)))
+            self._condition.wait(min(left_s, _POLL_S, self._due_s(acquired)))
             self._check(started)
         return True
 

@@ -13,18 +13,18 @@ from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, OUTPUT_V, RSE
 
 Answer = dict[str, Any]
 """Fields of the answering message."""
-Handler = Callable[[Any, Alive], Answer]
+_Handler = Callable[[Any, Alive], Answer]
 """Takes the request and a function that returns whether the caller still waits; called with the box's lock held."""
 
-TERMINALS = {10106: DIFFERENTIAL, 10083: RSE, 10078: NRSE, -1: DIFFERENTIAL}  # nidaqmx.constants.TerminalConfiguration
-TERMINAL_BITS = {RSE: 1, NRSE: 2, DIFFERENTIAL: 4}  # nidaqmx.constants._TermCfg
-FINITE = 10178  # nidaqmx.constants.AcquisitionType
-BY_CHANNEL = 0  # nidaqmx.constants.FillMode
-COMMIT = 3  # nidaqmx.constants.TaskMode
-MIN_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
-ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
-ENUMERATIONS = (0x29A9, 0x2326, 0x1300, 0x187F, 0x0695)  # their values travel under another name
-KINDS = ("String", "UInt32", "UInt64", "Int32", "Bool", "Double", "DoubleArray")
+_TERMINALS = {10106: DIFFERENTIAL, 10083: RSE, 10078: NRSE, -1: DIFFERENTIAL}  # nidaqmx.constants.TerminalConfiguration
+_TERMINAL_BITS = {RSE: 1, NRSE: 2, DIFFERENTIAL: 4}  # nidaqmx.constants._TermCfg
+_FINITE = 10178  # nidaqmx.constants.AcquisitionType
+_BY_CHANNEL = 0  # nidaqmx.constants.FillMode
+_COMMIT = 3  # nidaqmx.constants.TaskMode
+_MIN_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
+_ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
+_ENUMERATIONS = (0x29A9, 0x2326, 0x1300, 0x187F, 0x0695)  # their values travel under another name
+_KINDS = ("String", "UInt32", "UInt64", "Int32", "Bool", "Double", "DoubleArray")
 """Types of properties; each has a remote procedure of its own."""
 
 
@@ -35,7 +35,7 @@ class NiCalls:
         self._box = box
         self._spoilt: list[WireFault] = []
         self._generator = np.random.default_rng(box.serial_number)
-        self.handlers: dict[str, Handler] = {
+        self.handlers: dict[str, _Handler] = {
             "GetErrorString": lambda request, alive: {"error_string": _text_of(request.error_code)},
             "GetPhysicalChanAttributeInt32": self._input_terminals,
             "ResetDevice": self._reset,
@@ -64,7 +64,7 @@ class NiCalls:
             "GetReadAttribute": self._of_read,
         }
         for name, values in properties.items():
-            self.handlers |= dict.fromkeys((name + kind for kind in KINDS), partial(_property, values))
+            self.handlers |= dict.fromkeys((name + kind for kind in _KINDS), partial(_property, values))
 
     def spoil(self, fault: WireFault) -> None:
         """Let the next samples that are read meet a fault."""
@@ -120,7 +120,7 @@ class NiCalls:
                     0x17DD: channel.range_v,
                     0x17DE: -channel.range_v,
                     0x1930: [channel.offset_v, channel.step_v, 0.0, 0.0],
-                    0x187F: ANALOG_INPUT,
+                    0x187F: _ANALOG_INPUT,
                     0x0695: 10322,  # nidaqmx.constants.UsageTypeAI.VOLTAGE
                     0x18F5: f"{self._box.name}/{channel.input}",
                 }
@@ -131,7 +131,7 @@ class NiCalls:
         values = {
             0x1344: task.rate_hz,
             0x22C8: product.fastest_hz(len(task.channels)),
-            0x1300: FINITE,
+            0x1300: _FINITE,
             0x1310: task.samples,
         }
         if not product.simultaneous:  # AI Convert: its rate, and the fastest
@@ -154,7 +154,7 @@ class NiCalls:
         device, _, wanted = request.physical_channel.partition("/")
         self._box.touch(device)
         terminals = self._box.product.terminals_of(self._box.input_number(wanted))
-        return {"value_raw": sum(TERMINAL_BITS[terminal] for terminal in terminals)}
+        return {"value_raw": sum(_TERMINAL_BITS[terminal] for terminal in terminals)}
 
     def _reset(self, request: Any, alive: Alive) -> Answer:
         self._box.reset(request.device_name)
@@ -179,7 +179,7 @@ class NiCalls:
                 name += str(index)
             self._box.touch(device)
             number = self._box.input_number(wanted)
-            if TERMINALS.get(request.terminal_config_raw) not in self._box.product.terminals_of(number):
+            if _TERMINALS.get(request.terminal_config_raw) not in self._box.product.terminals_of(number):
                 raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
             largest_v = max(-request.min_val, request.max_val)
             channel = self._box.product.channel(name, number, largest_v, self._box.serial_number)
@@ -240,9 +240,9 @@ class NiCalls:
             raise NiError(code, f"Property: DAQmx_SampClk_Rate. Maximum Value: {fastest_hz:g}")
         if request.rate < product.slowest_hz:
             raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
-        if request.sample_mode_raw != FINITE:
+        if request.sample_mode_raw != _FINITE:
             raise NiError(NiCode.NOT_SUPPORTED, "Property: DAQmx_SampQuant_SampMode")
-        if request.samps_per_chan < MIN_SAMPLES:
+        if request.samps_per_chan < _MIN_SAMPLES:
             raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
         task.rate_hz = product.coerced_rate_hz(request.rate)
         task.samples = request.samps_per_chan
@@ -258,7 +258,7 @@ class NiCalls:
         return {}
 
     def _control(self, request: Any, alive: Alive) -> Answer:
-        if request.action_raw != COMMIT:
+        if request.action_raw != _COMMIT:
             raise NiError(NiCode.NOT_SUPPORTED, f"Task action: {request.action_raw}")
         task = self._task(request)
         self._box.reserve(task)
@@ -299,7 +299,7 @@ class NiCalls:
         volts = np.zeros((len(task.channels), asked))
         count = analog_v.shape[1]
         volts[:, :count] = task.converted(analog_v)
-        rows = volts if request.fill_mode_raw == BY_CHANNEL else volts.T
+        rows = volts if request.fill_mode_raw == _BY_CHANNEL else volts.T
         return {
             "read_array": rows.ravel().tolist(),  # twice as fast as the array itself
             "samps_per_chan_read": count,
@@ -335,7 +335,7 @@ def _property(values: Callable[[Any], dict[int, Any]], request: Any, alive: Aliv
     attribute, known = request.attribute_raw, values(request)
     if attribute not in known:
         raise NiError(NiCode.NOT_SUPPORTED, f"Property: {attribute:#x}")
-    return {"value_raw" if attribute in ENUMERATIONS else "value": known[attribute]}
+    return {"value_raw" if attribute in _ENUMERATIONS else "value": known[attribute]}
 
 
 def _inputs(physical: str) -> list[tuple[str, str]]:

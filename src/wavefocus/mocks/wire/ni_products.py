@@ -12,10 +12,10 @@ import numpy as np
 from wavefocus.drivers.protocols import Float64Array
 
 DIFFERENTIAL, RSE, NRSE = "differential", "rse", "nrse"
-CODES = 2**16
+_CODES = 2**16
 """Codes of a converter."""
-PAIR = 8
-"""Inputs k and k + PAIR make differential input k."""
+_PAIR = 8
+"""Inputs k and k + _PAIR make differential input k."""
 OUTPUT_V = 10.0
 """Largest output voltage to either side."""
 
@@ -38,7 +38,7 @@ class Channel:
 
     def converted(self, analog_v: Float64Array) -> Float64Array:
         """What the driver reports for some voltages: whole codes, those at the end where it is beyond."""
-        codes = np.clip(np.rint((analog_v - self.offset_v) / self.step_v), -CODES // 2, CODES // 2 - 1)
+        codes = np.clip(np.rint((analog_v - self.offset_v) / self.step_v), -_CODES // 2, _CODES // 2 - 1)
         return np.asarray(self.offset_v + self.step_v * codes)
 
 
@@ -78,7 +78,7 @@ class Product:
 
     def terminals_of(self, number: int) -> tuple[str, ...]:
         """Terminal configurations that an input can have."""
-        paired = number % (2 * PAIR) < PAIR
+        paired = number % (2 * _PAIR) < _PAIR
         return tuple(terminal for terminal in self.terminals if paired or terminal != DIFFERENTIAL)
 
     def channel(self, name: str, number: int, largest_v: float, serial_number: int) -> Channel | None:
@@ -89,7 +89,7 @@ class Product:
         range_v = next((range_v for range_v in self.ranges_v if largest_v <= range_v * (1 + 1e-9)), None)
         if range_v is None:
             return None
-        nominal_v = 2 * range_v * (1 + self.spare_codes) / CODES
+        nominal_v = 2 * range_v * (1 + self.spare_codes) / _CODES
         offset, gain = np.random.default_rng([serial_number, number, round(1000 * range_v)]).uniform(-1, 1, 2)
         return Channel(name, f"ai{number}", range_v, 3.0 * offset * nominal_v, nominal_v * (1 + 5e-4 * gain))
 

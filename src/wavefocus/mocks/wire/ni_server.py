@@ -17,11 +17,11 @@ from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.ni_box import NiBox, NiCode, NiError, SignalSource
 from wavefocus.mocks.wire.ni_calls import NiCalls
 
-SERVICE = "nidaqmx_grpc.NiDAQmx"
-METHODS = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"].methods_by_name
+_SERVICE = "nidaqmx_grpc.NiDAQmx"
+_METHODS = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"].methods_by_name
 # Calls that a wait in one of them must not keep from being answered.
-THREADS = 16
-CODES = {
+_THREADS = 16
+_CODES = {
     "overwritten": NiCode.OVERWRITTEN,
     "absent": NiCode.ABSENT,
     "wrong_name": NiCode.NO_SUCH_DEVICE,
@@ -31,14 +31,14 @@ CODES = {
     "unknown_code": NiCode.SOFTWARE_ERROR,
 }
 """Faults that are an error code and no more."""
-STATUSES = {"internal": grpc.StatusCode.INTERNAL, "exhausted": grpc.StatusCode.RESOURCE_EXHAUSTED}
+_STATUSES = {"internal": grpc.StatusCode.INTERNAL, "exhausted": grpc.StatusCode.RESOURCE_EXHAUSTED}
 """Faults of the server itself, before it asks NI-DAQmx."""
-SPOILING = ("read_timeout", "short_read", "missing_reference", "over_range", "warning")
+_SPOILING = ("read_timeout", "short_read", "missing_reference", "over_range", "warning")
 """Faults of the next samples."""
 
 
 @dataclass(frozen=True, slots=True)
-class ServedCall:
+class _ServedCall:
     """One remote procedure call: its name, what came of it (0, a code of NI-DAQmx, None: no answer), how long."""
 
     name: str
@@ -77,7 +77,7 @@ class NiServer:
         self._address = address
         self._credentials = credentials
         self._plan = WireFaultPlan("recorder", faults)
-        self._log: list[ServedCall] = []
+        self._log: list[_ServedCall] = []
         self._under_way: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._server: grpc.Server | None = None
@@ -91,7 +91,7 @@ class NiServer:
         return self._address
 
     @property
-    def log(self) -> tuple[ServedCall, ...]:
+    def log(self) -> tuple[_ServedCall, ...]:
         """All calls so far that have ended."""
         with self._lock:
             return tuple(self._log)
@@ -139,11 +139,11 @@ class NiServer:
     # -- listening -------------------------------------------------------------------------------
 
     def _listen(self) -> None:
-        threads = ThreadPoolExecutor(THREADS, thread_name_prefix="ni-server")
+        threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="ni-server")
         # Two servers must not share a port, and records are longer than the default 4 MB.
         options = [("grpc.so_reuseport", 0), ("grpc.max_send_message_length", -1)]
         server = grpc.server(threads, options=options)
-        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, self._handlers()),))
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(_SERVICE, self._handlers()),))
         try:
             port = (
                 server.add_insecure_port(self._address)
@@ -189,7 +189,7 @@ class NiServer:
         return {
             name: grpc.unary_unary_rpc_method_handler(functools.partial(self.answer, name), *_wire_format(name))
             for name in self._calls.handlers
-            if name in METHODS
+            if name in _METHODS
         }
 
     # -- answering -------------------------------------------------------------------------------
@@ -209,13 +209,13 @@ class NiServer:
         status: int | None = None
         try:
             due = self._plan.due(name)
-            if refused := next((STATUSES[fault.kind] for fault in due if fault.kind in STATUSES), None):
+            if refused := next((_STATUSES[fault.kind] for fault in due if fault.kind in _STATUSES), None):
                 return context.abort(refused, "on order")
             warning = self._meet(name, due, gone)
             with self._box.condition:
                 fields = self._calls.handlers[name](request, alive)
             status = fields["status"] = int(fields.get("status", 0)) or warning
-            return GetMessageClass(METHODS[name].output_type)(**fields)
+            return GetMessageClass(_METHODS[name].output_type)(**fields)
         except NiError as error:
             status = error.code
             read = (("ni-samps-per-chan-read", "0"),) if name.startswith("Read") else ()
@@ -224,17 +224,17 @@ class NiServer:
         finally:
             with self._lock:
                 self._under_way[name] -= 1
-                self._log.append(ServedCall(name, status if alive() else None, time.monotonic() - began_s))
+                self._log.append(_ServedCall(name, status if alive() else None, time.monotonic() - began_s))
 
     def _meet(self, name: str, due: Sequence[WireFault], gone: threading.Event) -> int:
         """Let a call meet its faults; returns the status of an answer that is otherwise good."""
         warning = 0
         for fault in due:
-            if fault.kind in CODES:
-                raise NiError(CODES[fault.kind], "(on order)")
+            if fault.kind in _CODES:
+                raise NiError(_CODES[fault.kind], "(on order)")
             if fault.kind == "warning" and name != "ReadAnalogF64":
                 warning = NiCode.NOT_CALIBRATED
-            elif fault.kind in SPOILING:
+            elif fault.kind in _SPOILING:
                 self._calls.spoil(fault)
             elif fault.kind == "unplugged":
                 self._box.unplug(fault.seconds)
@@ -248,4 +248,4 @@ class NiServer:
 
 def _wire_format(name: str) -> tuple[Any, Any]:
     """How requests of a remote procedure are read and its answers written."""
-    return GetMessageClass(METHODS[name].input_type).FromString, lambda answer: answer.SerializeToString()
+    return GetMessageClass(_METHODS[name].input_type).FromString, lambda answer: answer.SerializeToString()

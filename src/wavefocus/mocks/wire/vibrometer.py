@@ -22,11 +22,11 @@ from wavefocus.drivers.vibrometer.polytec import FULL_LEVEL, OFV3001_RANGES, sen
 from wavefocus.mocks.wire.emulated_serial import SerialDevice
 
 # Ranges of the VD-09 and VX-09 decoders as public programs offer them, each with its low-pass filter too.
-RANGES = ("5mm/s/V", "10mm/s/V", "20mm/s/V", "25mm/s/V", "50mm/s/V", "100mm/s/V", "125mm/s/V", "200mm/s/V",
+_RANGES = ("5mm/s/V", "10mm/s/V", "20mm/s/V", "25mm/s/V", "50mm/s/V", "100mm/s/V", "125mm/s/V", "200mm/s/V",
           "250mm/s/V", "500mm/s/V", "1m/s/V", "1.25m/s/V", "2.5m/s/V")  # fmt: skip
-ALL_RANGES = (*RANGES, *(f"{range_text} LP" for range_text in RANGES), "Off")
-VELOCITY_RANGE = ("velodec", "range")
-NOT_AVAILABLE = "Not Available"
+_ALL_RANGES = (*_RANGES, *(f"{range_text} LP" for range_text in _RANGES), "Off")
+_VELOCITY_RANGE = ("velodec", "range")
+_NOT_AVAILABLE = "Not Available"
 
 
 class VibrometerDevice(SerialDevice):
@@ -81,7 +81,7 @@ class PolytecDevice(VibrometerDevice):
             ("controller", "0", "name"): f"{name} Vibrometer Controller",
             ("interface", "0", "echo"): "On,Off",
             ("interface", "0", "baudrate"): "9600,19200,57600,115200",
-            (*velocity, "range"): ",".join(ALL_RANGES),
+            (*velocity, "range"): ",".join(_ALL_RANGES),
         }
         """What ``GetDevInfo`` answers where that is not the present value."""
 
@@ -89,7 +89,9 @@ class PolytecDevice(VibrometerDevice):
     def sensitivity_m_s_per_v(self) -> float:
         """Of the range that is set; infinite where that is ``Off`` or not a range."""
         try:
-            return sensitivity_m_s_per_v(next(text for key, text in self._values.items() if key[::2] == VELOCITY_RANGE))
+            return sensitivity_m_s_per_v(
+                next(text for key, text in self._values.items() if key[::2] == _VELOCITY_RANGE)
+            )
         except (RefusedError, UnreadableError):
             return math.inf
 
@@ -107,7 +109,7 @@ class PolytecDevice(VibrometerDevice):
         return echoed + (f"{answer}\n" if answer else "")
 
     def refusal(self, command: str) -> str:
-        return f"{NOT_AVAILABLE}\n"
+        return f"{_NOT_AVAILABLE}\n"
 
     def impostor(self, command: str) -> str:
         return "OFV-2500\n"
@@ -125,12 +127,12 @@ class PolytecDevice(VibrometerDevice):
         values = self._values | {("interface", "0", "echo"): "On" if self._echo else "Off"}
         if verb.lower() == "getdevinfo":
             values |= self._choices
-        return values.get(key, NOT_AVAILABLE) if verb.lower() in {"get", "getdevinfo"} else ""
+        return values.get(key, _NOT_AVAILABLE) if verb.lower() in {"get", "getdevinfo"} else ""
 
     def _set(self, key: tuple[str, ...], value: str) -> None:
         if key == ("interface", "0", "echo") and value in {"On", "Off"}:
             self._echo = value == "On"
-        elif key in self._values and key[::2] == VELOCITY_RANGE and value.replace(" m", "m") in ALL_RANGES:
+        elif key in self._values and key[::2] == _VELOCITY_RANGE and value.replace(" m", "m") in _ALL_RANGES:
             self._values[key] = value
 
 

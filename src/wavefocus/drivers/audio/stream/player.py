@@ -20,10 +20,10 @@ from wavefocus.drivers.protocols import DeviceIdentity, Float64Array, Player
 
 Value = TypeVar("Value")
 
-OVERDUE_S = 5.0
+_OVERDUE_S = 5.0
 """A play that has not ended this long after it should have, plus a tenth of its length, has failed."""
 
-LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
+_LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
 
 
 class StreamPlayer(Player):
@@ -165,7 +165,7 @@ class StreamPlayer(Player):
         def there_is_room() -> bool | None:
             return True if play.outcome or play.waiting_frames <= play.ahead_frames else None
 
-        longest_s = 1.1 * (play.ahead_frames + len(frames)) / rate_hz + 2 * self.latency_s + OVERDUE_S
+        longest_s = 1.1 * (play.ahead_frames + len(frames)) / rate_hz + 2 * self.latency_s + _OVERDUE_S
         room = self._wait_for(play.doing, there_is_room, time.monotonic() + longest_s)
         if play.outcome == UNDERFLOW:
             raise self._ran_dry(play)
@@ -186,7 +186,7 @@ class StreamPlayer(Player):
         if play is None:
             return
         now_s = time.monotonic()
-        overdue_s = play.asked_s + 1.1 * play.length_s + 2 * self.latency_s + OVERDUE_S
+        overdue_s = play.asked_s + 1.1 * play.length_s + 2 * self.latency_s + _OVERDUE_S
         ended = self._wait_for(play.doing, lambda: play.outcome, min(now_s + timeout_s, max(now_s, overdue_s)))
         if ended == UNDERFLOW:
             raise self._ran_dry(play)
@@ -235,7 +235,7 @@ class StreamPlayer(Player):
             if answer is None:
                 stream.process.kill("opening took too long")
                 cause = f"its driver did not open it in {OPENING_S:g} s"
-                raise InstrumentLostError(self._name, doing, cause, LOST_REMEDY)
+                raise InstrumentLostError(self._name, doing, cause, _LOST_REMEDY)
             if answer[0] == "refused":
                 _, cause, remedy, absent = answer
                 raise (refusal if absent else InstrumentError)(self._name, doing, cause, remedy)
@@ -245,7 +245,7 @@ class StreamPlayer(Player):
         except BaseException as failure:
             stream.process.close()
             if isinstance(failure, ProcessGoneError):
-                raise refusal(self._name, doing, str(failure), LOST_REMEDY) from None
+                raise refusal(self._name, doing, str(failure), _LOST_REMEDY) from None
             raise
 
     def _send(self, doing: str, *messages: object) -> None:
@@ -267,7 +267,7 @@ class StreamPlayer(Player):
         return self._lost(doing, self._stream.process.gone)
 
     def _lost(self, doing: str, cause: str) -> InstrumentLostError:
-        remedy = "connect again" if self._stream.process.at_rest else LOST_REMEDY
+        remedy = "connect again" if self._stream.process.at_rest else _LOST_REMEDY
         return InstrumentLostError(self._name, doing, cause, remedy)
 
     def _ran_dry(self, play: _Play) -> TransientInstrumentError:

@@ -24,7 +24,7 @@ from wavefocus.drivers.audio.stream.portaudio import (
 )
 from wavefocus.drivers.process import ALIVE, ASK, AT_REST, CLOSE, MessagePipe, pipe_to_parent, wait_for_silence
 
-CLOSING_S = 3.0
+_CLOSING_S = 3.0
 """Closing a stream whose host is gone hangs, and JACK takes a period for each channel; then the process just ends."""
 
 
@@ -62,7 +62,7 @@ def _serve(pipe: MessagePipe) -> int:
     _obey(pipe, stream)
     ending.set()
     # On this thread, which opened the stream: ASIO drivers want it so.
-    too_long = threading.Timer(CLOSING_S, os._exit, [0])
+    too_long = threading.Timer(_CLOSING_S, os._exit, [0])
     too_long.daemon = True
     too_long.start()
     stream.close()

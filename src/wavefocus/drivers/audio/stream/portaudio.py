@@ -15,10 +15,10 @@ from wavefocus.drivers.protocols import DeviceIdentity, Float32Array, uncounted
 FADE_S = 0.002
 """Length of the fade of a mute, within one period, so that the coils do not click."""
 
-SLOWEST = 5e-4
+_SLOWEST = 5e-4
 """How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
 
-PERIODS_AFTER = 2
+_PERIODS_AFTER = 2
 """Periods after the last sample before a play has ended well: an underflow is flagged a period late."""
 
 PLAYED, MUTED, UNDERFLOW = "played", "muted", "underflow"
@@ -153,7 +153,7 @@ class Playback:
                 late_s, self._grid_s = 0.0, now_s
         if self._play is not None:
             self._go_on(self._play, out, late_s, flagged=flagged, fade=fade)
-        self._grid_s += len(out) / self._rate_hz * (1 + SLOWEST)
+        self._grid_s += len(out) / self._rate_hz * (1 + _SLOWEST)
         self.callbacks += 1
 
     def _go_on(self, play: StreamPlay, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
@@ -175,7 +175,7 @@ class Playback:
         # Time passes between periods, not between the callbacks of one.
         if play.done >= play.frames and self._burst_frames == frames:
             play.periods_after += 1
-            if play.periods_after >= PERIODS_AFTER and play.done >= play.frames + self._latency_frames:
+            if play.periods_after >= _PERIODS_AFTER and play.done >= play.frames + self._latency_frames:
                 self._end(PLAYED)
         play.done += frames
 
@@ -184,7 +184,7 @@ class Playback:
         assert play.ending is not None
         play.silent_frames += frames
         play.periods_after += self._burst_frames == frames
-        if play.periods_after >= PERIODS_AFTER and play.silent_frames >= self._latency_frames:
+        if play.periods_after >= _PERIODS_AFTER and play.silent_frames >= self._latency_frames:
             self._end(*play.ending)
 
     def _end(self, outcome: str, notice: str = "") -> None:
@@ -289,15 +289,15 @@ def _listed(devices: Sequence[OutputDevice]) -> str:
 
 
 # PortAudio's error numbers, portaudio.h
-INVALID_CHANNEL_COUNT = -9998
-INVALID_SAMPLE_RATE = -9997
-DEVICE_UNAVAILABLE = -9985
+_INVALID_CHANNEL_COUNT = -9998
+_INVALID_SAMPLE_RATE = -9997
+_DEVICE_UNAVAILABLE = -9985
 
-TICK_S = 0.05
+_TICK_S = 0.05
 """How often a stream is looked at."""
 
-SILENT_LIMIT_S = 0.5
-SILENT_LIMIT_PERIODS = 5
+_SILENT_LIMIT_S = 0.5
+_SILENT_LIMIT_PERIODS = 5
 """A callback that is overdue by the larger of these is not coming: the driver is frozen."""
 
 
@@ -358,7 +358,7 @@ class WatchedStream:
             try:
                 self._start(settings | {"channels": channels}, request.block_frames)
             except sounddevice.PortAudioError as error:
-                if channels == self.device.channels or _code(error) != INVALID_CHANNEL_COUNT:
+                if channels == self.device.channels or _code(error) != _INVALID_CHANNEL_COUNT:
                     raise _refused(self.device, request, error) from error
             else:
                 break
@@ -384,16 +384,16 @@ class WatchedStream:
         """
         seen, silent_s, looked_s = -1, 0.0, time.monotonic()
         while not stopping():
-            time.sleep(TICK_S)
+            time.sleep(_TICK_S)
             now_s = time.monotonic()
             # A watch that was itself kept waiting by a busy machine must not blame the driver.
-            silent_s += min(now_s - looked_s, 2 * TICK_S)
+            silent_s += min(now_s - looked_s, 2 * _TICK_S)
             looked_s = now_s
             if self.playback.callbacks != seen:
                 seen, silent_s = self.playback.callbacks, 0.0
             if not self._stream.active:
                 return "it stopped and the host closed its stream: unplugged, switched off, or its server ended"
-            if silent_s > max(SILENT_LIMIT_S, SILENT_LIMIT_PERIODS * self._period_s):
+            if silent_s > max(_SILENT_LIMIT_S, _SILENT_LIMIT_PERIODS * self._period_s):
                 return f"its driver is frozen: it asked for nothing more for {silent_s:.1f} s"
         return ""
 
@@ -401,7 +401,7 @@ class WatchedStream:
         """Mute, and return when the fade has been put into a period."""
         self.playback.mute()
         enough = self.playback.callbacks + 2
-        latest_s = time.monotonic() + max(SILENT_LIMIT_S, SILENT_LIMIT_PERIODS * self._period_s)
+        latest_s = time.monotonic() + max(_SILENT_LIMIT_S, _SILENT_LIMIT_PERIODS * self._period_s)
         while self.playback.callbacks < enough and time.monotonic() < latest_s:
             time.sleep(self._period_s / 4 + 1e-3)
 
@@ -428,14 +428,14 @@ def _code(error: Exception) -> Any:
 def _refused(device: OutputDevice, request: StreamRequest, error: Exception) -> DeviceChoiceError:
     """PortAudio's refusal as a sentence."""
     code = _code(error)
-    if code == INVALID_SAMPLE_RATE:
+    if code == _INVALID_SAMPLE_RATE:
         cause = f"{device} does not run at {request.rate_hz} Hz"
         remedy = "set the interface to that rate in its own panel, or player.interface_rate_hz to the interface's"
-    elif code == INVALID_CHANNEL_COUNT:
+    elif code == _INVALID_CHANNEL_COUNT:
         cause = f"{device} does not open with {request.channels} channels"
         remedy = "choose another host API (on Windows, ASIO)"
-    elif code == DEVICE_UNAVAILABLE:
+    elif code == _DEVICE_UNAVAILABLE:
         cause, remedy = f"{device} is not to be had", "close other programs that use it, plug it in again"
     else:
         cause, remedy = f"PortAudio cannot open {device}: {error.args[0]}", "power the interface off and on again"
-    return DeviceChoiceError(cause, remedy, absent=code not in (INVALID_SAMPLE_RATE, INVALID_CHANNEL_COUNT))
+    return DeviceChoiceError(cause, remedy, absent=code not in (_INVALID_SAMPLE_RATE, _INVALID_CHANNEL_COUNT))

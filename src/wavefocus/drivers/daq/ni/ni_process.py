@@ -38,7 +38,7 @@ from wavefocus.drivers.process import (
 )
 from wavefocus.drivers.protocols import DeviceIdentity, Recorder, Recording, RecordRequest, WallClock
 
-RAMP_STEP_S = 1e-3
+_RAMP_STEP_S = 1e-3
 """Time between two steps of a ramp; a write over USB takes about as long."""
 
 
@@ -65,10 +65,10 @@ class OutputSettings:
     slew_v_per_s: float = 1e6
 
 
-ANSWER_S = 5.0
+_ANSWER_S = 5.0
 
 
-class NiOutputs:
+class _NiOutputs:
     """Outputs of one device, here; see `OutputSettings`. No other task may have one of them. Raises InstrumentError.
 
     level: What they are at, as far as that is known; analog outputs cannot be read back.
@@ -80,7 +80,7 @@ class NiOutputs:
     def __init__(self, settings: OutputSettings, level: tuple[float, ...], identity: DeviceIdentity | None) -> None:
         self._settings, self._level = settings, level
         self._session = session = NiSession(
-            settings.device, settings.address, ANSWER_S, role=settings.role, identity=identity
+            settings.device, settings.address, _ANSWER_S, role=settings.role, identity=identity
         )
         doing = "preparing its outputs"
         self._require_outputs(doing)
@@ -146,7 +146,7 @@ class NiOutputs:
                 writer.verify_array_shape = False  # it would ask the device for the number of channels each time
                 writer.write_one_sample(np.asarray(step_v, dtype=np.float64))
             self._level = step_v
-            due_s = max(due_s, clock.now_s()) + RAMP_STEP_S
+            due_s = max(due_s, clock.now_s()) + _RAMP_STEP_S
 
     def _set_line(self, level: bool, doing: str) -> None:
         """Put a line high or low, and read it back. Raises InstrumentError: it reads otherwise."""
@@ -163,22 +163,22 @@ class NiOutputs:
 
 
 def _ramp_steps(start_v: Sequence[float], stop_v: Sequence[float], slew_v_per_s: float) -> list[tuple[float, ...]]:
-    """Voltages of a straight ramp, `RAMP_STEP_S` apart, its last step at the end; none where nothing changes.
+    """Voltages of a straight ramp, `_RAMP_STEP_S` apart, its last step at the end; none where nothing changes.
 
     slew_v_per_s: Fastest change of any output, > 0.
     """
     way_v = max(abs(stop - start) for start, stop in zip(start_v, stop_v, strict=True))
-    count = math.ceil(way_v / (slew_v_per_s * RAMP_STEP_S) - 1e-9)
+    count = math.ceil(way_v / (slew_v_per_s * _RAMP_STEP_S) - 1e-9)
     return [
         tuple(start + (stop - start) * step / count for start, stop in zip(start_v, stop_v, strict=True))
         for step in range(1, count + 1)
     ]
 
 
-CALL_S = 15.0
+_CALL_S = 15.0
 """A call to a device that is well takes milliseconds; a ramp up to a second, a first task or a reset seconds."""
 
-REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
+_REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
 
 
 class _InProcess:
@@ -238,7 +238,7 @@ class _InProcess:
         if process is not None:
             process.close()
 
-    def _call(self, doing: str, method: str, *arguments: Any, limit_s: float = CALL_S) -> Any:
+    def _call(self, doing: str, method: str, *arguments: Any, limit_s: float = _CALL_S) -> Any:
         """Have a method called there and wait for its end; a process that does not answer in time is killed."""
         self.require_open(doing)
         process, number = self._process, next(self._numbers)
@@ -251,7 +251,7 @@ class _InProcess:
                 process.kill(f"NI-DAQmx did not answer within {limit_s:g} s")
                 raise ProcessGoneError(process.gone)
         except ProcessGoneError as gone:
-            remedy = "connect again" if process.at_rest else REMEDY
+            remedy = "connect again" if process.at_rest else _REMEDY
             raise InstrumentLostError(self._instrument, doing, str(gone), remedy) from None
         result, failure, owned = self._answers.pop(number)
         # A device that could not be opened may still be reserved by what was before.
@@ -289,7 +289,7 @@ class ProcessRecorder(_InProcess, Recorder):
         self._call(f"starting {request.label}", "start", request)
 
     def read(self, timeout_s: float) -> Recording:
-        recording: Recording = self._call("reading", "read", timeout_s, limit_s=CALL_S + timeout_s)
+        recording: Recording = self._call("reading", "read", timeout_s, limit_s=_CALL_S + timeout_s)
         return recording
 
     def read_input_v(self, name: str) -> float:
@@ -354,7 +354,7 @@ class ProcessOutputs(_InProcess):
 def main() -> None:
     """Carry out calls until the parent says close, or is gone or stopped: then outputs come to rest first."""
     pipe, waiting = pipe_to_parent(), SimpleQueue[Any]()
-    device: NiRecorder | NiOutputs | None = None
+    device: NiRecorder | _NiOutputs | None = None
 
     def carry_out(number: int, method: str, arguments: tuple[Any, ...]) -> None:
         nonlocal device
@@ -366,7 +366,7 @@ def main() -> None:
                 device = NiRecorder(**arguments[1])
                 result = device.identity, device.input_ranges_v
             else:
-                device = NiOutputs(*arguments[1:])
+                device = _NiOutputs(*arguments[1:])
                 result = device.identify()
         except InstrumentError as refused:
             failure = refused
@@ -381,7 +381,7 @@ def main() -> None:
             carry_out(*message)
         if device is not None:
             with suppress(InstrumentError):
-                if isinstance(device, NiOutputs) and message != CLOSE:  # the parent is gone without a word
+                if isinstance(device, _NiOutputs) and message != CLOSE:  # the parent is gone without a word
                     device.come_to_rest()
             device.close()
         if message == AT_REST:

@@ -20,11 +20,11 @@ from wavefocus.drivers.daq.ni.ni_task import (
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Recorder, Recording, RecordRequest
 
-ANSWER_S = 5.0
+_ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""
 
 # One period of the mains at 50 Hz; every box has a range of 10 V.
-INPUT_TIMING = TaskTiming(5000.0, 100, (10.0, 10.0))
+_INPUT_TIMING = TaskTiming(5000.0, 100, (10.0, 10.0))
 
 
 class NiRecorder(Recorder):
@@ -60,7 +60,7 @@ class NiRecorder(Recorder):
         response_input: str,
         terminal: str,
         trigger: str | None,
-        answer_s: float = ANSWER_S,
+        answer_s: float = _ANSWER_S,
         identity: DeviceIdentity | None = None,
         owned: bool = False,
         resets: bool = True,
@@ -167,7 +167,7 @@ class NiRecorder(Recorder):
 
         name: ``"ai2"``, wired as the others are.
         """
-        volts = self._record_once((name, self._wiring.inputs[1]), INPUT_TIMING, f"reading {name}")
+        volts = self._record_once((name, self._wiring.inputs[1]), _INPUT_TIMING, f"reading {name}")
         return float(volts[0].mean())
 
     def _record_once(self, names: tuple[str, str], timing: TaskTiming, doing: str) -> NDArray[np.float64]:
@@ -201,7 +201,7 @@ class NiRecorder(Recorder):
             session = self._connected(doing)
             if session.limits.simultaneous:
                 return 0.0
-            timing = TaskTiming(sample_rate_hz, INPUT_TIMING.samples, INPUT_TIMING.range_v)
+            timing = TaskTiming(sample_rate_hz, _INPUT_TIMING.samples, _INPUT_TIMING.range_v)
             with session.explaining(doing):
                 return conversion_delay_s(session, self._wiring, timing)
 

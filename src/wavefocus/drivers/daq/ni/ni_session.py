@@ -18,28 +18,33 @@ from wavefocus.drivers.errors import (
 from wavefocus.drivers.protocols import DeviceIdentity
 
 # Codes of nidaqmx.error_codes.DAQmxErrors and DAQmxWarnings.
-NO_SUCH_DEVICE = -200220
+_NO_SUCH_DEVICE = -200220
 IN_USE = -50103
-RESERVED = (IN_USE, -200022, -201352, -201420)  # PAL_, RESOURCE_ALREADY_RESERVED, RESERVATION_CONFLICT, by another host
+_RESERVED = (
+    IN_USE,
+    -200022,
+    -201352,
+    -201420,
+)  # PAL_, RESOURCE_ALREADY_RESERVED, RESERVATION_CONFLICT, by another host
 NOT_DONE = -200560
-NOT_SUPPORTED = (-200452, -200197)  # a property that this device or task has not
+_NOT_SUPPORTED = (-200452, -200197)  # a property that this device or task has not
 STOPPED_BEFORE_DONE = 200010
 
 # Of one record, and not of the device or its settings: timestamp, input termination, converter, phase-locked loop.
-PASSING_WARNINGS = (200003, 200004, 200005, 200007)
+_PASSING_WARNINGS = (200003, 200004, 200005, 200007)
 
 REPEAT = "try again; if it stays, close other programs or use another USB port"
-PLUG = (
+_PLUG = (
     "check its USB cable and its power, then try again; if it stays away, restart NI's gRPC Device Server where it has "
     "one: its library may stay broken after a replug"
 )
 
 
-class ServerSilentError(Exception):
+class _ServerSilentError(Exception):
     """NI's gRPC Device Server has not answered within the deadline of a call."""
 
 
-class Meaning(NamedTuple):
+class _Meaning(NamedTuple):
     """What a code means: which error it becomes, the cause and the remedy."""
 
     error: type[InstrumentError]
@@ -48,39 +53,39 @@ class Meaning(NamedTuple):
 
 
 # Names of `nidaqmx.error_codes.DAQmxErrors` that a night meets, by what they mean; others are told in NI's own words.
-# NO_SUCH_DEVICE and RESERVED depend on what was before.
+# _NO_SUCH_DEVICE and _RESERVED depend on what was before.
 MEANINGS = {
-    Meaning(InstrumentLostError, "it cannot be accessed: unplugged, without power or in reset", PLUG): """
+    _Meaning(InstrumentLostError, "it cannot be accessed: unplugged, without power or in reset", _PLUG): """
         DEV_CANNOT_BE_ACCESSED DEVICE_REMOVED HARDWARE_NOT_RESPONDING HW_UNEXPECTEDLY_POWERED_OFF_AND_ON""",
-    Meaning(InstrumentLostError, "it is not present", PLUG): """
+    _Meaning(InstrumentLostError, "it is not present", _PLUG): """
         PAL_DEVICE_NOT_FOUND DRIVER_DEVICE_GUID_NOT_FOUND_ROUTING""",
-    Meaning(
+    _Meaning(
         InstrumentLostError,
         "the USB transfer was aborted",
         "connect again, which resets it; if it stays, use another USB port or cable, and no hub",
     ): "PAL_TRANSFER_ABORTED PAL_USB_TRANSACTION_ERROR PAL_COMMUNICATIONS_FAULT",
-    Meaning(InstrumentLostError, "the network connection to it is lost", "check its network cable and power"): """
+    _Meaning(InstrumentLostError, "the network connection to it is lost", "check its network cable and power"): """
         NETWORK_STATUS_CONNECTION_LOST""",
-    Meaning(
+    _Meaning(
         InstrumentLostError, "the driver has forgotten the task: it or the device was restarted", "connect again"
     ): "INVALID_TASK",
-    Meaning(TransientInstrumentError, "samples were overwritten before they could be read", REPEAT): """
+    _Meaning(TransientInstrumentError, "samples were overwritten before they could be read", REPEAT): """
         SAMPLES_NO_LONGER_AVAILABLE DATA_OVERWRITTEN_IN_DEVICE_MEMORY INPUT_FIFO_OVERFLOW
         ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE ACQ_STOPPED_DRIVER_CANT_XFER_DATA_FAST_ENOUGH""",
-    Meaning(TransientInstrumentError, "samples are missing: they did not come in time", REPEAT): """
+    _Meaning(TransientInstrumentError, "samples are missing: they did not come in time", REPEAT): """
         SAMPLES_NOT_YET_AVAILABLE SAMPLES_WILL_NEVER_BE_AVAILABLE""",
-    Meaning(TransientInstrumentError, "the record did not end in time", REPEAT): """
+    _Meaning(TransientInstrumentError, "the record did not end in time", REPEAT): """
         WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE OPERATION_TIMED_OUT""",
 }
 
-GONE = Meaning(InstrumentLostError, "it is not there any more", PLUG)
-WRONG_NAME = Meaning(InstrumentError, "there is no device of this name", "put its name into device of [recorder]")
-STALE = Meaning(
+_GONE = _Meaning(InstrumentLostError, "it is not there any more", _PLUG)
+_WRONG_NAME = _Meaning(InstrumentError, "there is no device of this name", "put its name into device of [recorder]")
+_STALE = _Meaning(
     InstrumentLostError,
     "it is reserved, by what was left over or by another program",
     "close other programs that use it, then connect again, which resets it",
 )
-OCCUPIED = Meaning(
+_OCCUPIED = _Meaning(
     InstrumentError,
     "another program has reserved it",
     "close that program (a test panel, LabVIEW, another wavefocus); if none is open, reset the device in NI MAX",
@@ -108,36 +113,36 @@ def explain(
     return error(instrument, operation, cause, remedy.replace("[recorder]", f"[{role}]"))
 
 
-def _meaning(failure: BaseException, known: bool, owned: bool) -> Meaning:
+def _meaning(failure: BaseException, known: bool, owned: bool) -> _Meaning:
     # A device that has recorded before was set up properly, so an unknown failure may pass; of a first task, the
     # settings may be wrong, and a repeat does not help.
     unforeseen = UnknownFaultError if known and owned else InstrumentError
-    if isinstance(failure, ServerSilentError):
+    if isinstance(failure, _ServerSilentError):
         remedy = "check that the computer with the device and the server on it are alive, then connect again"
-        return Meaning(InstrumentLostError, f"the server does not answer ({failure})", remedy)
+        return _Meaning(InstrumentLostError, f"the server does not answer ({failure})", remedy)
     if hasattr(failure, "rpc_code"):
         return _meaning_of_rpc(failure, unforeseen)
     code = getattr(failure, "error_code", None)
     if isinstance(failure, Warning):
         cause = f"NI-DAQmx warns: {_one_line(failure)}"
-        if code in PASSING_WARNINGS:
-            return Meaning(TransientInstrumentError, cause, "try again; if it stays, lower the signal or the rate")
-        return Meaning(unforeseen, cause, "put right what it warns of: the device, or its settings in [recorder]")
+        if code in _PASSING_WARNINGS:
+            return _Meaning(TransientInstrumentError, cause, "try again; if it stays, lower the signal or the rate")
+        return _Meaning(unforeseen, cause, "put right what it warns of: the device, or its settings in [recorder]")
     if code is None:
-        return Meaning(unforeseen, _one_line(failure), "close and open the rig again")
-    if code == NO_SUCH_DEVICE:
-        return _with_code(GONE if known else WRONG_NAME, code)
-    if code in RESERVED:
-        return _with_code(STALE if owned else OCCUPIED, code)
+        return _Meaning(unforeseen, _one_line(failure), "close and open the rig again")
+    if code == _NO_SUCH_DEVICE:
+        return _with_code(_GONE if known else _WRONG_NAME, code)
+    if code in _RESERVED:
+        return _with_code(_STALE if owned else _OCCUPIED, code)
     if code in (known_codes := _meaning_of_code()):
         meaning = _with_code(known_codes[code], code)
         count = getattr(failure, "samps_per_chan_read", None)
         return meaning._replace(cause=f"{meaning.cause}; {count} came") if count else meaning
-    return Meaning(unforeseen, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
+    return _Meaning(unforeseen, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
 
 
 @cache
-def _meaning_of_code() -> dict[int, Meaning]:
+def _meaning_of_code() -> dict[int, _Meaning]:
     """`MEANINGS` by code; a name that this version of the package does not have is unknown."""
     from nidaqmx.error_codes import DAQmxErrors
 
@@ -145,11 +150,11 @@ def _meaning_of_code() -> dict[int, Meaning]:
     return {codes[name]: meaning for meaning, names in MEANINGS.items() for name in names.split() if name in codes}
 
 
-def _meaning_of_rpc(failure: Any, unforeseen: type[InstrumentError]) -> Meaning:
+def _meaning_of_rpc(failure: Any, unforeseen: type[InstrumentError]) -> _Meaning:
     import grpc
 
     if failure.rpc_code == grpc.StatusCode.UNAVAILABLE:
-        return Meaning(
+        return _Meaning(
             InstrumentLostError,
             "NI's gRPC Device Server cannot be reached, or went away during the call",
             "start ni_grpc_device_server on the computer with the device; its server_config.json must say "
@@ -157,19 +162,19 @@ def _meaning_of_rpc(failure: Any, unforeseen: type[InstrumentError]) -> Meaning:
             "server has a certificate, tls_root of [recorder], and the network",
         )
     if failure.rpc_code == grpc.StatusCode.CANCELLED:
-        return Meaning(TransientInstrumentError, "the call was cancelled: the connection was closed", "connect again")
+        return _Meaning(TransientInstrumentError, "the call was cancelled: the connection was closed", "connect again")
     if failure.rpc_code in (grpc.StatusCode.INTERNAL, grpc.StatusCode.RESOURCE_EXHAUSTED):
-        return Meaning(
+        return _Meaning(
             TransientInstrumentError,
             f"the server could not serve the call this time: {_one_line(failure)}",
             "try again; if it stays, restart the server and look into its log",
         )
     if failure.rpc_code == grpc.StatusCode.UNIMPLEMENTED:
-        return Meaning(InstrumentError, _one_line(failure), "install a newer NI gRPC Device Server")
-    return Meaning(unforeseen, f"the server says: {_one_line(failure)}", "look into the server's own log")
+        return _Meaning(InstrumentError, _one_line(failure), "install a newer NI gRPC Device Server")
+    return _Meaning(unforeseen, f"the server says: {_one_line(failure)}", "look into the server's own log")
 
 
-def _with_code(meaning: Meaning, code: int) -> Meaning:
+def _with_code(meaning: _Meaning, code: int) -> _Meaning:
     return meaning._replace(cause=f"{meaning.cause} (NI-DAQmx {code})")
 
 
@@ -211,12 +216,12 @@ def _open_channel(address: str, answer_s: float, tls: Tls | None = None) -> Any:
         def intercept_unary_unary(self, continuation: Any, details: Any, request: Any) -> Any:
             name = details.method.rpartition("/")[2]
             if self._silence:
-                raise ServerSilentError(self._silence)
+                raise _ServerSilentError(self._silence)
             deadline_s = answer_s + _SLOW_CALLS.get(name, 0.0) + _asked_s(request)
             outcome = continuation(details._replace(timeout=deadline_s), request)
             if outcome.code() is grpc.StatusCode.DEADLINE_EXCEEDED:
                 self._silence = f"{name} got no answer within {deadline_s:g} s"
-                raise ServerSilentError(self._silence)
+                raise _ServerSilentError(self._silence)
             status = getattr(outcome.result(), "status", 0)
             if status > 0:
                 names = {warning.value: warning.name for warning in DAQmxWarnings}
@@ -331,7 +336,7 @@ class NiSession:
             self.identity = self.ask_identity()
         except errors.DaqError as error:
             names = []
-            if error.error_code in (NO_SUCH_DEVICE, -88705) and not self._known:
+            if error.error_code in (_NO_SUCH_DEVICE, -88705) and not self._known:
                 names = [name for name in system.devices.device_names if name != self.device]
             if not names:
                 raise
@@ -383,7 +388,7 @@ class NiSession:
         errors = self._nidaqmx.errors
         try:
             yield
-        except (errors.Error, errors.DaqWarning, ServerSilentError, ValueError) as failure:
+        except (errors.Error, errors.DaqWarning, _ServerSilentError, ValueError) as failure:
             raise explain(
                 failure, self.instrument, operation, known=self._known, owned=self.owned, role=self._role
             ) from failure
@@ -414,7 +419,7 @@ class NiSession:
         try:
             return ask()
         except self._nidaqmx.errors.DaqError as error:
-            if error.error_code in NOT_SUPPORTED:
+            if error.error_code in _NOT_SUPPORTED:
                 return None
             raise
 

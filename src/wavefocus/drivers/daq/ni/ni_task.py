@@ -70,7 +70,7 @@ def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None)
 
 
 # NI-DAQmx refuses a finite task of one sample.
-MIN_SAMPLES = 2
+_MIN_SAMPLES = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class RecordTask:
         self.timing = timing
         self._session = session
         self._wiring = wiring
-        self._acquired = max(MIN_SAMPLES, timing.samples)
+        self._acquired = max(_MIN_SAMPLES, timing.samples)
         self._task = session.new_task(session.task_name)
         try:
             channels = _configure(self._task, session, wiring, timing, self._acquired)
