@@ -152,7 +152,7 @@ def load_rig(path: Path, text: str | None = None) -> RigConfig:
         messages["alive_file"] = str((path.parent / messages["alive_file"]).absolute())
     rig = validated(RigConfig, data, str(path))
     if rig.emulation.fault_plan:
-        from wavefocus.mocks.wire.faults import WireFault
+        from wavefocus.mocks.wire import WireFault
 
         _check_faults(WireFault, rig.emulation.fault_plan, f"{path}: emulation.fault_plan")
     return rig

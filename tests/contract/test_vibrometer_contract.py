@@ -8,8 +8,8 @@ import pytest
 from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.registry import VIBROMETERS
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.vibrometer import VIBROMETER_DRIVERS, Ofv3001Device, PolytecDevice, VibrometerDevice
 
 NAMES = {"polytec-ofv5000": "VD-09", "polytec-ofv3001": "OFV-3001, OVD-01"}

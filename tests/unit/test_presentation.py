@@ -11,7 +11,7 @@ from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel
-from wavefocus.mocks.virtual.laboratory import label_share
+from wavefocus.mocks.virtual import label_share
 from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v

@@ -5,7 +5,7 @@ import io
 import pytest
 
 from wavefocus.commands.calibrate import TerminalOperator
-from wavefocus.mocks.virtual.laboratory import PatchBay
+from wavefocus.mocks.virtual import PatchBay
 from wavefocus.rig.calibration_session import Cables
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel, RecordRequest
-from wavefocus.mocks.virtual.laboratory import PatchBay
+from wavefocus.mocks.virtual import PatchBay
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0

@@ -89,7 +89,7 @@ class DaqBench:
         return recorder
 
     def calls(self, name):
-        return sum(call.name == name for call in self.server.log)
+        return self.server.log.count(name)
 
     def until_under_way(self, name):
         """Wait until a call is being answered."""

@@ -10,8 +10,8 @@ from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MIRRORS, MirrorSettings
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire import WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, garble
-from wavefocus.mocks.wire.faults import WireFaultPlan
 from wavefocus.mocks.wire.mirrors import mirror_device
 
 

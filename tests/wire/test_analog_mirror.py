@@ -13,7 +13,7 @@ from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
 from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire.emulated_rig import AnalogScanner
+from wavefocus.mocks.wire.emulated_rig import analog_scanner
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import openers_of
 from wavefocus.storage.errors import InputError
@@ -31,13 +31,13 @@ class Scanner:
         self._opened = opened
         self.motion = MirrorMotion((0.0, 0.0), 0.0, math.inf, 300.0)
         self.written: list[tuple[float, float]] = []
-        scanner = AnalogScanner(self.motion, ("ao0", "ao1"))
+        scanner = analog_scanner(self.motion, ("ao0", "ao1"))
 
         def changed(levels):
             self.written.append((levels.get("ao0", 0.0), levels.get("ao1", 0.0)))
             scanner(levels)
 
-        self.server.watch_outputs(changed)
+        self.server.box.output_changed = changed
 
     def mirror(self, *, settle_s=0.0, limit_mrad=200.0, park_mrad=PARK_MRAD, **keys):
         driver = AnalogMirrorDriver(device="Dev1", address=self.server.address, **keys)
@@ -48,10 +48,10 @@ class Scanner:
 
     @property
     def volts(self):
-        return self.server.level("ao0"), self.server.level("ao1")
+        return self.server.box.level("ao0"), self.server.box.level("ao1")
 
     def resets(self):
-        return sum(call.name == "ResetDevice" for call in self.server.log)
+        return self.server.log.count("ResetDevice")
 
 
 @pytest.fixture
@@ -137,13 +137,13 @@ def test_given_the_recorder_is_connected_again_then_the_mirror_stays_where_it_is
 def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(scanner):
     mirror = scanner.mirror()
     mirror.move_to(30.0, -20.0)
-    scanner.server.unplug()
+    scanner.server.box.unplug()
     assert scanner.volts == (0.0, 0.0)
     with pytest.raises(InstrumentLostError):
         mirror.move_to(31.0, -20.0)
     with pytest.raises(InstrumentLostError):
         mirror.reconnect()
-    scanner.server.plug()
+    scanner.server.box.plug()
     mirror.reconnect()
     with pytest.raises(InstrumentError):
         mirror.wait_settled(1.0)  # it has not been sent anywhere

@@ -8,8 +8,8 @@ import pytest
 
 from tests.wire.serial_bench import LOCAL, answering, mirror_bench
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
-from wavefocus.mocks.wire.faults import WireFault
 
 MEMS = {"limit_mrad": 155.0, "park_mrad": (-150.0, -150.0)}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.wire.audio_bench import AlsaFile, AudioBench, run_python
-from wavefocus.drivers.audio.stream.portaudio import (
+from wavefocus.drivers.audio.stream import (
     DeviceChoiceError,
     OutputDevice,
     StreamRequest,

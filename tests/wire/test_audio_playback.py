@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavefocus.drivers.audio.stream.portaudio import FADE_S, MUTED, PLAYED, UNDERFLOW, Playback, StreamPlay
+from wavefocus.drivers.audio.stream import FADE_S, MUTED, PLAYED, UNDERFLOW, Playback, StreamPlay
 
 RATE_HZ = 48_000
 PERIOD = 512

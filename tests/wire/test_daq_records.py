@@ -115,8 +115,6 @@ def test_a_record_that_the_product_cannot_make_then_the_refusal_names_what_it_ca
     ("changes", "cause", "remedy"),
     [
         ({"reference_input": "ai16"}, "no input 'ai16'", "ai0, ai1, .*ai14 or ai15 into reference_input"),
-        ({"response_input": "ai0"}, "ai0 is both inputs", "two inputs"),
-        ({"terminal": "floating"}, "'floating' is not a terminal configuration", "differential, rse, nrse or"),
         ({"terminal": "pseudodifferential"}, "cannot be a pseudodifferential", "differential, rse or nrse"),
         ({"response_input": "ai9"}, "ai9 of USB-6211 cannot be a differential", "rse or nrse into terminal"),
         ({"trigger": "PFI4"}, "no digital input 'PFI4'", "PFI0, PFI1, PFI2 or PFI3 into trigger"),
@@ -182,10 +180,10 @@ def test_given_a_trigger_then_the_record_starts_at_its_edge():
         recorder.start(ask())
         with pytest.raises(TransientInstrumentError, match=r"not finished.*rising edge reaches PFI0"):
             recorder.read(0.05)
-        bench.server.edge("PFI1")
+        bench.server.box.edge("PFI1")
         with pytest.raises(TransientInstrumentError, match="not finished"):
             recorder.read(0.1)
-        bench.server.edge("PFI0")
+        bench.server.box.edge("PFI0")
         assert recorder.read(10.0).volts.shape == (2, 500)
         assert len(wires.asked) == 1
 
@@ -211,7 +209,7 @@ def test_given_another_thread_that_ends_the_record_then_a_waiting_read_fails_at_
         assert [str(TAKE) in str(failure) and "aborted" in str(failure) for failure in failures] == [True]
         if way_out == "abort":
             recorder.start(ask())
-            bench.server.edge("PFI0")
+            bench.server.box.edge("PFI0")
             check_tone(recorder.read(10.0))
 
 

@@ -10,8 +10,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 

@@ -12,7 +12,7 @@ from tests.wire.serial_bench import LOCAL, mirror_bench
 from wavefocus.__main__ import run
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
-from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire import WireFault
 
 
 def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came(tmp_path):

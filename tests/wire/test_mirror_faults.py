@@ -9,7 +9,7 @@ import serial
 from tests.wire.hanging_ports import protocol_hang
 from tests.wire.serial_bench import DIALECTS, EACH, FIRST, LOCAL, OVER_TCP, PARK_MRAD, mirror_bench
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 
 NAMED = [where for where in EACH if DIALECTS[where.split("/")[0]].names_itself]

@@ -16,7 +16,7 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.mirror.generic import checksum
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.drivers.serial_line import LineSettings, NoAnswerError, SerialLine
-from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire import WireFault
 
 Bytes = Callable[[bytes], bytes]
 TARGET_MRAD = (40.0, -25.0)

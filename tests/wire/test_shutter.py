@@ -21,7 +21,7 @@ from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
 from wavefocus.drivers.timeouts import BoundedMirror, bounded
 from wavefocus.mocks.virtual.mirror import VirtualShutter
 from wavefocus.mocks.virtual.rig import VirtualRig
-from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import openers_of
 from wavefocus.storage.errors import InputError
@@ -60,12 +60,12 @@ def mirror_of(opened, config):
 
 @pytest.mark.parametrize("opens_when_high", [True, False])
 def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(opened, tmp_path, opens_when_high):
-    box = server(opened)
+    daq = server(opened)
 
     def is_open():
-        return bool(box.level(LINE)) is opens_when_high
+        return bool(daq.box.level(LINE)) is opens_when_high
 
-    mirror = mirror_of(opened, rig(tmp_path, box.address, opens_when_high=opens_when_high))
+    mirror = mirror_of(opened, rig(tmp_path, daq.address, opens_when_high=opens_when_high))
     assert not is_open()
     mirror.move_to(10.0, 10.0)
     assert not is_open()
@@ -113,13 +113,13 @@ def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened):
 
 def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(opened, tmp_path):
     # The third write to the line, the one that closes it, and all after it are refused.
-    box = server(opened, WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=3))
-    mirror = mirror_of(opened, rig(tmp_path, box.address))
+    daq = server(opened, WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=3))
+    mirror = mirror_of(opened, rig(tmp_path, daq.address))
     mirror.move_to(10.0, 10.0)
     mirror.wait_settled(1.0)
     with pytest.raises(InstrumentLostError, match="shutter"):
         mirror.park()
-    assert box.level("ao0") < -3.0  # parked all the same
+    assert daq.box.level("ao0") < -3.0  # parked all the same
     mirror.move_to(10.0, 10.0)
     with pytest.raises(InstrumentLostError, match="shutter") as lost:
         mirror.reconnect()
@@ -127,20 +127,20 @@ def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_par
     with pytest.raises(InstrumentLostError):
         mirror.reconnect()
     mirror.reconnect()
-    assert box.level(LINE) == 0.0
+    assert daq.box.level(LINE) == 0.0
     mirror.move_to(10.0, 10.0)
     mirror.wait_settled(1.0)
-    assert box.level(LINE) == 1.0
+    assert daq.box.level(LINE) == 1.0
 
 
 def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(opened, tmp_path):
-    box = server(opened)
-    config = rig(tmp_path, box.address)
+    daq = server(opened)
+    config = rig(tmp_path, daq.address)
     (good,) = shutter_findings(config)
     assert (good.instrument, good.verdict) == ("shutter", "ok")
-    assert box.level(LINE) == 0.0
-    assert sum(call.name == "WriteDigitalLines" for call in box.log) == 3
-    box.unplug()
+    assert daq.box.level(LINE) == 0.0
+    assert daq.log.count("WriteDigitalLines") == 3
+    daq.box.unplug()
     (bad,) = shutter_findings(config)
     assert (bad.instrument, bad.verdict) == ("shutter", "fail")
     (taken,) = shutter_findings(rig(tmp_path, server(opened).address, line="'port0/line0'"))
@@ -150,12 +150,12 @@ def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(opened, tm
 
 
 def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened):
-    box = server(opened)
-    first = NiShutterDriver(device="Dev1", address=box.address).open()
+    daq = server(opened)
+    first = NiShutterDriver(device="Dev1", address=daq.address).open()
     opened.callback(first.close)
     first.open_beam()
     with pytest.raises(InstrumentError, match="-50103"):
-        NiShutterDriver(device="Dev1", address=box.address).open()
+        NiShutterDriver(device="Dev1", address=daq.address).open()
     assert isinstance(first, Shutter)
     assert set(SHUTTERS.all()) == {"nidaqmx"}
     first.close()
@@ -164,23 +164,23 @@ def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened
 
 
 def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(opened):
-    box = server(opened)
-    shutter = NiShutterDriver(device="Dev1", address=box.address).open()
+    daq = server(opened)
+    shutter = NiShutterDriver(device="Dev1", address=daq.address).open()
     opened.callback(shutter.close)
     shutter.open_beam()
-    box.stop()
-    other = NiServer(Tone(), "USB-6211", address=box.address, serial_number=0x0BADCAFE)
+    daq.stop()
+    other = NiServer(Tone(), "USB-6211", address=daq.address, serial_number=0x0BADCAFE)
     other.start()
     with pytest.raises(InstrumentError, match="serial number 0BADCAFE answers instead of"):
         shutter.reconnect()
     with pytest.raises(InstrumentLostError, match="reconnect first"):
         shutter.open_beam()
-    assert not any(call.name == "WriteDigitalLines" for call in other.log)
+    assert "WriteDigitalLines" not in other.log
     other.stop()
-    box.start()
+    daq.start()
     shutter.reconnect()
     shutter.block_beam()
-    assert box.level(LINE) == 0.0
+    assert daq.box.level(LINE) == 0.0
 
 
 def test_given_a_real_shutter_in_a_virtual_rig_then_the_rig_file_is_refused(tmp_path):
@@ -210,12 +210,14 @@ sys.stdin.readline()
 
 # A program that is stopped instead of killed: tests/wire/test_campaign_analog.py.
 def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_parks(opened, tmp_path):
-    box = server(opened)
-    rig(tmp_path, box.address)
+    daq = server(opened)
+    rig(tmp_path, daq.address)
     command = [sys.executable, "-c", HOLD, str(tmp_path / "rig.toml")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "there\n"
-        assert box.level(LINE) == 1.0
+        assert daq.box.level(LINE) == 1.0
         program.kill()
-    wait_until(lambda: not box.level(LINE) and box.level("ao0") <= -3.0, "the shutter is closed, the mirror parked")
+    wait_until(
+        lambda: not daq.box.level(LINE) and daq.box.level("ao0") <= -3.0, "the shutter is closed, the mirror parked"
+    )

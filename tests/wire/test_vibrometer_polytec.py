@@ -10,8 +10,8 @@ from tests.wire.serial_bench import LOCAL, ImpatientClock, wire
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.vibrometer.polytec import Polytec
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 from wavefocus.rig.setup import WatchedVibrometer, range_band
 

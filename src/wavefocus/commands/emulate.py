@@ -15,7 +15,7 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.console import Exit, say
 from wavefocus.ending import stop_on_signals
-from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire import WireFault
 from wavefocus.rig.virtual_bench import virtual_settings
 from wavefocus.storage.errors import InputError
 

@@ -59,8 +59,6 @@ class ThinRectangle(ModalPlate):
         change: PlateChange = UNCHANGED,
     ) -> None:
         super().__init__(actuator_mm, outline, chain)
-        if not (np.isfinite(quality) and quality > 0):
-            raise ValueError(f"quality is {quality}; it must be finite and greater than 0")
         left, bottom, right, top = outline.box_mm
         if outline.area_mm2 < (1 - 1e-6) * (right - left) * (top - bottom):
             raise ValueError('the plate "thin" is a rectangle; set kind = "rectangle" in [surface] of the rig file')

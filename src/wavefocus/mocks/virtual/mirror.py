@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Mirror, Shutter
+from wavefocus.mocks.virtual import NANOSECONDS, VirtualClock
 from wavefocus.mocks.virtual.faults import VirtualDevice
-from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
 # What rounding to a device's own units may add to an angle at the limit.

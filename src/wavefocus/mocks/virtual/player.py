@@ -11,8 +11,8 @@ import numpy as np
 
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Float64Array, Player, RecordLabel
+from wavefocus.mocks.virtual import NANOSECONDS, VirtualClock, label_share
 from wavefocus.mocks.virtual.faults import VirtualDevice
-from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock, label_share
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.synthesis import PlayedSignal, SignalStore, VirtualPlay
 

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Float32Array, Instruments, Recorder, Recording, RecordLabel, RecordRequest
-from wavefocus.mocks.virtual.faults import RigFault, VirtualDevice
-from wavefocus.mocks.virtual.laboratory import (
+from wavefocus.mocks.virtual import (
     DROPOUT,
     GROWING,
     NANOSECONDS,
@@ -21,6 +20,7 @@ from wavefocus.mocks.virtual.laboratory import (
     normal,
     sensor_of,
 )
+from wavefocus.mocks.virtual.faults import RigFault, VirtualDevice
 from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings

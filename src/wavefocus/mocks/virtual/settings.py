@@ -68,8 +68,6 @@ class VirtualSettings:
     settle_s, slew_mrad_s, limit_mrad, park_mrad: The mirror: settling time, speed of a move, largest angle per axis,
         safe direction.
     sensitivity_m_s_per_v: Surface velocity per volt of the vibrometer, in (m/s)/V, > 0.
-    velocity_scale: Strength of actuators and amplifier; the default lets the strongest response of the default grid to
-        a sweep of 1 V peak at 6 V.
     gain_spread_db: Largest deviation of an actuator's gain in dB, >= 0.
     dropout_probability: Probability that an attempt of as many records as there are actuators loses the vibrometer
         signal for 2-10 ms in one of them (speckle), 0 to 1.
@@ -110,7 +108,6 @@ class VirtualSettings:
     limit_mrad: float = 250.0
     park_mrad: tuple[float, float] = (-240.0, -240.0)
     sensitivity_m_s_per_v: float = 0.125
-    velocity_scale: float = 0.0064
     gain_spread_db: float = 2.0
     dropout_probability: float = 0.01
     lost_signal_v: float = 1.0

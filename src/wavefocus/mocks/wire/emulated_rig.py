@@ -15,36 +15,34 @@ from pathlib import Path
 import numpy as np
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
-from wavefocus.mocks.virtual.laboratory import NANOSECONDS, PatchBay
+from wavefocus.mocks.virtual import NANOSECONDS, PatchBay
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.synthesis import TAIL_S, SignalStore, Synthesis, VirtualPlay
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.jack_server import JackServer, PlayedAudio
 from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.mocks.wire.vibrometer import vibrometer_device
 
 
-@dataclass(frozen=True, slots=True)
-class AnalogScanner:
-    """Called with the levels of the box's outputs; the beam turns by twice the mirror's angle.
+def analog_scanner(
+    motion: MirrorMotion, outputs: tuple[str, str], volts_per_degree: float = 0.8
+) -> Callable[[Mapping[str, float]], None]:
+    """A pair of galvanometers, called with the levels of the box's outputs; the beam turns by twice the mirror's angle.
 
     motion: How the mirror moves.
     outputs: Names of the outputs of x and y.
     volts_per_degree: What its jumper is set to, which need not be what the rig file says.
     """
+    mrad_per_v = 2 * 1000 * math.radians(1) / volts_per_degree
 
-    motion: MirrorMotion
-    outputs: tuple[str, str]
-    volts_per_degree: float = 0.8
+    def follow(levels: Mapping[str, float]) -> None:
+        x_v, y_v = (levels.get(name, 0.0) for name in outputs)
+        motion.start(x_v * mrad_per_v, y_v * mrad_per_v)
 
-    def __call__(self, levels: Mapping[str, float]) -> None:
-        """Follow new voltages."""
-        x_v, y_v = (levels.get(name, 0.0) for name in self.outputs)
-        mrad_per_v = 2 * 1000 * math.radians(1) / self.volts_per_degree
-        self.motion.start(x_v * mrad_per_v, y_v * mrad_per_v)
+    return follow
 
 
 # What a converter cannot put out is silence: -160 dB of full scale.
@@ -264,13 +262,14 @@ class EmulatedRig(ExitStack):
         self.recorder.start()
         self.callback(self.recorder.stop)
         self._plugs: dict[str, tuple[Callable[[], None], Callable[[], None]]] = {
-            "recorder": (self.recorder.unplug, self.recorder.plug),
+            "recorder": (self.recorder.box.unplug, self.recorder.box.plug),
             "player": (self.audio.kill, self.audio.restart),
         }
         self.mirror: EmulatedSerial | None = None
         if wiring.mirror_dialect == "analog":
-            scanner = AnalogScanner(motion, wiring.mirror_outputs, wiring.mirror_volts_per_degree)
-            self.recorder.watch_outputs(scanner)
+            self.recorder.box.output_changed = analog_scanner(
+                motion, wiring.mirror_outputs, wiring.mirror_volts_per_degree
+            )
         else:
             device = mirror_device(wiring.mirror_dialect, motion, wiring.mirror_full_scale_mrad)
             self.mirror = self._serial("mirror", device, wiring.mirror_port, faults)

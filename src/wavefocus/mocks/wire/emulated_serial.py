@@ -18,10 +18,9 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
 
 _IDLE_S = 0.5
 _TICK_S = 0.01
@@ -171,9 +170,7 @@ class EmulatedSerial:
     def __enter__(self) -> EmulatedSerial:
         return self.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         self.close()
 
     # -- in the thread ---------------------------------------------------------------------------

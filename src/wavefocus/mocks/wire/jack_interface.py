@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.jack_server import DEVICE, PLACE_S, START_S, STOP_S, AudioRing, RingWriter
 
 

@@ -15,16 +15,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.drivers.protocols import Float32Array
-from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire import WireFault
 
 _Int64Array = NDArray[np.int64]
 
@@ -289,7 +289,7 @@ class JackServerError(Exception):
     """The emulated interface did not obey."""
 
 
-class JackServer:
+class JackServer(AbstractContextManager["JackServer"]):
     """An audio interface of PortAudio's host API `host_api`, called `device`; use it as a context, or stop it.
 
     period_frames: Frames that the server asks for at a time, a power of two.
@@ -335,12 +335,7 @@ class JackServer:
             raise
         self.environment = {"JACK_DEFAULT_SERVER": name, "JACK_NO_START_SERVER": "1"}
 
-    def __enter__(self) -> JackServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         self.stop()
 
     @property

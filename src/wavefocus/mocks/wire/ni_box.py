@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from wavefocus.drivers.protocols import Float64Array
-from wavefocus.mocks.virtual.laboratory import NANOSECONDS
+from wavefocus.mocks.virtual import NANOSECONDS
 from wavefocus.mocks.wire.ni_products import PRODUCTS, Channel, Product
 
 Alive = Callable[[], bool]

@@ -2,18 +2,16 @@
 
 import functools
 import threading
-import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import grpc
 from google.protobuf.message_factory import GetMessageClass
 from nidaqmx._stubs import nidaqmx_pb2
 
-from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.ni_box import NiBox, NiCode, NiError, SignalSource
 from wavefocus.mocks.wire.ni_calls import NiCalls
 
@@ -37,15 +35,6 @@ _SPOILING = ("read_timeout", "short_read", "missing_reference", "over_range", "w
 """Faults of the next samples."""
 
 
-@dataclass(frozen=True, slots=True)
-class _ServedCall:
-    """One remote procedure call: its name, what came of it (0, a code of NI-DAQmx, None: no answer), how long."""
-
-    name: str
-    status: int | None
-    seconds: float
-
-
 class NiServer:
     """The server; runs in whatever process starts it, on threads of its own.
 
@@ -58,6 +47,8 @@ class NiServer:
     speed: How much faster than real time records end, > 0; only for sources that do not wait for the real time.
     serial_number: Of the box.
     credentials: For TLS, as ``security`` in the server's ``server_config.json``; without them it talks in the clear.
+
+    box: The box, to pull its cable, or to read its outputs.
     """
 
     def __init__(
@@ -72,12 +63,12 @@ class NiServer:
         serial_number: int = 0x01E57A2C,
         credentials: grpc.ServerCredentials | None = None,
     ) -> None:
-        self._box = NiBox(source, product, device, serial_number, speed)
-        self._calls = NiCalls(self._box)
+        self.box = NiBox(source, product, device, serial_number, speed)
+        self._calls = NiCalls(self.box)
         self._address = address
         self._credentials = credentials
         self._plan = WireFaultPlan("recorder", faults)
-        self._log: list[_ServedCall] = []
+        self._log: list[str] = []
         self._under_way: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._server: grpc.Server | None = None
@@ -91,8 +82,8 @@ class NiServer:
         return self._address
 
     @property
-    def log(self) -> tuple[_ServedCall, ...]:
-        """All calls so far that have ended."""
+    def log(self) -> tuple[str, ...]:
+        """Names of all calls so far that have ended."""
         with self._lock:
             return tuple(self._log)
 
@@ -115,26 +106,6 @@ class NiServer:
             self._death.join()
             self._death = None
         self._hang_up()
-
-    def unplug(self, seconds: float = 0.0) -> None:
-        """Pull the box's cable, for good or for some seconds."""
-        self._box.unplug(seconds)
-
-    def plug(self) -> None:
-        """Put the box's cable back."""
-        self._box.plug()
-
-    def level(self, name: str) -> float:
-        """Volts at an analog output such as ``"ao0"``, 0 or 1 at a digital line."""
-        return self._box.level(name)
-
-    def watch_outputs(self, changed: Callable[[Mapping[str, float]], object]) -> None:
-        """Have a function called with the levels of all outputs whenever one changes."""
-        self._box.output_changed = changed
-
-    def edge(self, terminal: str) -> None:
-        """A rising edge at a digital input such as ``"PFI0"``."""
-        self._box.edge(terminal)
 
     # -- listening -------------------------------------------------------------------------------
 
@@ -167,7 +138,7 @@ class NiServer:
         if server is None or threads is None:
             return
         gone = server.stop(None)
-        self._box.forget()
+        self.box.forget()
         gone.wait()
         threads.shutdown()
 
@@ -196,7 +167,6 @@ class NiServer:
 
     def answer(self, name: str, request: Any, context: grpc.ServicerContext) -> Any:
         """Answer one call, with the faults that it meets."""
-        began_s = time.monotonic()
         with self._lock:
             self._under_way[name] += 1
         gone = threading.Event()
@@ -206,25 +176,23 @@ class NiServer:
         def alive() -> bool:
             return not gone.is_set()
 
-        status: int | None = None
         try:
             due = self._plan.due(name)
             if refused := next((_STATUSES[fault.kind] for fault in due if fault.kind in _STATUSES), None):
                 return context.abort(refused, "on order")
             warning = self._meet(name, due, gone)
-            with self._box.condition:
+            with self.box.condition:
                 fields = self._calls.handlers[name](request, alive)
-            status = fields["status"] = int(fields.get("status", 0)) or warning
+            fields["status"] = int(fields.get("status", 0)) or warning
             return GetMessageClass(_METHODS[name].output_type)(**fields)
         except NiError as error:
-            status = error.code
             read = (("ni-samps-per-chan-read", "0"),) if name.startswith("Read") else ()
             context.set_trailing_metadata((("ni-error", str(error.code)), *read))
             return context.abort(grpc.StatusCode.UNKNOWN, str(error))
         finally:
             with self._lock:
                 self._under_way[name] -= 1
-                self._log.append(_ServedCall(name, status if alive() else None, time.monotonic() - began_s))
+                self._log.append(name)
 
     def _meet(self, name: str, due: Sequence[WireFault], gone: threading.Event) -> int:
         """Let a call meet its faults; returns the status of an answer that is otherwise good."""
@@ -237,7 +205,7 @@ class NiServer:
             elif fault.kind in _SPOILING:
                 self._calls.spoil(fault)
             elif fault.kind == "unplugged":
-                self._box.unplug(fault.seconds)
+                self.box.unplug(fault.seconds)
             elif fault.kind == "silent":
                 gone.wait(fault.seconds or None)
             elif fault.kind == "server_dead":

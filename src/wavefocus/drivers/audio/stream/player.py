@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wavefocus.drivers.audio.resampling import PlayFrames
-from wavefocus.drivers.audio.stream.portaudio import UNDERFLOW, OutputDevice, StreamRequest
+from wavefocus.drivers.audio.stream import UNDERFLOW, OutputDevice, StreamRequest
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.process import ALIVE, ANSWER_S, ASK, OPENING_S, DriverProcess, ProcessGoneError
 from wavefocus.drivers.protocols import DeviceIdentity, Float64Array, Player

@@ -15,7 +15,7 @@ import time
 import traceback
 from typing import Any
 
-from wavefocus.drivers.audio.stream.portaudio import (
+from wavefocus.drivers.audio.stream import (
     FADE_S,
     DeviceChoiceError,
     StreamPlay,

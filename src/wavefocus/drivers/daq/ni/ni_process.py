@@ -22,8 +22,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from wavefocus.drivers.daq.ni import NiSession
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
-from wavefocus.drivers.daq.ni.ni_session import NiSession
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import (
     ALIVE,

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.drivers.daq.ni.ni_session import REPEAT, NiSession, Tls
+from wavefocus.drivers.daq.ni import REPEAT, NiSession, Tls
 from wavefocus.drivers.daq.ni.ni_task import (
     InputWiring,
     RecordTask,
