@@ -254,19 +254,10 @@ def export_by_options(
         writer.write(out, rows, on_progress or (lambda done, total: None))
         per_value = 4 if options.binary else form.value_bytes
         return Export(
-            out=out,
-            format=to,
-            positions=len(rows.row),
-            left_out=rows.left_out,
-            nan=int(np.count_nonzero(~rows.known)),
-            actuators=view.actuators,
-            taps=view.taps,
-            sample_rate_hz=view.sample_rate_hz,
-            response_unit=view.response_unit,
-            files=tuple(names),
-            bytes=len(rows.row) * (view.actuators * view.taps * per_value + 100),
-            publication=dict(rows.publication),
-        )
+            out, to, len(rows.row), rows.left_out, int(np.count_nonzero(~rows.known)), view.actuators, view.taps,
+            view.sample_rate_hz, view.response_unit, tuple(names),
+            len(rows.row) * (view.actuators * view.taps * per_value + 100), dict(rows.publication),
+        )  # fmt: skip
 
 
 @contextmanager

@@ -144,15 +144,8 @@ def predict(
         raise InputError(f"device {device} does not go with rate_hz")
     played = _read(drive)
     with opened_bank(bank) as view:
-        return predict_field(
-            played,
-            view,
-            positions,
-            dtype=dtype,
-            rate_hz=rate_hz,
-            device=None if device == "cpu" else cuda_device(),
-            on_progress=on_progress,
-        )
+        gpu = None if device == "cpu" else cuda_device()
+        return predict_field(played, view, positions, dtype=dtype, rate_hz=rate_hz, device=gpu, on_progress=on_progress)
 
 
 @checked
@@ -321,12 +314,8 @@ def render_by_options(
     if options.device != "cpu" and options.tolerance_db is not None:
         raise InputError(f"--device {options.device} does not go with --tolerance-db")
 
+    gpu = None if options.device == "cpu" else cuda_device()
     return render_with_report(
-        scene,
-        bank,
-        method=options.method,
-        tolerance_db=options.tolerance_db,
-        on_progress=on_progress,
-        interface=interface,
-        device=None if options.device == "cpu" else cuda_device(),
-    )
+        scene, bank, method=options.method, tolerance_db=options.tolerance_db, on_progress=on_progress,
+        interface=interface, device=gpu,
+    )  # fmt: skip

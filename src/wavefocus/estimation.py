@@ -177,19 +177,14 @@ def _bank_header(header: RawHeader) -> BankHeader:
     unit = header.response_unit
     found = carried_configuration(header, Path("raw recordings"))
     return BankHeader(
-        sample_rate_hz=header.sample_rate_hz,
-        taps=header.taps,
-        band_hz=header.band_hz,
-        position_mm=header.position_mm,
-        actuator_mm=header.actuator_mm,
-        rig_json=header.rig_json,
-        run_json=header.run_json,
-        plan_sha256=header.identity(),
+        sample_rate_hz=header.sample_rate_hz, taps=header.taps, band_hz=header.band_hz,
+        position_mm=header.position_mm, actuator_mm=header.actuator_mm, rig_json=header.rig_json,
+        run_json=header.run_json, plan_sha256=header.identity(),
         software=f"wavefocus {version('wavefocus')}, from raw recordings",
         response_unit=unit if unit.endswith("/V") else f"{unit}/V",
         directions_deg=None if found is None else plate_behind(found.rig, found.run).directions_deg,
         check_rows=() if found is None else tuple(check_rows(found).tolist()),
-    )
+    )  # fmt: skip
 
 
 def _require_alike(held: BankHeader, header: RawHeader, bank: Path, raw: Path) -> None:

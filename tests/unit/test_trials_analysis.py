@@ -221,7 +221,9 @@ def test_given_four_fingers_then_the_confusion_matrix_counts_each_pair():
     whole, *own = analysis.confusions
     plain = [[sum(r == a and g == b for r, g in zip(rights, given, strict=True)) for b in fingers] for a in fingers]
     assert [list(counts) for counts in whole.counts] == plain
-    assert whole.right == sum(r == g for r, g in zip(rights, given, strict=True))
+    assert sum(row[index] for index, row in enumerate(whole.counts)) == sum(
+        r == g for r, g in zip(rights, given, strict=True)
+    )
     assert np.array_equal(np.sum([matrix.counts for matrix in own], axis=0), whole.counts)
     page, _ = build_report(analysis, [])
     assert "Confusion matrix" in page

@@ -42,18 +42,13 @@ class Blueprint:
         """What a new bank says of itself."""
         configuration, plan = self.configuration, self.plan
         return BankHeader(
-            sample_rate_hz=plan.excitation.sample_rate_hz,
-            taps=plan.taps,
-            band_hz=plan.excitation.band_hz,
-            position_mm=plan.position_mm,
-            actuator_mm=plan.actuator_mm,
-            rig_json=configuration.rig.model_dump_json(),
-            run_json=configuration.run.model_dump_json(),
-            plan_sha256=plan.sha256,
-            software=f"wavefocus {version('wavefocus')}",
+            sample_rate_hz=plan.excitation.sample_rate_hz, taps=plan.taps, band_hz=plan.excitation.band_hz,
+            position_mm=plan.position_mm, actuator_mm=plan.actuator_mm,
+            rig_json=configuration.rig.model_dump_json(), run_json=configuration.run.model_dump_json(),
+            plan_sha256=plan.sha256, software=f"wavefocus {version('wavefocus')}",
             directions_deg=plate_behind(configuration.rig, configuration.run).directions_deg,
             check_rows=tuple(sorted(plan.check_rows)),
-        )
+        )  # fmt: skip
 
 
 def blueprint_from_files(run_file: Path) -> Blueprint:
@@ -130,15 +125,9 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
     run, rig = configuration.run, configuration.rig
     capture = run.capture
     excitation = PlayedExcitation(
-        sample_rate_hz=capture.sample_rate_hz,
-        start_hz=run.sweep.start_hz,
-        stop_hz=run.sweep.stop_hz,
-        duration_s=run.sweep.duration_s,
-        decay_s=capture.decay_s,
-        amplitude_v=run.sweep.amplitude_v * 10 ** (capture.level_db / 20),
-        averages=capture.averages,
-        waveform=run.sweep.waveform,
-    )
+        capture.sample_rate_hz, run.sweep.start_hz, run.sweep.stop_hz, run.sweep.duration_s, capture.decay_s,
+        run.sweep.amplitude_v * 10 ** (capture.level_db / 20), capture.averages, run.sweep.waveform,
+    )  # fmt: skip
     staggered = None
     if capture.excitation == "staggered":
         staggered = StaggeredSignal(
@@ -146,17 +135,11 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
             capture.periods,
         )  # fmt: skip
     plan = Plan(
-        position_mm=configuration.position_mm,
-        actuator_mm=rig.actuator_mm,
-        order=np.arange(len(configuration.position_mm)),
-        excitation=excitation,
-        taps=capture.taps,
-        sha256=configuration.plan_sha256,
-        quality=run.quality,
-        drift=run.drift,
-        staggered=staggered,
+        position_mm=configuration.position_mm, actuator_mm=rig.actuator_mm,
+        order=np.arange(len(configuration.position_mm)), excitation=excitation, taps=capture.taps,
+        sha256=configuration.plan_sha256, quality=run.quality, drift=run.drift, staggered=staggered,
         check_rows=frozenset(check_rows(configuration).tolist()),
-    )
+    )  # fmt: skip
     return Blueprint(configuration, plan)
 
 

@@ -188,19 +188,11 @@ class Heartbeat(Message, frozen=True):
         """The heartbeat of this process now."""
         fault, progress = status.fault, status.progress
         return cls(
-            at=datetime.now(UTC),
-            pid=os.getpid(),
-            host=socket.gethostname(),
-            state=status.state,
-            reason=status.reason,
-            since=status.since,
-            position=status.position,
-            done=status.done,
-            total=status.total,
+            at=datetime.now(UTC), pid=os.getpid(), host=socket.gethostname(), state=status.state, reason=status.reason,
+            since=status.since, position=status.position, done=status.done, total=status.total, order=order,
             remaining_s=None if progress is None else progress.wall_remaining_s,
             fault="" if fault is None else f"{fault.instrument}: {fault.operation}: {fault.cause}",
-            order=order,
-        )
+        )  # fmt: skip
 
 
 def instant(at: datetime) -> str:

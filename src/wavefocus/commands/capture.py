@@ -32,16 +32,9 @@ from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 
 
-def capture(
-    run_file: Path,
-    bank: Path,
-    scene_files: Sequence[Path] = (),
-    *,
-    options: SessionOptions,
-) -> Exit:
+def capture(run_file: Path, bank: Path, scene_files: Sequence[Path] = (), *, options: SessionOptions) -> Exit:
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
-    blueprint = blueprint_from_files(run_file)
-    asked = blueprint
+    asked = blueprint_from_files(run_file)
     if scene_files:
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
@@ -76,13 +69,7 @@ def resume(bank: Path, *, options: SessionOptions) -> Exit:
     return _session(blueprint, bank, None, options)
 
 
-def extend(
-    banks: Sequence[Path],
-    bank: Path,
-    run_file: Path | None = None,
-    *,
-    options: SessionOptions,
-) -> Exit:
+def extend(banks: Sequence[Path], bank: Path, run_file: Path | None = None, *, options: SessionOptions) -> Exit:
     """Make a bank of the rows of others, with more positions, and measure those."""
     from wavefocus.campaign import extension  # not needed by other captures
 
@@ -99,14 +86,7 @@ def extend(
     return _session(blueprint, bank, None, replace(options, rig_file=rig_file))
 
 
-def remeasure(
-    bank: Path,
-    words: str,
-    positions: str,
-    *,
-    replace: bool = False,
-    options: SessionOptions,
-) -> Exit:
+def remeasure(bank: Path, words: str, positions: str, *, replace: bool = False, options: SessionOptions) -> Exit:
     """Measure again the positions of some status, or those named.
 
     Valid rows are replaced by others only where `replace` says so, or where the latest measurement of the sentinel
@@ -147,24 +127,22 @@ def _session(
 ) -> Exit:
     """Carry out one session with log, progress and signals around it; `earlier` happened before it."""
     stop, rig_file = StopRequest(), options.rig_file
-    plan = blueprint.plan
+    plan, rig = blueprint.plan, blueprint.configuration.rig
     with (
         _naming_resume_command(bank, rig_file),
-        messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,
-        AliveSignal(blueprint.configuration.rig.messages),
+        messenger_for(bank, rig.messages, resume_line(bank, rig_file)) as messenger,
+        AliveSignal(rig.messages),
         kept_awake(f"measuring {bank.name}"),
         BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
         # Outside of the instruments, so that no second Ctrl-C keeps them from being put to rest.
         stop_on_signals(stop),
         CampaignControl(bank, stop) as control,
-        open_setup(blueprint.configuration.rig, blueprint.configuration.run, bank=writer) as setup,
+        open_setup(rig, blueprint.configuration.run, bank=writer) as setup,
         progress("capture", plan.positions, timed=False) as report,
         ExitStack() as opened,
     ):
         if writer.status.any():
-            refuse_other_devices(
-                blueprint.configuration.rig, setup.instruments, bank, accept=options.accept_calibration
-            )
+            refuse_other_devices(rig, setup.instruments, bank, accept=options.accept_calibration)
         subscribers: dict[str, Subscriber] = {
             "the heartbeat": control,
             "the progress display": CampaignView(report),

@@ -71,12 +71,10 @@ def amplitude_v(rig: RigConfig, request: CalibrationOptions) -> float:
     largest_v = rig.player.largest_v
     if request.amplitude_v is None:
         return rig.safe_amplitude_v
-    if 0 < request.amplitude_v < MIN_V:
-        raise InputError(f"--amplitude-v {request.amplitude_v:g}: must be {MIN_V:g} V or more")
-    if not 0 < request.amplitude_v <= largest_v:
+    if not MIN_V <= request.amplitude_v <= largest_v:
         raise InputError(
             f"--amplitude-v {request.amplitude_v:g}: must be above 0 and at most {largest_v:g} (the rig's "
-            "player.limit_v, or the full scale of its weakest output)"
+            f"player.limit_v, or the full scale of its weakest output), and {MIN_V:g} V or more"
         )
     return request.amplitude_v
 
@@ -153,12 +151,6 @@ class CalibrationSession:
         """
         self._names = dict(zip(("mirror", "recorder", "player"), names_of(setup.instruments), strict=True))
         self._identities = identities_of(setup.instruments)
-        work: dict[str, Callable[[Setup, Operator], Setup]] = {
-            "inputs": self._inputs,
-            "outputs": self._outputs,
-            "mirror": self._mirror,
-            "actuators": self._actuators,
-        }
         cables = Cables(operator, plug)
         try:
             for part in PARTS:
@@ -167,7 +159,7 @@ class CalibrationSession:
                 try:
                     if part == "actuators" or (part == "mirror" and cables.source != VIBROMETER):
                         self._need_vibrometer(setup, cables)
-                    setup = work[part](setup, cables)
+                    setup = getattr(self, f"_{part}")(setup, cables)
                 except NotMeasuredError as failure:
                     self.problems.append(f"{part}: {failure}")
             if cables.source != VIBROMETER:
@@ -181,16 +173,9 @@ class CalibrationSession:
 
     def record(self) -> CalibrationRecord:
         """All that is known: what was measured now, and what the rig's calibration held of the rest."""
-        return CalibrationRecord.model_validate(
-            {
-                "format": FORMAT,
-                "format_version": FORMAT_VERSION,
-                "made": _now(),
-                "software": f"wavefocus {version('wavefocus')}",
-                "rig": self._rig.rig.name,
-                **self._found,
-            }
-        )
+        about = {"format": FORMAT, "format_version": FORMAT_VERSION, "made": _now(), "rig": self._rig.rig.name}
+        software = f"wavefocus {version('wavefocus')}"
+        return CalibrationRecord.model_validate({**about, "software": software, **self._found})
 
     # -- the parts: each measures with the setup so far, and returns it with its results ---------
 
@@ -201,13 +186,7 @@ class CalibrationSession:
             f"inputs: the response is sampled {1e6 * delay_s:.3f} us after the reference, spread "
             f"{1e9 * found.spread_s:.0f} ns; clocks {found.clock_ppm:+.1f} ppm apart"
         )
-        self._take_up(
-            "inputs",
-            InputsMeasured(
-                **self._by("recorder"),
-                inter_channel_delay_s=delay_s,
-            ),
-        )
+        self._take_up("inputs", InputsMeasured(**self._by("recorder"), inter_channel_delay_s=delay_s))
         return replace(setup, inter_channel_delay_s=delay_s)
 
     def _outputs(self, setup: Setup, operator: Operator) -> Setup:
@@ -230,24 +209,17 @@ class CalibrationSession:
                 self.problems.append(f"outputs: output {one.channel} is reversed: swap its two wires")
         if not found:
             raise NotMeasuredError("no signal from any output: is the response input plugged into the player?")
-        loudest = max((abs(one.latency_s) for one in found), default=0.0)
+        loudest = max(abs(one.latency_s) for one in found)
         operator.report(f"outputs: {len(found)} measured, latencies within {1e6 * loudest:.2f} us of the loopback's")
-        self._take_up(
-            "outputs",
-            OutputsMeasured(
-                **self._by("player"),
-                loopback_channel=player.loopback_channel,
-                channel=tuple(
-                    OutputMeasured(
-                        channel=one.channel,
-                        latency_s=_rounded(one.latency_s),
-                        full_scale_v=None if one.full_scale_v is None else round(one.full_scale_v, 6),
-                        polarity=one.polarity,
-                    )
-                    for one in found
-                ),
-            ),
-        )
+        channel = tuple(
+            OutputMeasured(
+                channel=one.channel, latency_s=_rounded(one.latency_s), polarity=one.polarity,
+                full_scale_v=None if one.full_scale_v is None else round(one.full_scale_v, 6),
+            )
+            for one in found
+        )  # fmt: skip
+        loopback = player.loopback_channel
+        self._take_up("outputs", OutputsMeasured(**self._by("player"), loopback_channel=loopback, channel=channel))
         return setup
 
     def _mirror(self, setup: Setup, operator: Operator) -> Setup:
@@ -262,21 +234,12 @@ class CalibrationSession:
                 f"the map misses a mark by {found.worst_mm:.2f} mm, more than --limit-mm {self._request.limit_mm:g}: "
                 f"most likely mark {suspect_mark(found) + 1} is wrong; check its place and jog the beam onto it again"
             )
-        self._take_up(
-            "mirror",
-            MirrorMeasured(
-                **self._by("mirror"),
-                map=found.mirror_map.matrix,
-                residual_rms_mm=round(found.rms_mm, 6),
-                fiducial=tuple(
-                    Fiducial(place_mm=place, angles_mrad=angles, residual_mm=round(float(residual), 6))
-                    for place, angles, residual in zip(
-                        self._marks, found.angles_mrad.round(6).tolist(), found.residual_mm, strict=True
-                    )
-                ),
-            ),
-        )
-        return replace(setup, mirror_map=MirrorMap(found.mirror_map.matrix))
+        each = zip(self._marks, found.angles_mrad.round(6).tolist(), found.residual_mm.round(6).tolist(), strict=True)
+        fiducial = tuple(Fiducial(place_mm=place, angles_mrad=angles, residual_mm=off) for place, angles, off in each)
+        matrix, rms_mm = found.mirror_map.matrix, round(found.rms_mm, 6)
+        measured = MirrorMeasured(**self._by("mirror"), map=matrix, residual_rms_mm=rms_mm, fiducial=fiducial)
+        self._take_up("mirror", measured)
+        return replace(setup, mirror_map=MirrorMap(matrix))
 
     def _actuators(self, setup: Setup, operator: Operator) -> Setup:
         channels = self._rig.player.channels
@@ -294,23 +257,15 @@ class CalibrationSession:
                 )
         good = sum(verdict == "good" for verdict in found.verdict)
         operator.report(f"actuators: {good} of {len(channels)} good, measured at {self._distance_mm:g} mm from each")
-        self._take_up(
-            "actuators",
-            ActuatorsMeasured(
-                **self._by("player"),
-                distance_mm=self._distance_mm,
-                actuator=tuple(
-                    ActuatorMeasured(
-                        actuator=actuator,
-                        channel=channel,
-                        polarity=found.polarity[actuator],
-                        level_db=round(float(found.level_db[actuator]), 3),
-                        verdict=found.verdict[actuator],
-                    )
-                    for actuator, channel in enumerate(channels)
-                ),
-            ),
-        )
+        each = tuple(
+            ActuatorMeasured(
+                actuator=actuator, channel=channel, polarity=found.polarity[actuator],
+                level_db=round(float(found.level_db[actuator]), 3), verdict=found.verdict[actuator],
+            )
+            for actuator, channel in enumerate(channels)
+        )  # fmt: skip
+        distance_mm = self._distance_mm
+        self._take_up("actuators", ActuatorsMeasured(**self._by("player"), distance_mm=distance_mm, actuator=each))
         return setup
 
     def _need_vibrometer(self, setup: Setup, cables: Cables) -> None:

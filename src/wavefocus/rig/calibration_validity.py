@@ -125,15 +125,12 @@ def _named(rig: RigConfig) -> str:
 
 def _calibrated_as(rig: RigConfig, other: RigConfig) -> RigConfig:
     """A rig with all that a calibration says taken from another one."""
-    return rig.model_copy(
-        update={
-            "mirror": rig.mirror.model_copy(update={"map": other.mirror.map, "distance_mm": other.mirror.distance_mm}),
-            "recorder": rig.recorder.model_copy(update={"inter_channel_delay_s": other.recorder.inter_channel_delay_s}),
-            "player": rig.player.model_copy(
-                update={
-                    "full_scale_v": other.player.full_scale_v,
-                    "channel_full_scale_v": other.player.channel_full_scale_v,
-                }
-            ),
-        }
-    )
+    of_table = {
+        "mirror": ("map", "distance_mm"), "recorder": ("inter_channel_delay_s",),
+        "player": ("full_scale_v", "channel_full_scale_v"),
+    }  # fmt: skip
+    tables = {}
+    for name, keys in of_table.items():
+        theirs = getattr(other, name)
+        tables[name] = getattr(rig, name).model_copy(update={key: getattr(theirs, key) for key in keys})
+    return rig.model_copy(update=tables)

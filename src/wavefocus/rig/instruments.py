@@ -46,24 +46,14 @@ def openers_of(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool
         bench = virtual_rig(rig, virtual, realtime=realtime, outputs=outputs)
         roles = bench.instruments
         return Openers(
-            roles.clock,
-            lambda: _with_shutter(rig, roles.mirror, roles.clock),
-            lambda: roles.recorder,
-            lambda: roles.player,
-            lambda: _vibrometer(rig),
-            limit_s,
-            bench.patch_bay.connect,
-            bench.sensors,
-        )
+            roles.clock, lambda: _with_shutter(rig, roles.mirror, roles.clock), lambda: roles.recorder,
+            lambda: roles.player, lambda: _vibrometer(rig), limit_s, bench.patch_bay.connect, bench.sensors,
+        )  # fmt: skip
     clock = WallClock()
     return Openers(
-        clock,
-        lambda: _with_shutter(rig, _mirror(rig, clock), clock),
-        lambda: _recorder(rig),
-        lambda: _player(rig, outputs),
-        lambda: _vibrometer(rig),
-        limit_s,
-    )
+        clock, lambda: _with_shutter(rig, _mirror(rig, clock), clock), lambda: _recorder(rig),
+        lambda: _player(rig, outputs), lambda: _vibrometer(rig), limit_s,
+    )  # fmt: skip
 
 
 def open_instruments(openers: Openers) -> tuple[Instruments, VibrometerReading]:
@@ -90,14 +80,9 @@ def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
     driver = mirror.make_driver()
     with _reporting_missing_packages("mirror", mirror.driver):
         settings = MirrorSettings(
-            port=mirror.port or "",
-            baud=mirror.baud,
-            identity=mirror.identity,
-            settle_s=mirror.settle_s,
-            limit_mrad=mirror.limit_mrad,
-            park_mrad=mirror.park_mrad,
-            clock=clock,
-        )
+            port=mirror.port or "", baud=mirror.baud, identity=mirror.identity, settle_s=mirror.settle_s,
+            limit_mrad=mirror.limit_mrad, park_mrad=mirror.park_mrad, clock=clock,
+        )  # fmt: skip
         opened: Mirror = with_defaults(driver.open(settings), Mirror)
         return opened
 

@@ -133,20 +133,15 @@ class Operation:
         rig, setup = self._rig, self._setup
         mirror, recorder, player = names_of(setup.instruments)
         measured = rig.calibration.measured
-        self._publish(
-            Ready(
-                name=rig.rig.name,
-                instruments={"mirror": mirror, "recorder": recorder, "player": player},
-                surface=SurfaceSize(**rig.surface.model_dump()),
-                actuator_mm=tuple((x_mm, y_mm) for x_mm, y_mm in rig.actuator_mm.tolist()),
-                mapped=measured is not None and measured.mirror is not None,
-                limit_mrad=rig.mirror.limit_mrad,
-                level_v=_default_level_v(rig),
-                largest_level_v=largest_level_v(rig),
-                band_hz=SWEEP_BAND_HZ,
-                range_v=setup.range_v,
-            )
-        )
+        ready = Ready(
+            name=rig.rig.name, instruments={"mirror": mirror, "recorder": recorder, "player": player},
+            surface=SurfaceSize(**rig.surface.model_dump()),
+            actuator_mm=tuple((x_mm, y_mm) for x_mm, y_mm in rig.actuator_mm.tolist()),
+            mapped=measured is not None and measured.mirror is not None, limit_mrad=rig.mirror.limit_mrad,
+            level_v=_default_level_v(rig), largest_level_v=largest_level_v(rig), band_hz=SWEEP_BAND_HZ,
+            range_v=setup.range_v,
+        )  # fmt: skip
+        self._publish(ready)
 
     def due_s(self) -> float | None:
         """Seconds until `look` has something to do; None while it has nothing."""
@@ -263,11 +258,7 @@ def level_measured(levels: InputLevels, light: float | None = None) -> LevelMeas
 def faulted(failure: InstrumentError) -> Faulted:
     """An instrument's failure as a message."""
     return Faulted(
-        instrument=failure.role or failure.instrument.split(" ")[0],
-        device=failure.instrument,
-        operation=failure.operation,
-        cause=failure.cause,
-        remedy=failure.remedy,
-        passing=isinstance(failure, TransientInstrumentError),
-        sentence=" ".join(str(failure).split()),
-    )
+        instrument=failure.role or failure.instrument.split(" ")[0], device=failure.instrument,
+        operation=failure.operation, cause=failure.cause, remedy=failure.remedy,
+        passing=isinstance(failure, TransientInstrumentError), sentence=" ".join(str(failure).split()),
+    )  # fmt: skip

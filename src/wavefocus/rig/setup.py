@@ -87,18 +87,9 @@ def open_rig(rig: RigConfig, openers: Openers) -> Setup:
     """
     opened, vibrometer = open_instruments(openers)
     setup = wired(rig, bounded(opened, rig.recovery.hung_after_s), vibrometer)
-    return replace(
-        setup,
-        watch=watch_of(rig, opened.recorder, vibrometer, openers.sensors),
-        response_ranges_v=_response_ranges_v(rig, opened.recorder),
-    )
-
-
-def _response_ranges_v(rig: RigConfig, recorder: Recorder) -> tuple[float, ...]:
-    """Ranges that the response may step up to: the rig file's, or all that the recorder says it has."""
-    if rig.recorder.response_ranges_v is not None:
-        return rig.recorder.response_ranges_v
-    return recorder.input_ranges_v
+    watch, asked_v = watch_of(rig, opened.recorder, vibrometer, openers.sensors), rig.recorder.response_ranges_v
+    # The response may step up to the rig file's ranges, or to all that the recorder says it has.
+    return replace(setup, watch=watch, response_ranges_v=opened.recorder.input_ranges_v if asked_v is None else asked_v)
 
 
 @contextmanager

@@ -191,38 +191,34 @@ def messenger_for(bank: Path, section: MessagesSection, go_on: str = "") -> Mess
 
 
 REMEDY = "correct the address, or look whether its server can be reached from here"
-_EDIT = Act("edit-rig", "messages.urls")
 
 
 def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Finding]:
     """Look at the addresses of a rig file, and send a message to each if asked to; addresses are never shown."""
-    urls = addresses(rig.messages)
+    urls, edit = addresses(rig.messages), Act("edit-rig", "messages.urls")
     if not urls:
         if send:
             yield Finding(
-                "messages", "addresses", "fail", "there are none", "write messages.urls into the rig file", _EDIT
+                "messages", "addresses", "fail", "there are none", "write messages.urls into the rig file", edit
             )
         return
     if not send:
         try:
             AppriseOutbox(urls)
         except InputError as wrong:
-            yield Finding("messages", "addresses", "fail", str(wrong), "correct it", _EDIT)
+            yield Finding("messages", "addresses", "fail", str(wrong), "correct it", edit)
             return
         what = f"{len(urls)} given, none tried"
         yield Finding("messages", "addresses", "ok", what, "--test-message sends one to each", Act("test-message"))
-        return
-    for number, url in enumerate(urls):
-        kind = url.partition("://")[0][:20]
+    for number, url in enumerate(urls if send else ()):
+        check, kind = f"address {number}", url.partition("://")[0][:20]
         try:
             refused = AppriseOutbox([url]).send(f"{name}: test", "A test message of wavefocus doctor.")
         except InputError as wrong:
-            yield Finding("messages", f"address {number}", "fail", str(wrong).partition(": ")[2], "correct it", _EDIT)
-            continue
-        if refused:
-            yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY, _EDIT)
+            yield Finding("messages", check, "fail", str(wrong).partition(": ")[2], "correct it", edit)
         else:
-            yield Finding("messages", f"address {number}", "ok", f"{kind}: took a message")
+            taken = Finding("messages", check, "ok", f"{kind}: took a message")
+            yield Finding("messages", check, "fail", f"{kind}: took no message", REMEDY, edit) if refused else taken
 
 
 ALIVE_VARIABLE = "WAVEFOCUS_ALIVE_URL"
@@ -270,16 +266,8 @@ class AliveSignal:
 
     def signals(self) -> dict[str, Callable[[], None]]:
         """How a sign of life is given once, by the key that asks for it."""
-        found: dict[str, Callable[[], None]] = {}
-        if self._file is not None:
-            found["alive_file"] = self._touch
-        if self._url:
-            found["alive_url"] = self._ask
-        return found
-
-    def _touch(self) -> None:
-        assert self._file is not None
-        self._file.touch()
+        touch: dict[str, Callable[[], None]] = {} if self._file is None else {"alive_file": self._file.touch}
+        return touch | ({"alive_url": self._ask} if self._url else {})
 
     def _ask(self) -> None:
         with urllib.request.urlopen(self._url, timeout=20.0) as answer:

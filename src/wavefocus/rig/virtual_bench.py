@@ -90,8 +90,4 @@ def _outputs(rig: RigConfig, emulation: Emulation) -> tuple[tuple[float, ...] | 
     factor[: len(emulation.output_gains_db)] *= 10.0 ** (np.array(emulation.output_gains_db) / 20.0)
     late_s[: len(emulation.output_delays_s)] += emulation.output_delays_s
     gain = factor * rig.player.full_scale_v / np.array(rig.player.output_full_scale_v)
-    uneven = bool((gain != 1.0).any())
-    return (
-        tuple(late_s.tolist()) if late_s.any() else None,
-        tuple(gain.tolist()) if uneven else None,
-    )
+    return tuple(late_s.tolist()) if late_s.any() else None, tuple(gain.tolist()) if (gain != 1.0).any() else None

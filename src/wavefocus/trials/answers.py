@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -32,98 +32,79 @@ _CODE = re.compile(r"[A-Za-z0-9-]{1,20}")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
+def _column(
+    about: str,
+    *,
+    unit: str = "",
+    levels: Mapping[str, str] | None = None,
+    least: int | None = None,
+    absent: Any = MISSING,
+) -> Any:
+    """A column: its description with the keys of BIDS sidecar files, and its value where a file lacks it.
+
+    least: Of a whole number. absent: A column that a later version adds has it.
+    """
+    bids = {"Description": about, **({"Units": unit} if unit else {}), **({"Levels": levels} if levels else {})}
+    return field(metadata={"bids": bids, "least": least, "absent": absent})
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One answer; `COLUMNS` describes each field. Fields that are None, and empty texts, are empty in the file."""
+    """One answer. Fields that are None, and empty texts, are empty in the file."""
 
-    participant: str
-    block: int
-    trial: int
-    track: str
-    stimulus: str
-    path: str
-    signal: str
-    speed_mm_s: float | None
-    amplitude: float
-    plays: int
-    answer: str
-    correct: bool | None
-    reaction_s: float
-    onset_error_ms: float | None
-    onset_within_ms: float
-    replays: int
-    attempts: int
-    by: str
-    answered_at: str
-    stimulus_sha256: str
-    bank_sha256: str
-    trials_sha256: str
+    participant: str = _column("Code of the participant")
+    block: int = _column("Number of the block, from 1", least=1)
+    trial: int = _column("Number of the trial in the order of this participant, from 1", least=1)
+    track: str = _column("Adaptive track that the trial belongs to; empty where the design is not adaptive", absent="")
+    stimulus: str = _column("Name of the stimulus, that of its drive file in the folder stimuli")
+    path: str = _column("Path of the source, by its name in the trials file")
+    signal: str = _column("Signal of the source, by its name in the trials file")
+    speed_mm_s: float | None = _column("Speed along the path; empty for a point", unit="mm/s", absent=None)
+    amplitude: float = _column(
+        "Amplitude of the source, in the bank's response unit where the design normalises; 0: no stimulus"
+    )
+    plays: int = _column("Plays of the stimulus in one presentation", least=1, absent=1)
+    answer: str = _column("The participant's answer")
+    correct: bool | None = _column(
+        "Whether the answer is right; empty where the design has no right answer",
+        levels={"true": "right", "false": "wrong"}, absent=None,
+    )  # fmt: skip
+    reaction_s: float = _column(
+        "From the onset of the last presentation, as the recorder's loopback shows it, to the answer", unit="s"
+    )
+    onset_error_ms: float | None = _column(
+        "Onset by the recorder's loopback minus the onset by the request to play and the player's stated latency; empty"
+        " where the player states none", unit="ms", absent=None,
+    )  # fmt: skip
+    onset_within_ms: float = _column(
+        "Uncertainty of the onset on the machine's clock, to either side, and so of reaction_s: half of the time that"
+        " the start of the record took", unit="ms",
+    )  # fmt: skip
+    replays: int = _column("How often the participant asked for the stimulus again", least=0, absent=0)
+    attempts: int = _column(
+        "Presentations begun for this answer but for replays; more than 1 where an instrument was lost, or the onset"
+        " was not found, and the trial was repeated", least=1, absent=1,
+    )  # fmt: skip
+    by: str = _column("Input of the answer", levels={
+        "keyboard": "key", "button": "button on the screen, by a pointer", "touch": "button on the screen, by touch",
+        "program": "program that answers",
+    })  # fmt: skip
+    answered_at: str = _column("Instant of the answer, ISO 8601 with time zone")
+    stimulus_sha256: str = _column("SHA-256 of the values of the stimulus's drive")
+    bank_sha256: str = _column("SHA-256 of the bank file")
+    trials_sha256: str = _column("SHA-256 of the trials file, a byte-order mark left out")
 
 
-COLUMNS: Mapping[str, Mapping[str, Any]] = {
-    "participant": {"Description": "Code of the participant"},
-    "block": {"Description": "Number of the block, from 1"},
-    "trial": {"Description": "Number of the trial in the order of this participant, from 1"},
-    "track": {"Description": "Adaptive track that the trial belongs to; empty where the design is not adaptive"},
-    "stimulus": {"Description": "Name of the stimulus, that of its drive file in the folder stimuli"},
-    "path": {"Description": "Path of the source, by its name in the trials file"},
-    "signal": {"Description": "Signal of the source, by its name in the trials file"},
-    "speed_mm_s": {"Description": "Speed along the path; empty for a point", "Units": "mm/s"},
-    "amplitude": {
-        "Description": "Amplitude of the source, in the bank's response unit where the design normalises; 0: no"
-        " stimulus"
-    },
-    "plays": {"Description": "Plays of the stimulus in one presentation"},
-    "answer": {"Description": "The participant's answer"},
-    "correct": {
-        "Description": "Whether the answer is right; empty where the design has no right answer",
-        "Levels": {"true": "right", "false": "wrong"},
-    },
-    "reaction_s": {
-        "Description": "From the onset of the last presentation, as the recorder's loopback shows it, to the answer",
-        "Units": "s",
-    },
-    "onset_error_ms": {
-        "Description": "Onset by the recorder's loopback minus the onset by the request to play and the player's stated"
-        " latency; empty where the player states none",
-        "Units": "ms",
-    },
-    "onset_within_ms": {
-        "Description": "Uncertainty of the onset on the machine's clock, to either side, and so of reaction_s: half of"
-        " the time that the start of the record took",
-        "Units": "ms",
-    },
-    "replays": {"Description": "How often the participant asked for the stimulus again"},
-    "attempts": {
-        "Description": "Presentations begun for this answer but for replays; more than 1 where an instrument was lost,"
-        " or the onset was not found, and the trial was repeated"
-    },
-    "by": {
-        "Description": "Input of the answer",
-        "Levels": {
-            "keyboard": "key",
-            "button": "button on the screen, by a pointer",
-            "touch": "button on the screen, by touch",
-            "program": "program that answers",
-        },
-    },
-    "answered_at": {"Description": "Instant of the answer, ISO 8601 with time zone"},
-    "stimulus_sha256": {"Description": "SHA-256 of the values of the stimulus's drive"},
-    "bank_sha256": {"Description": "SHA-256 of the bank file"},
-    "trials_sha256": {"Description": "SHA-256 of the trials file, a byte-order mark left out"},
-}
+COLUMNS: Mapping[str, Mapping[str, Any]] = {one.name: one.metadata["bids"] for one in fields(Row)}
 """Description of every column, in their order, with the keys of BIDS sidecar files."""
-
-DEFAULTS: Mapping[str, Any] = {
-    "track": "", "speed_mm_s": None, "plays": 1, "correct": None, "onset_error_ms": None, "replays": 0, "attempts": 1
-}  # fmt: skip
-"""Values of columns that a file may lack. A column that a later version adds has its default here."""
+DEFAULTS = {one.name: one.metadata["absent"] for one in fields(Row) if one.metadata["absent"] is not MISSING}
+"""Values of columns that a file may lack."""
 
 _HEADER = ",".join(COLUMNS) + _LINE_END
 _SECTOR = 512  # bytes that a disk writes as a whole, at least
 _BYTE_ORDER_MARK = "\ufeff".encode()
 _TYPES = get_type_hints(Row)
-_NUMBERS = {"block": 1, "trial": 1, "plays": 1, "replays": 0, "attempts": 1}
+_LEAST = {one.name: one.metadata["least"] for one in fields(Row)}
 
 
 def check_participant(code: str) -> str:
@@ -359,8 +340,7 @@ def _value(name: str, cell: str) -> Any:
         return cell == "true"
     if kind is str:
         return cell
-    least = _NUMBERS.get(name)
-    if least is not None:
+    if (least := _LEAST[name]) is not None:
         if not re.fullmatch(r"\d{1,9}", cell) or int(cell) < least:
             raise ValueError(f"{name} is {cell!r}; allowed: a whole number, {least} or more")
         return int(cell)

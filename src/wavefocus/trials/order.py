@@ -13,7 +13,6 @@ from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,16 +53,6 @@ class Trial:
     track: str = ""
 
 
-class Order(Protocol):
-    """Trials of a participant, one after another."""
-
-    def next_trial(self) -> Trial | None:
-        """The trial to be answered now, the same until it is; None where all are."""
-
-    def answered(self, answer: str) -> None:
-        """Take the answer to that trial."""
-
-
 class Draws:
     """Draws that follow from a text, the same for every version of Python.
 
@@ -84,19 +73,14 @@ class Draws:
         return bisect(sums, self.below(sums[-1]))
 
 
-def draws_of(design: TrialsDesign, participant: str) -> Draws:
-    """The draws of a participant's order."""
-    return Draws(f"{design.config.trials.seed} {participant}")
-
-
 class FixedOrder:
     """Every stimulus equally often in each block."""
 
     def __init__(self, design: TrialsDesign, participant: str) -> None:
         trials = design.config.trials
-        each = trials.repetitions // trials.blocks
+        each, draws = trials.repetitions // trials.blocks, Draws(f"{trials.seed} {participant}")
         names = ordered(
-            list(design.stimuli), lambda name: design.stimuli[name].level(design.alike), draws_of(design, participant),
+            list(design.stimuli), lambda name: design.stimuli[name].level(design.alike), draws,
             each=each, blocks=trials.blocks, most_alike=trials.most_alike,
         )  # fmt: skip
         in_block = each * len(design.stimuli)
@@ -104,9 +88,11 @@ class FixedOrder:
         self._done = 0
 
     def next_trial(self) -> Trial | None:
+        """The trial to be answered now, the same until it is; None where all are."""
         return self.trials[self._done] if self._done < len(self.trials) else None
 
     def answered(self, answer: str) -> None:
+        """Take the answer to that trial."""
         self._done += 1
 
 
@@ -275,7 +261,7 @@ class AdaptiveOrder:
         adaptive, trials = design.config.adaptive, design.config.trials
         assert adaptive is not None
         assert trials.correct is not None
-        self._draws, self._most_alike = draws_of(design, participant), trials.most_alike
+        self._draws, self._most_alike = Draws(f"{trials.seed} {participant}"), trials.most_alike
         self._stimuli = design.stimuli
         self._tracks: dict[str, Track] = {}
         self._named: dict[str, dict[float, dict[str, str]]] = {}
@@ -319,6 +305,10 @@ class Experiment:
     design: TrialsDesign
     stimulus_sha256: Mapping[str, str] = field(default_factory=dict)
     bank_sha256: str | None = None
+
+
+Order = FixedOrder | AdaptiveOrder
+"""Trials of a participant, one after another."""
 
 
 def order_of(design: TrialsDesign, participant: str) -> Order:

@@ -25,6 +25,7 @@ from wavefocus.config.messages.trials import (
 )
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import ANSWERS, AnswersFile, Row, check_participant
+from wavefocus.trials.design import FACTS_OF_A_STIMULUS
 from wavefocus.trials.order import Experiment, Trial, resume_sequence
 from wavefocus.trials.presentation import Onset
 
@@ -229,30 +230,17 @@ class TrialsSession:
     def _row(self, trial: Trial, answer: Answer, onset: Onset, replays: int, attempts: int) -> Row:
         stimulus = self._design.stimuli[trial.stimulus]
         assert answer.at_s is not None
+        of_stimulus = {key: getattr(stimulus, key) for key in FACTS_OF_A_STIMULUS if key not in ("correct", "track")}
         return Row(
-            participant=self._participant,
-            block=trial.block,
-            trial=trial.number,
-            track=trial.track,
-            stimulus=stimulus.name,
-            path=stimulus.path,
-            signal=stimulus.signal,
-            speed_mm_s=stimulus.speed_mm_s,
-            amplitude=stimulus.amplitude,
-            plays=stimulus.plays,
-            answer=answer.choice,
-            correct=None if stimulus.correct is None else answer.choice == stimulus.correct,
-            reaction_s=answer.at_s - onset.at_s,
-            onset_error_ms=onset.error_ms,
-            onset_within_ms=onset.within_ms,
-            replays=replays,
-            attempts=attempts,
-            by=answer.by,
+            participant=self._participant, block=trial.block, trial=trial.number, track=trial.track,
+            stimulus=stimulus.name, **of_stimulus,
+            answer=answer.choice, correct=None if stimulus.correct is None else answer.choice == stimulus.correct,
+            reaction_s=answer.at_s - onset.at_s, onset_error_ms=onset.error_ms, onset_within_ms=onset.within_ms,
+            replays=replays, attempts=attempts, by=answer.by,
             answered_at=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
-            stimulus_sha256=self._experiment.stimulus_sha256[stimulus.name],
-            bank_sha256=self._bank_sha256,
+            stimulus_sha256=self._experiment.stimulus_sha256[stimulus.name], bank_sha256=self._bank_sha256,
             trials_sha256=self._design.sha256,
-        )
+        )  # fmt: skip
 
     def _expect(self, *kinds: type[Message]) -> Any:
         """Wait for an order of one of some kinds; others are refused. Raises _EndedError."""
@@ -261,7 +249,8 @@ class TrialsSession:
             if isinstance(order, kinds):
                 return order
             if order is not None:
-                self._refuse(f"{tag(order)} is not for now; allowed: {_named(*kinds, EndTrials)}")
+                allowed = ", ".join(tag(kind) for kind in (*kinds, EndTrials))
+                self._refuse(f"{tag(order)} is not for now; allowed: {allowed}")
 
     def _refuse_orders(self, seconds: float) -> None:
         """Let time pass in which nothing may be ordered but the end."""
@@ -298,7 +287,3 @@ class TrialsSession:
         block = self._table.blocks if self._trial is None else self._trial.block
         phase, waiting = self._state.value
         self._publish(TrialsState(phase, waiting, number, of, block, self._table.blocks, note))
-
-
-def _named(*kinds: type[Message]) -> str:
-    return ", ".join(tag(kind) for kind in kinds)

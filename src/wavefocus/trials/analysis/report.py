@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,7 +23,6 @@ NAMES = {
 }  # fmt: skip
 MAX_BARS = 36
 MAX_CURVES = 12
-_COLUMNS = 4
 
 
 @drawn_in_style
@@ -63,16 +61,15 @@ def share_bars(name: str, shares: Sequence[Share], what: str, chance: float | No
 def psychometric_curves(name: str, found: Sequence[Psychometric]) -> Picture:
     """Fitted functions with the observed shares, whose area goes with the number of answers; up to twelve."""
     shown = found[:MAX_CURVES]
-    columns = min(len(shown), _COLUMNS)
+    columns = min(len(shown), 4)
     lines = math.ceil(len(shown) / columns)
     canvas = Canvas(name, 60 + columns * 256, 26 + lines * 236)
     for index, function in enumerate(shown):
         line, column = divmod(index, columns)
         axes = canvas.plot(56 + column * 256, 28 + line * 236, 208, 160)
         _curve(axes, function)
-        axes.set_title(
-            ", ".join([function.participant, *filter(None, [function.track]), *function.factors.values()]), fontsize=9
-        )
+        title = filter(None, [function.participant, function.track, *function.factors.values()])
+        axes.set_title(", ".join(title), fontsize=9)
         axes.set_ylabel("right (%)" if column == 0 else "")
         axes.set_xlabel(NAMES[function.factor] if index + columns >= len(shown) else "")
     return canvas.picture()
@@ -127,8 +124,7 @@ MAX_UNFIT = 20
 """Rows that are left out and named one by one."""
 
 
-@dataclass(frozen=True, slots=True)
-class PageTable:
+class PageTable(NamedTuple):
     """A table of the report; its first `words` columns are words, the others numbers."""
 
     head: Sequence[str]
@@ -136,8 +132,7 @@ class PageTable:
     words: int
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+class Section(NamedTuple):
     """A section of the report."""
 
     title: str
@@ -152,14 +147,8 @@ def build_report(analysis: Analysis, facts: Sequence[tuple[str, str]]) -> tuple[
 
     facts: Names and values of the last table.
     """
-    sections = [
-        *_psychometric(analysis),
-        *_shares(analysis),
-        *_sensitivity(analysis),
-        *_confusion(analysis),
-        *_times(analysis),
-    ]
-    sections += _onsets(analysis)
+    parts = (_psychometric, _shares, _sensitivity, _confusion, _times, _onsets)
+    sections = [section for part in parts for section in part(analysis)]
     html = html_page(
         "analysis.html.jinja", "wavefocus.trials", analysis=analysis, headlines=list(_headlines(analysis)),
         notes=list(_notes(analysis)), sections=sections, facts=facts,
@@ -227,31 +216,15 @@ def _shares(analysis: Analysis) -> Iterator[Section]:
             caption = f"Share of {what}, all participants together, with 95 % intervals."
             if chance is not None:
                 caption += f" Dashed: chance, 1 of {len(analysis.answers)} answers."
-        rows = [
-            [*share.factors.values(), str(share.count), str(share.of), percent(share.share), _ends(share)]
-            for share in shares
-        ]
+        rows = [[*share.factors.values(), *_counted(share)] for share in shares]
         head = [*(NAMES[factor] for factor in factors), "right" if right else "answers", "of", "share", "95 % interval"]
         title = f"{what[0].upper()}{what[1:]} by {' and '.join(NAMES[factor] for factor in factors)}"
         yield Section(title, definition, [PageTable(head, rows, len(factors))], pictures, caption)
     own = [share for share in analysis.shares if share.participant and not share.factors]
-    rows = [
-        [share.participant, *([] if right else [share.outcome]), str(share.count), str(share.of), percent(share.share),
-         _ends(share)]
-        for share in own
-    ]  # fmt: skip
-    head = [
-        "participant",
-        *([] if right else ["answer"]),
-        "right" if right else "answers",
-        "of",
-        "share",
-        "95 % interval",
-    ]
-    yield Section(
-        "Participants", f"{definition} The shares of each by factor are in analysis.json.",
-        [PageTable(head, rows, 1 if right else 2)],
-    )  # fmt: skip
+    rows = [[share.participant, *([] if right else [share.outcome]), *_counted(share)] for share in own]
+    counted = ["right"] if right else ["answer", "answers"]
+    table = PageTable(["participant", *counted, "of", "share", "95 % interval"], rows, 1 if right else 2)
+    yield Section("Participants", f"{definition} The shares of each by factor are in analysis.json.", [table])
 
 
 def _drawn(pooled: Mapping[tuple[tuple[str, ...], str], Sequence[Share]]) -> set[tuple[tuple[str, ...], str]]:
@@ -299,9 +272,16 @@ def _confusion(analysis: Analysis) -> Iterator[Section]:
     )
 
 
+_UNRESOLVED = (
+    " * steeper than the levels can resolve: the answers do not exclude a step between two levels, and the slope is a"
+    " lower bound; use levels that are closer together, or more trials."
+)
+
+
 def _psychometric(analysis: Analysis) -> Iterator[Section]:
     if not analysis.psychometric:
         return
+    resolved = all(function.fit.slope_resolved for function in analysis.psychometric)
     staircase = any(function.reversals_threshold is not None for function in analysis.psychometric)
     rows = [
         [function.participant, function.track or _levels(function.factors) or "all", number(function.fit.threshold),
@@ -331,12 +311,7 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
         " given as a level. Maximum of the likelihood with Firth's penalty; guess held, lapse fitted between 0 and"
         f" {percent(MAX_LAPSES)}. Intervals: profile likelihood, chi-square limit. p of the deviance: by chi-square;"
         " below 0.05 the function does not describe the answers."
-        + (
-            ""
-            if all(function.fit.slope_resolved for function in analysis.psychometric)
-            else " * steeper than the levels can resolve: the answers do not exclude a step between two levels,"
-            " and the slope is a lower bound; use levels that are closer together, or more trials."
-        )
+        + ("" if resolved else _UNRESOLVED)
         + (" By reversals: geometric mean of the levels at the last reversals." if staircase else ""),
         [PageTable(head, rows, 2)],
         [psychometric_curves("psychometric", analysis.psychometric)],
@@ -382,6 +357,10 @@ def _onsets(analysis: Analysis) -> Iterator[Section]:
 
 def _levels(factors: Mapping[str, str]) -> str:
     return ", ".join(f"{NAMES[factor].partition(' (')[0]} {level}" for factor, level in factors.items())
+
+
+def _counted(share: Share) -> list[str]:
+    return [str(share.count), str(share.of), percent(share.share), _ends(share)]
 
 
 def _ends(share: Share) -> str:

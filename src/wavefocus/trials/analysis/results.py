@@ -95,21 +95,13 @@ def analysis_of(
     """
     answers = table_of(rows)
     return Analysis(
-        design.name,
-        design.question,
-        design.answers,
+        design.name, design.question, design.answers,
         {code: len(own) for code, own in answers.groupby("participant")},
-        tuple(sorted(answers.bank_sha256.unique())),
-        tuple(sorted(answers.trials_sha256.unique())),
-        shares_of(answers),
-        sensitivities_of(answers, design.answers),
-        psychometric_of(answers, design.answers, adaptive),
-        confusions_of(answers, design),
-        reaction_times_of(answers),
-        onset_errors_of(answers),
-        int(answers.replays.sum()),
-        tuple(left_out),
-    )
+        tuple(sorted(answers.bank_sha256.unique())), tuple(sorted(answers.trials_sha256.unique())),
+        shares_of(answers), sensitivities_of(answers, design.answers),
+        psychometric_of(answers, design.answers, adaptive), confusions_of(answers, design),
+        reaction_times_of(answers), onset_errors_of(answers), int(answers.replays.sum()), tuple(left_out),
+    )  # fmt: skip
 
 
 def psychometric_of(
@@ -120,7 +112,10 @@ def psychometric_of(
     names: Answers of the design.
     """
     judged = answers[answers.correct.notna()]
-    factor = table.factor if table else _factor(judged)
+    candidates = ("amplitude", "speed_mm_s") if table is None else (table.factor,)
+    # Levels above 0 from which a factor gets a psychometric function where the design is not adaptive.
+    least = 5 if table is None else 0
+    factor = next((one for one in candidates if judged[one][judged[one] > 0.0].nunique() >= least), None)
     if factor is None:
         return ()
     parting = [other for other in factors_of(judged) if other not in (factor, "plays") and not _decides(judged, other)]
@@ -136,15 +131,6 @@ def psychometric_of(
             factors = {} if table else levels
             found.append(Psychometric(person["participant"], levels.get("track", ""), factors, factor, fit, reversals))
     return tuple(found)
-
-
-def _factor(answers: DataFrame) -> str | None:
-    """The factor of constant stimuli."""
-    for factor in ("amplitude", "speed_mm_s"):
-        # Levels above 0 from which a factor gets a psychometric function where the design is not adaptive.
-        if answers[factor][answers[factor] > 0.0].nunique() >= 5:
-            return factor
-    return None
 
 
 def _decides(answers: DataFrame, factor: str) -> bool:

@@ -213,11 +213,6 @@ class Confusion:
     participant: str
     counts: tuple[tuple[int, ...], ...]
 
-    @property
-    def right(self) -> int:
-        """Right answers."""
-        return sum(row[index] for index, row in enumerate(self.counts))
-
 
 def confusions_of(answers: DataFrame, design: TrialsTable) -> tuple[Confusion, ...]:
     """Confusion matrices of all together and of each participant; none where no answer is right or wrong."""
