@@ -20,23 +20,13 @@ FUNCTIONS = {
 CLASSES = {
     "Files and arrays": ("Bank", "GreenArray", "Drive", "Field", "FocusResults", "RawFile"),
     "Scenes": (
-        "Scene",
-        "Source",
-        "QuietPlace",
-        "Point",
-        "Line",
-        "Circle",
-        "Polyline",
-        "TrajectoryPath",
-        "Impulse",
-        "Sine",
-        "Noise",
-        "SoundFile",
+        "Scene", "Source", "QuietPlace", "Point", "Line", "Circle", "Polyline", "TrajectoryPath", "Impulse", "Sine",
+        "Noise", "SoundFile",
     ),
     "Live sources": ("LiveSources",),
     "The virtual rig": ("VirtualBench",),
     "Errors": ("InputError",),
-}
+}  # fmt: skip
 CALLED = {"GreenArray", "Drive", "Field", *CLASSES["Scenes"]}
 """Classes that people make themselves; the others come from functions."""
 WIDTH = 88

@@ -64,14 +64,11 @@ def cluster_client(address: str) -> Iterator[Any]:
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             if local:
-                where = opened.enter_context(
-                    distributed.LocalCluster(
-                        n_workers=workers,
-                        threads_per_worker=1,
-                        dashboard_address="127.0.0.1:0",
-                        silence_logs=logging.CRITICAL,
-                    )
-                )
+                here = distributed.LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )  # fmt: skip
+                where = opened.enter_context(here)
             else:
                 where = address
             client = opened.enter_context(distributed.Client(where, timeout=20.0, set_as_default=False))

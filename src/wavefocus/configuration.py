@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -237,22 +238,18 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     if run.capture.groups > actuators:
         allowed = f"must be at most {actuators}, the number of actuators"
         raise InputError(f"{source}: capture.groups = {run.capture.groups}: {allowed}")
-    amplitude_v, key = run.sweep.amplitude_v, f"{source}: sweep.amplitude_v"
-    if amplitude_v > rig.player.limit_v:
-        allowed = f"must be at most player.limit_v = {rig.player.limit_v:g} of the rig"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
-    weakest_v = min(rig.player.output_full_scale_v[one] for one in (*rig.player.channels, rig.player.loopback_channel))
-    if amplitude_v > weakest_v:
-        allowed = f"must be at most {weakest_v:g}, the full scale of the rig's weakest output"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
-    rms_limit = rig.player.rms_limit
-    if rms_limit is not None and amplitude_v / 2**0.5 > rms_limit[1]:
-        allowed = f"must be at most {rms_limit[1] * 2**0.5:.4g}, or its rms is beyond the rig's {rms_limit[0]}"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
-    loudest_v = rig.recorder.reference_range_v / rig.recorder.reference_gain
-    if amplitude_v > loudest_v:
-        allowed = f"must be at most {loudest_v:g} (the rig's recorder.reference_range_v / reference_gain)"
-        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+    player, recorder, amplitude_v = rig.player, rig.recorder, run.sweep.amplitude_v
+    weakest_v = min(player.output_full_scale_v[one] for one in (*player.channels, player.loopback_channel))
+    loudest_v = recorder.reference_range_v / recorder.reference_gain
+    rms_key, rms_v = player.rms_limit or ("", math.inf)
+    for largest_v, allowed in (
+        (player.limit_v, f"player.limit_v = {player.limit_v:g} of the rig"),
+        (weakest_v, f"{weakest_v:g}, the full scale of the rig's weakest output"),
+        (rms_v * 2**0.5, f"{rms_v * 2**0.5:.4g}, or its rms is beyond the rig's {rms_key}"),
+        (loudest_v, f"{loudest_v:g} (the rig's recorder.reference_range_v / reference_gain)"),
+    ):
+        if amplitude_v > largest_v:
+            raise InputError(f"{source}: sweep.amplitude_v = {amplitude_v:g}: must be at most {allowed}")
 
 
 def _check_faults(made: Callable[..., object], plan: Sequence[Table], key: str) -> None:

@@ -82,19 +82,14 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
         estimated = np.median(kernel.estimate(bank, usable_mm, np.array(FREQUENCIES_HZ), other).relative, axis=1)
         for index, frequency in enumerate(FREQUENCIES_HZ):
             mark = MARKS.get((error_db, frequency)) if name == "kernel" else None
-            points.append(
-                Entry(
-                    work=f"errors on {'a noise-free bank' if error_db is None else f'a bank of {error_db:g} dB'}",
-                    method=name,
-                    parameters={"frequency_hz": frequency},
-                    error=float(np.median(error[:, index])),
-                    figures={
-                        "worst_error": float(error[:, index].max()),
-                        "estimated_error": float(estimated[index]),
-                    },
-                    marks=() if mark is None else (Mark("error", mark, at_most=True),),
-                )
-            )
+            here = error[:, index]
+            entry = Entry(
+                work=f"errors on {'a noise-free bank' if error_db is None else f'a bank of {error_db:g} dB'}",
+                method=name, parameters={"frequency_hz": frequency}, error=float(np.median(here)),
+                figures={"worst_error": float(here.max()), "estimated_error": float(estimated[index])},
+                marks=() if mark is None else (Mark("error", mark, at_most=True),),
+            )  # fmt: skip
+            points.append(entry)
     return points
 
 

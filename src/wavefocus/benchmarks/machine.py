@@ -66,14 +66,8 @@ def _version(name: str) -> str | None:
 def _commit() -> str | None:
     """The commit that is checked out around this module, with a plus where files differ from it."""
     try:
-        done = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10,
-        )
+        command, here = ["git", "describe", "--always", "--dirty=+"], Path(__file__).parent
+        done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None

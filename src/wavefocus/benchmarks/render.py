@@ -413,9 +413,5 @@ def _precision_points(*, quick: bool) -> list[Entry]:
         drive_v = timing.result if isinstance(timing.result, np.ndarray) else timing.result[0].drive_v
         # A sampled path may emit a little longer: up to here, nothing emitted after the last sample has come.
         error = None if method == SUMMED else relative_error(drive_v[:, :samples], truth[:, :samples])
-        points.append(
-            Entry(
-                work=work, method=method, parameters=parameters, timing=timing, error=error,
-            )
-        )  # fmt: skip
+        points.append(Entry(work=work, method=method, parameters=parameters, timing=timing, error=error))
     return points

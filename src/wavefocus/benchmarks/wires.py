@@ -62,16 +62,10 @@ def serve_instruments(period_frames: int) -> None:
 
     virtual = settings()
     wiring = Wiring(
-        mirror_dialect="asi-tiger",
-        mirror_port="socket://127.0.0.1:0",
-        mirror_full_scale_mrad=virtual.limit_mrad,
-        ni_product="USB-6211",
-        ni_device="Dev1",
-        ni_address="localhost:0",
-        full_scale_v=(FULL_SCALE_V,) * virtual.player_channels,
-        interface_rate_hz=INTERFACE_RATE_HZ,
-        period_frames=period_frames,
-    )
+        mirror_dialect="asi-tiger", mirror_port="socket://127.0.0.1:0", mirror_full_scale_mrad=virtual.limit_mrad,
+        ni_product="USB-6211", ni_device="Dev1", ni_address="localhost:0", period_frames=period_frames,
+        full_scale_v=(FULL_SCALE_V,) * virtual.player_channels, interface_rate_hz=INTERFACE_RATE_HZ,
+    )  # fmt: skip
     with EmulatedRig(virtual, wiring) as sides:
         assert sides.mirror is not None  # it is on a serial line
         places = {"mirror": sides.mirror.address, "recorder": sides.recorder.address}
@@ -130,15 +124,11 @@ def opened(sides: EmulatedInstruments, post_roll_s: float = 0.4) -> Iterator[Set
         environment=sides.environment,
     )  # fmt: skip
     setup = Setup(
-        instruments=Instruments(mirror, recorder, player, clock),
-        mirror_map=MirrorMap.straight(1000.0),
-        actuator_channels=virtual.channel_of_actuator,
-        loopback_channel=virtual.channel_of_loopback,
-        range_v=(5.0, 10.0),
-        response_per_volt=virtual.sensitivity_m_s_per_v,
-        inter_channel_delay_s=1.4e-5,
+        instruments=Instruments(mirror, recorder, player, clock), mirror_map=MirrorMap.straight(1000.0),
+        actuator_channels=virtual.channel_of_actuator, loopback_channel=virtual.channel_of_loopback,
+        range_v=(5.0, 10.0), response_per_volt=virtual.sensitivity_m_s_per_v, inter_channel_delay_s=1.4e-5,
         post_roll_s=post_roll_s,
-    )
+    )  # fmt: skip
     try:
         yield setup
     finally:

@@ -82,9 +82,7 @@ MEASURE = (
     ),
     Command(
         "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
-        (
-            RUN, SCENES, switch("--details", help="Also sweeps, sentinel and instruments."), JSON,
-        ),
+        (RUN, SCENES, switch("--details", help="Also sweeps, sentinel and instruments."), JSON),
     ),
     Command(
         "capture", "capture:capture",
@@ -244,20 +242,15 @@ USE = (
         "analyse", "analyse:analyse",
         "Analyse the answers to trials: accuracy, psychometric functions, report, BIDS-like folder.\n\n"
         "docs/reference/trials.md defines every figure.",
-        (
-            file("folder", metavar="FOLDER", help="The folder that `wavefocus trials` wrote."),
-            _out("OUT", "Folder for the results; by default FOLDER/analysis.", required=False),
-            FORCE, JSON,
-        ),
+        (file("folder", metavar="FOLDER", help="The folder that `wavefocus trials` wrote."),
+         _out("OUT", "Folder for the results; by default FOLDER/analysis.", required=False), FORCE, JSON),
     ),
 )  # fmt: skip
 
 RIG_AND_DATA = (
     Command(
         "doctor", "doctor:doctor", "Check every instrument, and say what to do about each fault.",
-        (
-            RIG, *options_of(DoctorOptions),
-        ),
+        (RIG, *options_of(DoctorOptions)),
         DoctorOptions,
     ),
     Command(
@@ -291,10 +284,7 @@ RIG_AND_DATA = (
     Command(
         "estimate", "bank:estimate",
         "Estimate Green's functions from kept recordings.\n\nGoes on where a stopped estimate left off.",
-        (
-            file("raw", metavar="RAW.h5", help="The file of raw recordings."),
-            FROM_BANK, CLUSTER, JSON,
-        ),
+        (file("raw", metavar="RAW.h5", help="The file of raw recordings."), FROM_BANK, CLUSTER, JSON),
     ),
     Command(
         "import", "bank:import_bank",
@@ -306,7 +296,7 @@ RIG_AND_DATA = (
             file("source", metavar="SRC", help="The file; for wav a folder."),
             file("--bank", metavar="OUT.h5", required=True, help="The bank to write."),
             argument("--from", dest="kind", choices=tuple(IMPORTS), default="", help="Format, by default recognised."),
-            *options_of(ImportOptions, *(one for one in ImportOptions.__dataclass_fields__ if one != "end")),
+            *options_of(ImportOptions),
             FORCE, JSON,
         ),
         ImportOptions,

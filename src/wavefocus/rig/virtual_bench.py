@@ -33,37 +33,25 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
     delay_s = emulation.inter_channel_delay_s
     latency_s, gain = _outputs(rig, emulation)
     return VirtualSettings(
-        seed=seed,
-        noise_v=defaults.noise_v if noise_v is None else noise_v,
+        seed=seed, noise_v=defaults.noise_v if noise_v is None else noise_v,
         reference_noise_v=(
             defaults.reference_noise_v if emulation.reference_noise_v is None else emulation.reference_noise_v
         ),
-        noise_per_response=emulation.noise_per_response,
-        cubic_per_v2=emulation.cubic_per_v2,
-        crosstalk=crosstalk,
-        crosstalk_delay_s=leak_s,
-        clock_ppm=emulation.clock_ppm,
-        actuator_mm=rig.actuators.position_mm,
-        actuator_channels=_wired(rig),
-        loopback_channel=rig.player.loopback_channel,
-        output_latency_s=latency_s,
-        output_gain=gain,
+        noise_per_response=emulation.noise_per_response, cubic_per_v2=emulation.cubic_per_v2,
+        crosstalk=crosstalk, crosstalk_delay_s=leak_s, clock_ppm=emulation.clock_ppm,
+        actuator_mm=rig.actuators.position_mm, actuator_channels=_wired(rig),
+        loopback_channel=rig.player.loopback_channel, output_latency_s=latency_s, output_gain=gain,
         actuator_strength=strength(emulation, len(rig.actuators.position_mm)),
-        plate=plate.plate,
-        plate_keys=tuple(plate.plate_keys.items()),
-        outline=rig.surface.outline,
+        plate=plate.plate, plate_keys=tuple(plate.plate_keys.items()), outline=rig.surface.outline,
         mirror=MirrorGeometry(matrix=emulation.mirror_map or rig.mirror.matrix),
-        settle_s=rig.mirror.settle_s,
-        limit_mrad=rig.mirror.limit_mrad,
-        park_mrad=rig.mirror.park_mrad,
+        settle_s=rig.mirror.settle_s, limit_mrad=rig.mirror.limit_mrad, park_mrad=rig.mirror.park_mrad,
         full_scale_v=rig.player.full_scale_v,
         sensitivity_m_s_per_v=rig.vibrometer.sensitivity_m_s_per_v or defaults.sensitivity_m_s_per_v,
-        inter_channel_delay_s=(rig.recorder.inter_channel_delay_s if delay_s is None else delay_s),
-        vibrometer_latency_s=rig.vibrometer.latency_s or 0.0,
-        room_c=_room_c(emulation, virtual) or defaults.room_c,
+        inter_channel_delay_s=rig.recorder.inter_channel_delay_s if delay_s is None else delay_s,
+        vibrometer_latency_s=rig.vibrometer.latency_s or 0.0, room_c=_room_c(emulation, virtual) or defaults.room_c,
         light=defaults.light if virtual is None or not virtual.light else virtual.light,
         fault_plan=() if virtual is None else tuple(RigFault(**fault.model_dump()) for fault in virtual.fault_plan),
-    )
+    )  # fmt: skip
 
 
 def _wired(rig: RigConfig) -> tuple[int, ...]:
