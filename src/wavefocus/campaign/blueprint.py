@@ -126,7 +126,7 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
     capture = run.capture
     excitation = PlayedExcitation(
         capture.sample_rate_hz, run.sweep.start_hz, run.sweep.stop_hz, run.sweep.duration_s, capture.decay_s,
-        run.sweep.amplitude_v * 10 ** (capture.level_db / 20), capture.averages, run.sweep.waveform,
+        run.sweep.amplitude_v * 10 ** (capture.level_db / 20), capture.averages, waveform=run.sweep.waveform,
     )  # fmt: skip
     staggered = None
     if capture.excitation == "staggered":

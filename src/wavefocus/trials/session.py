@@ -249,7 +249,7 @@ class TrialsSession:
             if isinstance(order, kinds):
                 return order
             if order is not None:
-                allowed = ", ".join(tag(kind) for kind in (*kinds, EndTrials))
+                allowed = ", ".join([*map(tag, kinds), tag(EndTrials)])
                 self._refuse(f"{tag(order)} is not for now; allowed: {allowed}")
 
     def _refuse_orders(self, seconds: float) -> None:
