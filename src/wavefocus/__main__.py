@@ -15,7 +15,7 @@ from contextlib import suppress
 interrupts: list[int] = []
 
 
-def end_at_interrupt(code: int | None = None) -> None:
+def _end_at_interrupt(code: int | None = None) -> None:
     """End the process at once at Ctrl-C: only modules are loaded so far, or the command is over."""
 
     def end(number: int, frame: object) -> None:
@@ -59,7 +59,7 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def open_closed_streams() -> None:
+def _open_closed_streams() -> None:
     """Put the null device in place of standard streams that are closed (cron, services).
 
     Otherwise the next file that is opened, a bank perhaps, becomes standard output.
@@ -79,7 +79,7 @@ def open_closed_streams() -> None:
             setattr(sys, name, source)
 
 
-def show_warning(
+def _show_warning(
     message: Warning | str,
     category: type[Warning],
     filename: str,
@@ -125,21 +125,21 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Run the command line of this process and exit."""
-    end_at_interrupt()
-    open_closed_streams()
+    _end_at_interrupt()
+    _open_closed_streams()
     import warnings
 
     import wavefocus.cli  # noqa: F401  (all that is slow to load before a command is chosen)
     from wavefocus.console import Exit, Listener
 
-    warnings.showwarning = show_warning
+    warnings.showwarning = _show_warning
     try:
         raise_at_interrupt()
         sys.stdout = Listener.in_place_of(sys.stdout)
         code = run(sys.argv[1:])
     except KeyboardInterrupt:
         code = Exit.STOPPED
-    end_at_interrupt(code)
+    _end_at_interrupt(code)
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -46,7 +46,7 @@ SPACING_MM = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class RenderWorkload:
+class _RenderWorkload:
     """A moving source cut into segments, each of which one bank row emits."""
 
     name: str
@@ -71,7 +71,7 @@ class RenderWorkload:
         return instants, rows, signal
 
 
-def modal_bank(columns: int, rows: int) -> GreenArray:
+def _modal_bank(columns: int, rows: int) -> GreenArray:
     """Make a bank of damped modes between 20 and 500 Hz, independent from row to row."""
     rng = np.random.default_rng(7)
     time_s = np.arange(TAPS) / RATE_HZ
@@ -86,7 +86,7 @@ def modal_bank(columns: int, rows: int) -> GreenArray:
     return GreenArray(values, SPACING_MM * np.stack([x.ravel(), y.ravel()], axis=1), RATE_HZ, band_hz=(20, 500))
 
 
-def smooth_bank(columns: int, rows: int) -> GreenArray:
+def _smooth_bank(columns: int, rows: int) -> GreenArray:
     """Waves of an ideal medium from actuators on a rim, 20 to 500 Hz: neighbouring positions have like responses."""
     x, y = np.meshgrid(4.0 * (np.arange(columns) - columns / 2), 4.0 * (np.arange(rows) - rows / 2))
     position_mm = np.stack([x.ravel(), y.ravel()], axis=1)
@@ -106,19 +106,19 @@ def smooth_bank(columns: int, rows: int) -> GreenArray:
     return GreenArray(values, position_mm, RATE_HZ, band_hz=(20, 500))
 
 
-def workloads(bank: GreenArray, *, quick: bool) -> list[RenderWorkload]:
+def workloads(bank: GreenArray, *, quick: bool) -> list[_RenderWorkload]:
     """Make the workloads of the drive table: paths on the grid, and a new row at every path point."""
     many = 5000 if not quick else 1000
     return [
         circle("path, M = 500, dt = 2 ms", bank, 500, 0.2),
         replace(circle(f"path, M = {many}, dt = 2 ms", bank, many, 0.2), kind="path"),
         circle(f"path, M = {many}, dt = 25 ms", bank, many, 2.5),
-        replace(jumping(bank, min(200, bank.positions), many), kind="random rows"),
-        jumping(bank, bank.positions, many),
+        replace(_jumping(bank, min(200, bank.positions), many), kind="random rows"),
+        _jumping(bank, bank.positions, many),
     ]
 
 
-def jumping(bank: GreenArray, rows: int, least_points: int) -> RenderWorkload:
+def _jumping(bank: GreenArray, rows: int, least_points: int) -> _RenderWorkload:
     """Go to and fro along a line of rows, 2 ms on each: with unlike rows, as good as jumping at random."""
     line_mm = np.stack([SPACING_MM * np.arange(rows), np.zeros(rows)], axis=1)
     end_mm = float(line_mm[-1, 0])
@@ -127,14 +127,14 @@ def jumping(bank: GreenArray, rows: int, least_points: int) -> RenderWorkload:
     points = int(path.length_mm / SPACING_MM) + 1
     source = Source(path, noise(path.length_mm / 2000.0), 0.0, 2000.0, SPACING_MM)
     line = GreenArray(bank.values[:rows], line_mm, RATE_HZ, band_hz=bank.band_hz)
-    return RenderWorkload(f"new row each time, {rows} rows, M = {points}, dt = 2 ms", line, source)
+    return _RenderWorkload(f"new row each time, {rows} rows, M = {points}, dt = 2 ms", line, source)
 
 
-def circle(name: str, bank: GreenArray, points: int, step_mm: float) -> RenderWorkload:
+def circle(name: str, bank: GreenArray, points: int, step_mm: float) -> _RenderWorkload:
     """Move at 10 cm/s on a circle of 30 mm, round and round."""
     length_mm = (points - 1) * step_mm
     path = Circle((0.0, 0.0), 30.0, (length_mm + 1e-6) / (2.0 * np.pi * 30.0))
-    return RenderWorkload(name, bank, Source(path, noise(points * step_mm / 100.0), 0.0, 100.0, step_mm))
+    return _RenderWorkload(name, bank, Source(path, noise(points * step_mm / 100.0), 0.0, 100.0, step_mm))
 
 
 def noise(duration_s: float) -> Noise:
@@ -142,7 +142,7 @@ def noise(duration_s: float) -> Noise:
     return Noise((0.0, RATE_HZ / 2.0), duration_s + 0.1, 1)
 
 
-def sum_directly(workload: RenderWorkload, samples: int) -> Float64Array:
+def _sum_directly(workload: _RenderWorkload, samples: int) -> Float64Array:
     """Evaluate eq. (9) sample by sample."""
     source, bank = workload.source, workload.bank
     signal = source.signal.samples(RATE_HZ)
@@ -163,14 +163,14 @@ def _normalised_green(bank: GreenArray, row: int) -> tuple[Float64Array, float]:
     return green, 1.0 / float(np.sum(green**2))
 
 
-def field_drive(bank: GreenArray, seconds: float) -> Drive:
+def _field_drive(bank: GreenArray, seconds: float) -> Drive:
     """A source that goes round at 10 cm/s."""
     path = Circle((0.0, 0.0), 30.0, seconds * 100.0 / (2.0 * np.pi * 30.0))
     drive, _ = render_with_report(Scene("field", (Source(path, noise(seconds), 0.0, 100.0, 1.0),)), bank)
     return drive
 
 
-def sampled_runs(workload: RenderWorkload) -> Iterator[Run]:
+def _sampled_runs(workload: _RenderWorkload) -> Iterator[Run]:
     """Runs of a sampled path: adjacent segments with the same row are one."""
     instants, rows, signal = workload.segments()
     edges = np.concatenate([[0], np.flatnonzero(np.diff(rows)) + 1, [len(rows)]])
@@ -180,7 +180,7 @@ def sampled_runs(workload: RenderWorkload) -> Iterator[Run]:
         yield row, int(instants[first]), emitted * _normalised_green(workload.bank, row)[1]
 
 
-def bilinear_runs(workload: RenderWorkload, samples: int) -> Iterator[Run]:
+def _bilinear_runs(workload: _RenderWorkload, samples: int) -> Iterator[Run]:
     """Runs of the exact moving source: of each row, the stretches in which bilinear interpolation uses it."""
     source, bank = workload.source, workload.bank
     along_mm = np.minimum(source.speed_mm_s * np.arange(samples) / RATE_HZ, source.path.length_mm)
@@ -194,7 +194,7 @@ def bilinear_runs(workload: RenderWorkload, samples: int) -> Iterator[Run]:
             yield row, int(first), weights[first:end] * emitted[first:end]
 
 
-def render_merged(bank: GreenArray, runs: Iterator[Run], samples: int) -> Float64Array:
+def _render_merged(bank: GreenArray, runs: Iterator[Run], samples: int) -> Float64Array:
     """Drives of a source: one convolution per run, overlap-added."""
     drive = np.zeros((ACTUATORS, samples + TAPS - 1))
     for row, first, emitted in runs:
@@ -213,7 +213,7 @@ def _convolved(signal: Float64Array, filters: Float64Array) -> Float64Array:
     return np.asarray(scipy.fft.irfft(spectra, size, workers=2)[:, :length])
 
 
-def predict_merged(greens: Sequence[NDArray[np.floating]], drive_v: Float64Array) -> Float64Array:
+def _predict_merged(greens: Sequence[NDArray[np.floating]], drive_v: Float64Array) -> Float64Array:
     """Field of a drive at rows (actuators, taps): its blocks transformed once, one inverse transform per position."""
     taps, length = greens[0].shape[1], drive_v.shape[1]
     size = scipy.fft.next_fast_len(4 * taps, real=True)
@@ -255,7 +255,7 @@ PEER_BILINEAR = "merging peer, exact, bilinear"
 def run(out: Path, *, quick: bool = False) -> Findings:
     """Run all workloads."""
     repeats = 1 if quick else 7
-    bank = modal_bank(columns=50 if not quick else 20, rows=30 if not quick else 20)
+    bank = _modal_bank(columns=50 if not quick else 20, rows=30 if not quick else 20)
     points = [point for workload in workloads(bank, quick=quick) for point in _compare_drives(workload, repeats)]
     for path_points in (500,) if quick else (500, 5000):
         points += _compare_exact(circle(f"path, M = {path_points}, dt = 2 ms", bank, path_points, 0.2), repeats)
@@ -270,13 +270,13 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     return Findings(points, "convolution in float64", notes)
 
 
-def _compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
+def _compare_drives(workload: _RenderWorkload, repeats: int) -> list[Entry]:
     """Time the drive by each method."""
     scene, bank = workload.scene, workload.bank
     samples = len(workload.segments()[2])
     found = measure(
         {
-            MERGED: lambda: render_merged(bank, sampled_runs(workload), samples),
+            MERGED: lambda: _render_merged(bank, _sampled_runs(workload), samples),
             **{
                 way: partial(render_with_report, scene, bank, method="sampled", tolerance_db=tolerance_db)
                 for way, tolerance_db in WAYS.items()
@@ -299,21 +299,21 @@ def _compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
     return [point.against(found[MERGED]) for point in points]
 
 
-def _compare_exact(workload: RenderWorkload, repeats: int) -> list[Entry]:
+def _compare_exact(workload: _RenderWorkload, repeats: int) -> list[Entry]:
     """Time the exact moving source, bilinear in space, against the merging peer; its truth is direct summation."""
     name = f"exact moving source, bilinear, {workload.name}"
     samples = len(workload.segments()[2])
     some = min(4000, samples)
     scene = Scene(name, (workload.source,), output=Output(interpolation="bilinear"))
     found = measure(
-        {MERGED: lambda: render_merged(workload.bank, bilinear_runs(workload, samples), samples)}
+        {MERGED: lambda: _render_merged(workload.bank, _bilinear_runs(workload, samples), samples)}
         | {
             way: partial(render_with_report, scene, workload.bank, method="exact", tolerance_db=tolerance_db)
             for way, tolerance_db in WAYS.items()
         },
         repeats,
     )
-    truth = sum_directly(workload, some)
+    truth = _sum_directly(workload, some)
     points = []
     for method, timing in found.items():
         drive_v = timing.result if method == MERGED else timing.result[0].drive_v
@@ -334,7 +334,7 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry
     Each is held against the merging peer at its own rate, timed on some positions, whose rows have been decimated
     beforehand where ours have.
     """
-    drive = field_drive(bank, seconds)
+    drive = _field_drive(bank, seconds)
     every = list(range(bank.positions))
     some = every[:: max(1, bank.positions // 150)]
     factor = round(RATE_HZ / LOWER_HZ)
@@ -344,7 +344,7 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry
     lower = [factor * decimated(bank.values[row], factor) for row in some]
     found = measure(
         {
-            MERGED: partial(predict_merged, [bank.values[row] for row in some], drive.drive_v),
+            MERGED: partial(_predict_merged, [bank.values[row] for row in some], drive.drive_v),
             merged_low: partial(_predict_decimated, lower, drive, factor),
             "ours, float64": partial(_field, drive, bank, every, dtype=np.float64),
             **{way: partial(_field, drive, spectra, every) for way, spectra in kept.items()},
@@ -367,7 +367,7 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry
 
 
 def _predict_decimated(greens: list[NDArray[np.float64]], drive: Drive, factor: int) -> NDArray[np.float64]:
-    return predict_merged(greens, decimated(drive.drive_v, factor))
+    return _predict_merged(greens, decimated(drive.drive_v, factor))
 
 
 def _field(drive: Any, bank: GreenArray | BankSpectra, positions: list[int], **options: Any) -> Any:
@@ -380,29 +380,29 @@ def _precision_points(*, quick: bool) -> list[Entry]:
     All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's
     sampling and of the parts left out only; the merging peer has the nearest row, and bilinear interpolation.
     """
-    bank = smooth_bank(16, 16) if quick else smooth_bank(24, 24)
+    bank = _smooth_bank(16, 16) if quick else _smooth_bank(24, 24)
     seconds, repeats = (0.5, 1) if quick else (4.0, 3)
     path = Circle((0.0, 0.0), 25.0, seconds * SPEED_MM_S / (2.0 * np.pi * 25.0))
     samples = round(seconds * RATE_HZ)
 
-    def load(step_mm: float) -> RenderWorkload:
-        return RenderWorkload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
+    def load(step_mm: float) -> _RenderWorkload:
+        return _RenderWorkload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
 
     def ours(method: Literal["exact", "sampled"], step_mm: float, db: float | None = None) -> Callable[[], Any]:
         scene = Scene("precision", (load(step_mm).source,), output=Output(interpolation="bilinear"))
         return partial(render_with_report, scene, bank, method=method, tolerance_db=db)
 
-    def merged(workload: RenderWorkload) -> NDArray[np.float64]:
-        return render_merged(bank, sampled_runs(workload), len(workload.segments()[2]))
+    def merged(workload: _RenderWorkload) -> NDArray[np.float64]:
+        return _render_merged(bank, _sampled_runs(workload), len(workload.segments()[2]))
 
     work = f"one moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s"
     actions: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
-        (SUMMED, {}, lambda: sum_directly(load(0.1), samples)),
+        (SUMMED, {}, lambda: _sum_directly(load(0.1), samples)),
         ("exact, all bins", {}, ours("exact", 0.1)),
         *(("exact, left out by a proved bound", {"tolerance_db": db}, ours("exact", 0.1, db)) for db in TOLERANCES_DB),
         *((SAMPLED, {"step_mm": step}, ours("sampled", step)) for step in STEPS_MM),
         *((SAMPLED_LOOSE, {"step_mm": step}, ours("sampled", step, -60.0)) for step in STEPS_MM),
-        (PEER_BILINEAR, {}, lambda: render_merged(bank, bilinear_runs(load(0.1), samples), samples)),
+        (PEER_BILINEAR, {}, lambda: _render_merged(bank, _bilinear_runs(load(0.1), samples), samples)),
         *((PEER_NEAREST, {"step_mm": step}, partial(merged, load(step))) for step in STEPS_MM),
     ]
     named = {str(number): action for number, (_, _, action) in enumerate(actions)}

@@ -56,7 +56,7 @@ def excitation(sweep_s: float, averages: int) -> PlayedExcitation:
     return PlayedExcitation(RATE_HZ, 20.0, 500.0, sweep_s, 0.2, SWEEP_V, averages)
 
 
-def serve_instruments(period_frames: int) -> None:
+def _serve_instruments(period_frames: int) -> None:
     """Be the emulated instruments until standard input ends; a line asks for the starts received since the last."""
     from wavefocus.mocks.wire.emulated_rig import EmulatedRig, Wiring
 
@@ -221,4 +221,4 @@ def _point(method: str, figure: str, values: Float64Array, limit: float) -> Entr
 
 
 if __name__ == "__main__":
-    serve_instruments(int(sys.argv[1]))
+    _serve_instruments(int(sys.argv[1]))

@@ -89,7 +89,7 @@ def heartbeat_path(bank: Path) -> Path:
     return bank.with_name(bank.name + ".heartbeat")
 
 
-def write_heartbeat(bank: Path, beat: Heartbeat) -> None:
+def _write_heartbeat(bank: Path, beat: Heartbeat) -> None:
     """Write a heartbeat.
 
     Raises OSError: it cannot be written.
@@ -166,7 +166,7 @@ class CampaignControl:
 
     def _beat(self) -> None:
         try:
-            write_heartbeat(self._bank, Heartbeat.of(self._status, self._order))
+            _write_heartbeat(self._bank, Heartbeat.of(self._status, self._order))
         except OSError as failure:
             self._report_failure(
                 f"the heartbeat of {self._bank} cannot be written ({failure.strerror}); the campaign goes on"

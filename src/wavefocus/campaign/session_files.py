@@ -39,7 +39,7 @@ def with_bank(
 ) -> tuple[Blueprint, tuple[Event, ...]]:
     """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
     if not bank.exists():
-        earlier = compared_schedules(blueprint, str(run_file))
+        earlier = _compared_schedules(blueprint, str(run_file))
         if is_network_mount(bank.absolute().parent):
             say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
@@ -166,7 +166,7 @@ def _opened_raw(
     return raw
 
 
-def compared_schedules(blueprint: Blueprint, source: str) -> tuple[ScheduleSettled, ...]:
+def _compared_schedules(blueprint: Blueprint, source: str) -> tuple[ScheduleSettled, ...]:
     """Measure one position of a staggered run by its schedule and sequentially, and say what the difference is.
 
     Returns events to report; none for sequential runs. Raises InputError: the responses are longer than the taps.

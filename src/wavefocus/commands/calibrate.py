@@ -121,7 +121,7 @@ def _two_numbers(text: str) -> tuple[float, float] | None:
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
-class LinesOperator:
+class _LinesOperator:
     """A `wavefocus.acquisition.calibrate_mirror.Operator` that asks another program, by the messages of `calibrate`."""
 
     def __init__(
@@ -279,7 +279,7 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
 
     answers = LinesIn()
     answers.start()
-    return LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, place_mm)
+    return _LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, place_mm)
 
 
 def _kept(out: Path | None, record: CalibrationRecord, folder: Path) -> Path:

@@ -19,7 +19,7 @@ _ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actu
 """Whose device a part of a calibration belongs to."""
 
 
-class CalibrationWarning(NamedTuple):
+class _CalibrationWarning(NamedTuple):
     """What speaks against one part of a calibration."""
 
     part: str
@@ -36,7 +36,7 @@ class CalibrationWarning(NamedTuple):
 
 def calibration_warnings(
     rig: RigConfig, identities: Mapping[str, DeviceIdentity], now: datetime | None = None
-) -> list[CalibrationWarning]:
+) -> list[_CalibrationWarning]:
     """What speaks against the calibration that a rig names; nothing where it names none."""
     record = rig.calibration.measured
     if record is None:
@@ -51,14 +51,14 @@ def calibration_warnings(
         age_days = (now - part.at).total_seconds() / 86_400
         if age_days > stale_days:
             reason = f"{file}: {name} measured {age_days:.0f} days ago, trusted for {stale_days:g}"
-            warnings.append(CalibrationWarning(name, reason))
+            warnings.append(_CalibrationWarning(name, reason))
         if age_days < -1:
             reason = f"{file}: {name} dated {-age_days:.0f} days ahead of this computer's clock: its age is unknown"
-            warnings.append(CalibrationWarning(name, reason))
+            warnings.append(_CalibrationWarning(name, reason))
         if part.identity is None and _ROLE_OF[name] in identities:
             reason = f"{file}: {name} not comparable: the file names its device only in words ({part.device})"
-            warnings.append(CalibrationWarning(name, reason))
-    return warnings + [CalibrationWarning(*one) for one in calibrated_elsewhere(rig, identities).items()]
+            warnings.append(_CalibrationWarning(name, reason))
+    return warnings + [_CalibrationWarning(*one) for one in calibrated_elsewhere(rig, identities).items()]
 
 
 def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity]) -> dict[str, str]:

@@ -77,7 +77,7 @@ def setup_in_use(
     Raises InstrumentError, InputError: see `open_setup`.
     """
     with shut_down(setup.close):
-        yield setup if sample_rate_hz is None else with_input_delay(setup, rig, sample_rate_hz, bank)
+        yield setup if sample_rate_hz is None else _with_input_delay(setup, rig, sample_rate_hz, bank)
 
 
 def open_rig(rig: RigConfig, openers: Openers) -> Setup:
@@ -211,7 +211,7 @@ def watch_of(
     return Watch(bands, bounded, section.probe_every_s, section.give_up_after_s)
 
 
-def with_input_delay(setup: Setup, rig: RigConfig, sample_rate_hz: float, bank: BankWriter | None = None) -> Setup:
+def _with_input_delay(setup: Setup, rig: RigConfig, sample_rate_hz: float, bank: BankWriter | None = None) -> Setup:
     """A set-up with the delay of its response input: the calibrated one, else the device's own, else as stated.
 
     sample_rate_hz: Of the records to come.

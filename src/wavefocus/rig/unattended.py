@@ -323,7 +323,7 @@ def kept_awake(reason: str) -> Iterator[bool]:
         finally:
             set_state(_ES_CONTINUOUS)
         return
-    holder = next(filter(None, map(_started, inhibitors(sys.platform, reason))), None)
+    holder = next(filter(None, map(_started, _inhibitors(sys.platform, reason))), None)
     try:
         yield holder is not None
     finally:
@@ -340,7 +340,7 @@ def awake_finding() -> Finding:
     return Finding("computer", "sleep", "skipped", what, "set its power settings to never sleep")
 
 
-def inhibitors(platform: str, reason: str) -> list[list[str]]:
+def _inhibitors(platform: str, reason: str) -> list[list[str]]:
     """Commands that keep a platform (as `sys.platform`) awake, the first that it accepts being enough.
 
     On Linux they end when their standard input is closed, on macOS when this process is gone.

@@ -254,7 +254,7 @@ Track = UpDown | QuestPlus
 """One adaptive sequence of levels."""
 
 
-class AdaptiveOrder:
+class _AdaptiveOrder:
     """Tracks in random turn; in a track, the level of the factor `correct` is drawn anew for each trial."""
 
     def __init__(self, design: TrialsDesign, participant: str) -> None:
@@ -307,7 +307,7 @@ class Experiment:
     bank_sha256: str | None = None
 
 
-Order = FixedOrder | AdaptiveOrder
+Order = FixedOrder | _AdaptiveOrder
 """Trials of a participant, one after another."""
 
 
@@ -315,7 +315,7 @@ def order_of(design: TrialsDesign, participant: str) -> Order:
     """Make the order of a participant, at its first trial; give it the answers that are stored to go on."""
     if design.config.adaptive is None:
         return FixedOrder(design, participant)
-    return AdaptiveOrder(design, participant)
+    return _AdaptiveOrder(design, participant)
 
 
 def resume_sequence(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tuple[Order, int]:

@@ -33,7 +33,7 @@ from wavefocus.trials.presentation import Onset
 AHEAD_S = 0.05
 
 
-class Presenter(Protocol):
+class _Presenter(Protocol):
     """Lets a participant feel stimuli."""
 
     def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
@@ -50,7 +50,7 @@ class Orders(Protocol):
         """The next order; None at their end. Raises TimeoutError: none came in time. InputError: it is wrong."""
 
 
-class SessionStep(Enum):
+class _SessionStep(Enum):
     """Where a session stands: its phase, and what it waits for."""
 
     value: tuple[Phase, Waiting]
@@ -79,15 +79,15 @@ class TrialsSession:
     Raises InputError: the participant is complete, or has answered trials of another trials file, bank or order.
     """
 
-    FOLLOWS: ClassVar[Mapping[SessionStep, Set[SessionStep]]] = {
-        SessionStep.WELCOME: {SessionStep.FAMILIARISATION, SessionStep.READY, SessionStep.PLAYING},
-        SessionStep.FAMILIARISATION: {SessionStep.FAMILIARISING},
-        SessionStep.FAMILIARISING: {SessionStep.FAMILIARISING, SessionStep.READY},
-        SessionStep.READY: {SessionStep.PLAYING},
-        SessionStep.PLAYING: {SessionStep.ASKING},
-        SessionStep.ASKING: {SessionStep.PLAYING, SessionStep.READY, SessionStep.BREAK, SessionStep.DONE},
-        SessionStep.BREAK: {SessionStep.READY, SessionStep.PLAYING},
-        SessionStep.DONE: set(),
+    FOLLOWS: ClassVar[Mapping[_SessionStep, Set[_SessionStep]]] = {
+        _SessionStep.WELCOME: {_SessionStep.FAMILIARISATION, _SessionStep.READY, _SessionStep.PLAYING},
+        _SessionStep.FAMILIARISATION: {_SessionStep.FAMILIARISING},
+        _SessionStep.FAMILIARISING: {_SessionStep.FAMILIARISING, _SessionStep.READY},
+        _SessionStep.READY: {_SessionStep.PLAYING},
+        _SessionStep.PLAYING: {_SessionStep.ASKING},
+        _SessionStep.ASKING: {_SessionStep.PLAYING, _SessionStep.READY, _SessionStep.BREAK, _SessionStep.DONE},
+        _SessionStep.BREAK: {_SessionStep.READY, _SessionStep.PLAYING},
+        _SessionStep.DONE: set(),
     }
 
     def __init__(
@@ -95,7 +95,7 @@ class TrialsSession:
         experiment: Experiment,
         participant: str,
         answers: AnswersFile,
-        presenter: Presenter,
+        presenter: _Presenter,
         orders: Orders,
         publish: Callable[[Message], object],
         *,
@@ -109,7 +109,7 @@ class TrialsSession:
         self._table = experiment.design.config.trials
         self._order, self.done = resume_sequence(experiment, participant, answers.rows)
         self._resumed_at = self.done
-        self._state = SessionStep.WELCOME
+        self._state = _SessionStep.WELCOME
         self._trial = self._order.next_trial()
         self._shown = (self.done + 1, self.of)
 
@@ -165,21 +165,21 @@ class TrialsSession:
     def _familiarise(self) -> None:
         felt = [stimulus.name for stimulus in self._design.stimuli.values() if stimulus.amplitude]
         self._shown = 1, len(felt)
-        self._enter(SessionStep.FAMILIARISATION)
+        self._enter(_SessionStep.FAMILIARISATION)
         self._expect(GoOn)
         for number, name in enumerate(felt, 1):
             self._shown = number, len(felt)
-            self._present(SessionStep.FAMILIARISING, name, 0)
+            self._present(_SessionStep.FAMILIARISING, name, 0)
 
     def _carry_out(self, trial: Trial) -> None:
         self._shown = trial.number, self.of
-        if self._table.waits or self._state is SessionStep.FAMILIARISING:
-            self._enter(SessionStep.READY)
+        if self._table.waits or self._state is _SessionStep.FAMILIARISING:
+            self._enter(_SessionStep.READY)
             self._expect(GoOn)
-        onset = self._present(SessionStep.PLAYING, trial.stimulus, trial.number)
+        onset = self._present(_SessionStep.PLAYING, trial.stimulus, trial.number)
         attempts, replays = onset.attempts, 0
         while isinstance(asked := self._ask(onset, replays), Replay):
-            onset = self._present(SessionStep.PLAYING, trial.stimulus, trial.number)
+            onset = self._present(_SessionStep.PLAYING, trial.stimulus, trial.number)
             attempts, replays = attempts + onset.attempts - 1, replays + 1
         row = self._row(trial, asked, onset, replays, attempts)
         self._answers.append(row)
@@ -188,17 +188,17 @@ class TrialsSession:
         self.done += 1
         self._trial = self._order.next_trial()
         if self._trial is None:
-            self._enter(SessionStep.DONE)
+            self._enter(_SessionStep.DONE)
         elif self._is_break_due(trial, self._trial):
             self._shown = self._trial.number, self.of
-            self._enter(SessionStep.BREAK)
+            self._enter(_SessionStep.BREAK)
             self._expect(GoOn)
 
     def _is_break_due(self, last: Trial, following: Trial) -> bool:
         every = self._table.break_every
         return self.done % every == 0 if every else following.block != last.block
 
-    def _present(self, state: SessionStep, stimulus: str, number: int) -> Onset:
+    def _present(self, state: _SessionStep, stimulus: str, number: int) -> Onset:
         self._enter(state)
         if not self._hurried:
             self._refuse_orders(self._table.before_s)
@@ -209,7 +209,7 @@ class TrialsSession:
 
     def _ask(self, onset: Onset, replays: int) -> Answer | Replay:
         """Wait for an answer that the design knows, or a replay that it allows."""
-        self._enter(SessionStep.ASKING)
+        self._enter(_SessionStep.ASKING)
         while True:
             order: Answer | Replay = self._expect(Answer, Replay)
             if isinstance(order, Replay):
@@ -275,7 +275,7 @@ class TrialsSession:
     def _refuse(self, sentence: str) -> None:
         self._publish(Refused(sentence))
 
-    def _enter(self, state: SessionStep) -> None:
+    def _enter(self, state: _SessionStep) -> None:
         """Change the state; raises IllegalStateError where the table does not have this change."""
         if state not in self.FOLLOWS[self._state]:
             raise IllegalStateError(f"{state} cannot follow {self._state}")

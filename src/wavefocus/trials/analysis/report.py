@@ -26,7 +26,7 @@ MAX_CURVES = 12
 
 
 @drawn_in_style
-def share_bars(name: str, shares: Sequence[Share], what: str, chance: float | None = None) -> Picture:
+def _share_bars(name: str, shares: Sequence[Share], what: str, chance: float | None = None) -> Picture:
     """Shares by one or two factors with their intervals, as the paper's figure 5B.
 
     chance: Share of right answers of a participant who guesses; None where no answer is right.
@@ -58,7 +58,7 @@ def share_bars(name: str, shares: Sequence[Share], what: str, chance: float | No
 
 
 @drawn_in_style
-def psychometric_curves(name: str, found: Sequence[Psychometric]) -> Picture:
+def _psychometric_curves(name: str, found: Sequence[Psychometric]) -> Picture:
     """Fitted functions with the observed shares, whose area goes with the number of answers; up to twelve."""
     shown = found[:MAX_CURVES]
     columns = min(len(shown), 4)
@@ -76,7 +76,7 @@ def psychometric_curves(name: str, found: Sequence[Psychometric]) -> Picture:
 
 
 @drawn_in_style
-def reaction_time_plot(name: str, times: Sequence[ReactionTime]) -> Picture:
+def _reaction_time_plot(name: str, times: Sequence[ReactionTime]) -> Picture:
     """Median reaction times by the levels of one factor, with their intervals."""
     (factor,) = times[0].factors
     width_px = max(360.0, 110 + 64 * len(times))
@@ -124,7 +124,7 @@ MAX_UNFIT = 20
 """Rows that are left out and named one by one."""
 
 
-class PageTable(NamedTuple):
+class _PageTable(NamedTuple):
     """A table of the report; its first `words` columns are words, the others numbers."""
 
     head: Sequence[str]
@@ -137,7 +137,7 @@ class Section(NamedTuple):
 
     title: str
     definition: str
-    tables: Sequence[PageTable] = ()
+    tables: Sequence[_PageTable] = ()
     pictures: Sequence[Picture] = ()
     caption: str = ""
 
@@ -212,18 +212,18 @@ def _shares(analysis: Analysis) -> Iterator[Section]:
         pictures, caption = [], ""
         if (factors, outcome) in drawn:
             chance = 1.0 / len(analysis.answers) if outcome == RIGHT else None
-            pictures = [share_bars(_name(factors, outcome), shares, what, chance)]
+            pictures = [_share_bars(_name(factors, outcome), shares, what, chance)]
             caption = f"Share of {what}, all participants together, with 95 % intervals."
             if chance is not None:
                 caption += f" Dashed: chance, 1 of {len(analysis.answers)} answers."
         rows = [[*share.factors.values(), *_counted(share)] for share in shares]
         head = [*(NAMES[factor] for factor in factors), "right" if right else "answers", "of", "share", "95 % interval"]
         title = f"{what[0].upper()}{what[1:]} by {' and '.join(NAMES[factor] for factor in factors)}"
-        yield Section(title, definition, [PageTable(head, rows, len(factors))], pictures, caption)
+        yield Section(title, definition, [_PageTable(head, rows, len(factors))], pictures, caption)
     own = [share for share in analysis.shares if share.participant and not share.factors]
     rows = [[share.participant, *([] if right else [share.outcome]), *_counted(share)] for share in own]
     counted = ["right"] if right else ["answer", "answers"]
-    table = PageTable(["participant", *counted, "of", "share", "95 % interval"], rows, 1 if right else 2)
+    table = _PageTable(["participant", *counted, "of", "share", "95 % interval"], rows, 1 if right else 2)
     yield Section("Participants", f"{definition} The shares of each by factor are in analysis.json.", [table])
 
 
@@ -250,7 +250,7 @@ def _sensitivity(analysis: Analysis) -> Iterator[Section]:
         f"Hit: the answer “{first.signal}” where it is right; false alarm: the same answer where “{first.noise}” is. "
         "d′ = z(H) − z(F), c = −(z(H) + z(F)) / 2, log-linear correction (Hautus 1995); interval by the variance of"
         " Gourevitch and Galanter (1967). With all answers right, d′ is a lower bound that grows with the trials.",
-        [PageTable(head, rows, 2)],
+        [_PageTable(head, rows, 2)],
     )
 
 
@@ -266,7 +266,7 @@ def _confusion(analysis: Analysis) -> Iterator[Section]:
             for right, row, total in zip(analysis.answers, matrix.counts, of, strict=True)
         ]
         head = [f"right: {matrix.participant or 'all participants'}", *analysis.answers, "trials"]
-        tables.append(PageTable(head, rows, 1))
+        tables.append(_PageTable(head, rows, 1))
     yield Section(
         "Confusion matrix", "Rows: the right answer. Columns: the answer given, with its share of the row.", tables
     )
@@ -313,8 +313,8 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
         " below 0.05 the function does not describe the answers."
         + ("" if resolved else _UNRESOLVED)
         + (" By reversals: geometric mean of the levels at the last reversals." if staircase else ""),
-        [PageTable(head, rows, 2)],
-        [psychometric_curves("psychometric", analysis.psychometric)],
+        [_PageTable(head, rows, 2)],
+        [_psychometric_curves("psychometric", analysis.psychometric)],
         "Circles: observed shares, larger with more answers. Line: fitted function. Dashed: threshold; shaded: its"
         " 95 % interval.",
     )
@@ -329,12 +329,12 @@ def _times(analysis: Analysis) -> Iterator[Section]:
     by_factor = [time for time in analysis.reaction_times if not time.participant and time.factors]
     first = tuple(by_factor[0].factors) if by_factor else ()
     drawn = [time for time in by_factor if tuple(time.factors) == first]
-    pictures = [reaction_time_plot("reaction-times", drawn)] if 1 < len(drawn) <= MAX_BARS else []
+    pictures = [_reaction_time_plot("reaction-times", drawn)] if 1 < len(drawn) <= MAX_BARS else []
     yield Section(
         "Reaction times",
         "From the onset of the last presentation, as the recorder's loopback shows it, to the answer; of right answers"
         " where there are right ones. Interval of the median: by order statistics.",
-        [PageTable(["participant", "trials", "of", "median", "95 % interval"], rows, 2)],
+        [_PageTable(["participant", "trials", "of", "median", "95 % interval"], rows, 2)],
         pictures, "Median reaction time, all participants together, with 95 % intervals.",
     )  # fmt: skip
 
@@ -351,7 +351,7 @@ def _onsets(analysis: Analysis) -> Iterator[Section]:
         "Onset by the recorder's loopback minus the onset by the request to play and the player's stated latency."
         " Reaction times begin at the former, so that this error is not in them. Repeated: presented anew since an"
         " instrument was lost or the onset was not found.",
-        [PageTable(head, [row], 0)],
+        [_PageTable(head, [row], 0)],
     )
 
 

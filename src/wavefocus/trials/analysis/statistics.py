@@ -58,14 +58,14 @@ def shares_of(answers: DataFrame) -> tuple[Share, ...]:
     combined = ((), *combinations_of(answers))
     return tuple(
         share
-        for code, own in all_and_each(answers)
+        for code, own in _all_and_each(answers)
         for factors in combined
         for levels, part in groups(own, factors)
         for share in _outcomes(own, part, code, levels)
     )
 
 
-def all_and_each(answers: DataFrame) -> Iterator[tuple[str, DataFrame]]:
+def _all_and_each(answers: DataFrame) -> Iterator[tuple[str, DataFrame]]:
     """All answers, under an empty code, then those of each participant."""
     yield "", answers
     yield from answers.groupby("participant")
@@ -191,7 +191,7 @@ def sensitivities_of(answers: DataFrame, names: Sequence[str]) -> tuple[Sensitiv
     signal = names[int(catch.right.iloc[0] == names[0])] if len(catch) else names[1]
     noise = names[int(signal == names[0])]
     found = []
-    for code, own in all_and_each(judged):
+    for code, own in _all_and_each(judged):
         for levels, part in [({}, own), *(group for factor in factors_of(judged) for group in groups(own, (factor,)))]:
             catch = own[own.amplitude == 0.0] if levels.get("amplitude", "0") != "0" else own[:0]
             pair = pd.concat([part, catch])
@@ -271,7 +271,7 @@ def reaction_times_of(answers: DataFrame) -> tuple[ReactionTime, ...]:
     """Median reaction times of all participants together and of each: of all trials, and by factor."""
     counted = answers[answers.correct.fillna(True)]
     times = []
-    for code, own in all_and_each(counted):
+    for code, own in _all_and_each(counted):
         for factors in ((), *((factor,) for factor in factors_of(answers))):
             for levels, part in groups(own, factors):
                 reaction_s = part.reaction_s.to_numpy()
