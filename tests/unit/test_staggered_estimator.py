@@ -107,6 +107,16 @@ def test_given_groups_then_each_record_gives_its_own_actuators_in_order():
     assert error_db(found.green, green).max() < -45
 
 
+def test_given_uneven_delays_then_each_actuator_comes_back():
+    delays = [0, 107, 231, 352, 479]
+    schedule = Schedule(np.arange(5)[None], np.array([delays]) / RATE_HZ, np.ones((1, 5)), 600 / RATE_HZ)
+    estimator = StaggeredEstimator(SIGNAL.base_v(), Records(RATE_HZ, BAND_HZ, TAPS, schedule))
+    green = random_firs(6)
+    channels = played(SIGNAL.base_v(), delays, green, 30.0, 10.0, SIGNAL.used_samples)
+    found = estimator.estimate(*(one[None].astype(np.float32) for one in channels), range_v=(1e3, 1e3))
+    assert error_db(found.green, green).max() < -45
+
+
 def test_given_a_moment_without_light_then_the_residual_names_it():
     green = random_firs(4)
     reference, response = played(SIGNAL.base_v(), [120 * k for k in range(5)], green, 0.0, 0.0, SIGNAL.used_samples)

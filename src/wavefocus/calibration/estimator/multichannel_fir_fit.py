@@ -70,19 +70,18 @@ MAX_JOINT_BYTES = 1 << 30
 class JointFit:
     """Solve ``min sum_k power_k |H_k - sum_i exp(-j w_k delay_i) sum_n g_i[n] exp(-j w_k n)|^2 + ridge |g|^2``.
 
-    Each FIR lives in the same few directions (`_causal_basis`), turned by its delay. The delays are evenly spaced on
-    the ring of a period, so that a DFT over the slots takes the system apart into one small matrix per harmonic,
-    inverted once.
+    Each FIR lives in the same few directions (`_causal_basis`), turned by its delay. Where the delays are evenly spaced
+    on the ring of a period, a DFT over the slots takes the system apart into one small matrix per harmonic; any others
+    make one matrix. They are inverted once.
 
     omega, float64 (bins,): Frequencies in radians per playback sample, multiples of one spacing, ascending.
     power, float64 (bins,): Squared magnitude of the base signal's spectrum, relative to its median in band.
     period: Samples of the ring.
     taps: Length L of the FIRs.
-    delays, float64 (slots,): Delay of each slot in playback samples, each a place of an even spacing of L or more round
-        the ring.
+    delays, float64 (slots,): Delay of each slot in playback samples; L or more apart, round the ring.
     ridge: Penalty relative to the median power in band.
 
-    Raises InputError: other delays, or too much for the memory of a joint fit.
+    Raises InputError: too much for the memory of a joint fit.
     """
 
     def __init__(
@@ -105,10 +104,17 @@ class JointFit:
         self._left_transposed = np.ascontiguousarray(self._left.T)
         self._responses = (right / singular[:, None]).astype(np.float32)
         self._weak = np.flatnonzero(singular < WEAK)
-        slots, self._chosen = _ring_slots(delays, period, taps)
-        delays = delays[0] + np.arange(slots) * (period / slots)
         penalty = (ridge / singular**2).astype(np.float32)
-        self._inverses, freedom, spread = _harmonics(left, bins, slots, penalty)
+        ring = _ring_slots(delays, period, taps)
+        self._even = ring is not None
+        self._inverses: Complex64Array | Float32Array
+        if ring is not None:
+            slots, self._chosen = ring
+            delays = delays[0] + np.arange(slots) * (period / slots)
+            self._inverses, freedom, spread = _harmonics(left, bins, slots, penalty)
+        else:
+            self._chosen = np.arange(delays.size)
+            self._inverses, freedom, spread = _whole(left, np.exp(-1j * np.outer(omega, delays)), penalty)
         self._turns = np.exp(-1j * np.outer(omega, delays)).astype(np.complex64)
         self._left_over = max(self.elements - freedom, 1.0)
         self.left_share = self._left_over / self.elements
@@ -122,12 +128,15 @@ class JointFit:
         Returns float32 (slots, taps): FIRs, from the base signal to the response; float64 (slots,): energy that each
         explains of the whitened data; complex64 (bins,): what they leave of these.
         """
-        # Data as the slots see it: coefficients (rank, slots); and the solution of each harmonic of the slots.
+        # Data as the slots see it: coefficients (rank, slots); and the solution, of each harmonic of even slots.
         turned = data[:, None] * self._turns.conj()
         seen = self._left_transposed @ np.concatenate([turned.real, turned.imag])
-        harmonics = np.fft.rfft(seen, axis=1).astype(np.complex64)
-        solved = np.matmul(self._inverses, harmonics.T[:, :, None])[:, :, 0]
-        found = np.ascontiguousarray(np.fft.irfft(solved.T, seen.shape[1], axis=1).astype(np.float32))
+        if self._even:
+            harmonics = np.fft.rfft(seen, axis=1).astype(np.complex64)
+            solved = np.matmul(self._inverses, harmonics.T[:, :, None])[:, :, 0]
+            found = np.ascontiguousarray(np.fft.irfft(solved.T, seen.shape[1], axis=1).astype(np.float32))
+        else:
+            found = (self._inverses @ seen.ravel()).reshape(seen.shape)
         left = data - self._shown(found)
         unexplained = float(np.vdot(left, left).real)
         variance = unexplained / self._left_over
@@ -148,7 +157,7 @@ class JointFit:
         return np.asarray(np.einsum("bs,bs->b", spectra, self._turns))
 
 
-def _ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int64Array]:
+def _ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int64Array] | None:
     """Evenly spaced slots on the ring, `taps` or more apart, that hold all delays: how many; which each is."""
     for slots in range(delays.size, period // taps + 1):
         place = (delays - delays[0]) * (slots / period)
@@ -157,10 +166,29 @@ def _ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int6
             chosen = whole.astype(np.int64) % slots
             if np.unique(chosen).size == delays.size:
                 return slots, chosen
-    raise InputError(
-        f"delays of {', '.join(f'{delay:g}' for delay in delays)} samples are not multiples of one stagger that "
-        f"divides the period of {period}, {taps} samples or more; records of such a schedule are needed"
-    )
+    return None
+
+
+def _whole(
+    left: Complex128Array, turns: Complex128Array, penalty: Float32Array
+) -> tuple[Float32Array, float, Float64Array]:
+    """Inverse (rank x slots, the same) for any delays, the fit's freedom, each direction's variance.
+
+    Raises InputError: it is too large.
+    """
+    rank, slots = left.shape[1], turns.shape[1]
+    needed = 8 * rank * slots * (2 * left.shape[0] + 2 * rank * slots)
+    if needed > MAX_JOINT_BYTES:
+        raise InputError(
+            f"{slots} actuators that play at once with uneven delays need {needed / 2**30:.1f} GiB; at most "
+            f"{MAX_JOINT_BYTES / 2**30:g} GiB are taken: use delays that are multiples of one part of the period"
+        )
+    columns = (left[:, :, None] * turns[:, None]).reshape(len(left), rank * slots)
+    columns = np.concatenate([columns.real, columns.imag])
+    gram = columns.T @ columns
+    inverse = np.linalg.inv(gram + np.diag(np.repeat(penalty.astype(np.float64), slots)))
+    freedom = float(np.einsum("ij,ji->", gram, inverse))
+    return inverse.astype(np.float32), freedom, np.diag(inverse).reshape(rank, slots).mean(axis=1)
 
 
 def _harmonics(
