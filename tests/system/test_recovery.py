@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import signal
 import subprocess
 import sys
 
@@ -83,3 +84,37 @@ def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_wh
     assert facts["recovering"]["gives_up_s"] == 600.0
     assert "is recovering since" in answers[1].stdout
     assert "virtual player" in answers[1].stdout
+
+
+def test_given_a_lost_instrument_then_all_that_still_answers_is_put_to_rest(lab, capsys):
+    with_faults(
+        lab,
+        'role = "player"\noperation = "play"\nkind = "lost"\nposition = 1\nrecord = 0',
+        'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
+    )
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 3
+    told = capsys.readouterr().err
+    assert "on the way out: virtual player: muting" in told
+    assert "on the way out: virtual mirror: parking" in told
+    assert "player" in told.splitlines()[-1]
+
+
+@pytest.mark.parametrize("interrupts", [1, 2])
+def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(lab, measured, interrupts, capsys):
+    bank = empty_bank(lab, "plate.h5")
+    sound = (lab / "run.toml").read_text(encoding="utf-8")
+    with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
+
+    def press():
+        for _ in range(interrupts):
+            signal.raise_signal(signal.SIGINT)
+
+    listener = Listener(('"event": "reconnect_tried"', press))
+    with contextlib.redirect_stdout(listener):
+        assert capture(lab, bank) == 130
+    assert len(events_of(listener.told, "reconnect_tried")) == 1
+    assert events_of(listener.told, "session_ended")[0]["state"] == "stopped"
+    assert f"wavefocus resume {bank}" in capsys.readouterr().err
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert capture(lab, bank) == 0
+    assert bank.read_bytes() == measured.read_bytes()

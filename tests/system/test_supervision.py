@@ -334,3 +334,16 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
     status = held(bank)
     assert status[2] & 1 == 0
     assert status[:2] + status[3:] == [1] * 5
+
+
+@pytest.mark.parametrize("asked", ["pause", "stop"])
+def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab, asked):
+    bank = empty_bank(lab, "plate.h5")
+    orders = _Orders(bank)
+    end = (lambda: orders.give("stop")) if asked == "stop" else (lambda: signal.raise_signal(signal.SIGINT))
+    listener = Listener(('"event": "position_started"', lambda: orders.give("pause")), ('"state": "paused"', end))
+    with contextlib.redirect_stdout(listener):
+        assert capture(lab, bank) == 130
+    assert states_of(listener.told)[-2:] == ["paused", "stopped"]
+    assert "while paused" in str(events_of(listener.told, "state_changed")[-1]["reason"])
+    orders.answers()

@@ -137,3 +137,13 @@ def test_given_a_mistake_in_the_run_file_then_file_key_value_and_what_is_allowed
     assert "run.toml" in line
     assert names in line
     assert not (lab / "plate.h5").exists()
+
+
+def test_given_a_bank_whose_plan_was_edited_then_its_resume_is_refused(bank, capsys):
+    with h5py.File(bank, "r+") as file:
+        file.attrs["plan_sha256"] = "0" * 64
+    before = bank.read_bytes()
+    code, line = _told(capsys, "resume", bank)
+    assert code == 2
+    assert "header" in line
+    assert bank.read_bytes() == before

@@ -221,3 +221,11 @@ def test_given_frequency_responses_as_named_arrays_then_every_format_gives_the_s
         assert off_db(np.stack([bank.green(row) for row in range(POSITIONS)]), green) < -130
         assert np.array_equal(bank.position_mm, arrays["position_mm"])
         assert np.array_equal(bank.actuator_mm, arrays["actuator_mm"], equal_nan=True)
+
+
+def test_given_the_bank_is_an_input_then_it_is_refused_even_with_force(tmp_path):
+    file = listed(tmp_path, STEP_HZ * np.arange(PERIOD // 2 + 1))
+    before = file.read_bytes()
+    with pytest.raises(InputError, match=r"f\.npy"):
+        import_bank(tmp_path / "a.npy", file, ImportOptions(frequencies=file), force=True)
+    assert file.read_bytes() == before

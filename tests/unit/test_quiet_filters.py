@@ -79,3 +79,11 @@ def test_given_a_stiff_case_then_the_filters_are_finite_and_keep_to_the_energy(n
     assert bool((found.level <= level * 1.01).all()) == reachable
     w = filters_of(Focus(h, q, place), found)
     np.testing.assert_allclose((h * w).sum(axis=1), np.square(np.abs(h)).sum(axis=1), rtol=1e-6)
+
+
+def test_given_an_infeasible_place_then_the_others_are_still_quiet():
+    h = rows(1)[:, 0]
+    q = np.concatenate([h[:, None] * (1 + 1e-9), rows(2, 1)], axis=1)
+    found = find_multipliers([moment_of(h, q, np.arange(3))], np.full(3, 1e-3), most_energy=10.0)
+    assert found.level[0] > 0.9
+    np.testing.assert_allclose(found.level[1:], 1e-3, rtol=0.05)

@@ -1,7 +1,8 @@
 """Pacing, ends, mutes and underflows, by an audio server that keeps time."""
 
+import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import pytest
@@ -195,3 +196,13 @@ def test_given_pieces_that_cannot_be_played_then_they_are_refused(player, channe
         player.begin_pieces(channels, rate_hz, 0.1)
         with pytest.raises(InstrumentError, match="within full scale"):
             player.add_piece(np.full((1, 10), volts))
+
+
+@pytest.mark.long
+def test_given_a_mute_from_another_thread_then_waiting_ends(player):
+    player.play({0: np.full(60 * RATE_HZ, 0.1)}, RATE_HZ)
+    muting = threading.Timer(0.2, player.mute)
+    muting.start()
+    with suppress(TransientInstrumentError):  # a busy machine may have ended it before
+        player.wait(90)
+    muting.join()
