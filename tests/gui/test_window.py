@@ -125,6 +125,12 @@ def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen
         QApplication.setFont(font)
 
 
+def test_given_a_screen_of_1280_by_800_then_no_page_scrolls(open_window, finished):
+    window = open_window(finished)
+    heights = {tab.title: tab.minimumSizeHint().height() for tab in window.tabs}
+    assert max(heights.values()) <= 800 - 150, heights  # menus, tabs, messages and the screen's own bars
+
+
 def test_given_size_run_and_bank_then_the_next_window_has_them_again(qtbot, open_window, finished, memory):
     window = open_window(finished.with_name("run.toml"))
     assert campaign_of(window).bank_field.path == finished

@@ -125,16 +125,20 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
         self._bar.axis.enableAutoSIPrefix(False)
         self.setBackground(self.theme.window)
         theme_axes(self._bar)
+        self._fit()
 
     def show_range(self, title: str, unit: str, levels: tuple[float, float]) -> None:
         """Set title, unit and ends of the scale."""
         title = f"{title} ({unit})" if unit else title
         self._bar.setLevels(levels)
         self._bar.axis.setLabel(title)
+        self._fit()
+        self.setAccessibleName("Colour bar: {} from {:.4g} to {:.4g}".format(title, *levels))
+
+    def _fit(self) -> None:
         self.setFixedHeight(
             math.ceil(self._bar.effectiveSizeHint(Qt.SizeHint.MinimumSize).height()) + _CAPTION_BELOW_PX
         )
-        self.setAccessibleName("Colour bar: {} from {:.4g} to {:.4g}".format(title, *levels))
 
 
 class FieldMap(SurfaceView):

@@ -279,4 +279,9 @@ class LivePanel(Themed, QWidget):
     def _show_figures(self) -> None:
         fault = f'<span style="color:{self.theme.fault}">▲ {{}}</span>'
         figures = figures_of(self._run.ready, self._run.latest)
-        ui.put(self.figures, " &nbsp; · &nbsp; ".join(fault.format(one) if wrong else one for one, wrong in figures))
+        ui.put(
+            self.figures,
+            " \N{NO-BREAK SPACE} · \N{NO-BREAK SPACE} ".join(
+                fault.format(one) if wrong else one for one, wrong in figures
+            ),
+        )

@@ -17,7 +17,7 @@ from PyQt5.QtWidgets import QWidget
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Real
-from wavefocus.gui.film_player import Film, FilmPlayer, Frame
+from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer, Frame
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
@@ -230,3 +230,6 @@ class MapsPanel(FilmPlayer):
                 results.focus_sample, response, pair.response_unit, scales,
             )
         )  # fmt: skip
+        first_mm = sources_mm(float(record.focus_s[0])) if len(results.focus_sample) else NOWHERE_MM
+        if self.maps[0].marked < 0 and len(first_mm):  # so that a response is seen at once
+            self.show_position(results.surface.raster.nearest(*first_mm[0].tolist()))
