@@ -75,11 +75,18 @@ class Bare:
         return self._text
 
 
+def annotated(annotation: Any) -> str:
+    """An annotation as it is written: names without their modules, arrays by their type."""
+    text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    text = re.sub(r"\b(?:\w+\.)+(?=\w)", "", text)
+    return re.sub(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"NDArray[\1]", text)
+
+
 def signature(name: str, function: Any) -> str:
     """A call with the types of its parameters, a line for each where it is long."""
     found = inspect.signature(function)
     parameters = [_bare(parameter) for parameter in found.parameters.values() if parameter.name != "self"]
-    result = "" if found.return_annotation is found.empty else f" -> {found.return_annotation}"
+    result = "" if found.return_annotation is found.empty else f" -> {annotated(found.return_annotation)}"
     call = found.replace(parameters=parameters, return_annotation=found.empty)
     if len(line := f"{name}{call}{result}") <= WIDTH:
         return line
@@ -91,8 +98,8 @@ def signature(name: str, function: Any) -> str:
 
 def _bare(parameter: inspect.Parameter) -> inspect.Parameter:
     annotation, default = parameter.annotation, parameter.default
-    if isinstance(annotation, str):
-        parameter = parameter.replace(annotation=Bare(annotation))
+    if annotation is not parameter.empty:
+        parameter = parameter.replace(annotation=Bare(annotated(annotation)))
     if default is not parameter.empty and callable(default):
         parameter = parameter.replace(default=Bare("np.float32" if default is np.float32 else "..."))
     return parameter

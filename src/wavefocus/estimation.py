@@ -1,5 +1,7 @@
 """Green's functions from kept recordings, in Python and for ``wavefocus estimate``."""
 
+from __future__ import annotations
+
 import logging
 import os
 import time

@@ -3,6 +3,8 @@
 :class:`PositionedFile` uses what Python has everywhere, :class:`PosixFile` the calls of Linux and macOS.
 """
 
+from __future__ import annotations
+
 import contextlib
 import errno
 import os

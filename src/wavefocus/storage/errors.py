@@ -1,5 +1,7 @@
 """Errors about files, figures and locks; each is one sentence that a person can act on."""
 
+from __future__ import annotations
+
 
 class WavefocusError(Exception):
     """Base of the errors that are shown to people in one line."""

@@ -1,5 +1,7 @@
 """The field file, docs/reference/files.md: the response at positions, predicted or scanned."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Raw recordings into Green's functions: what was played, and on which clock, is found once; positions in parallel."""
 
+from __future__ import annotations
+
 import math
 import os
 from collections import deque

@@ -1,5 +1,7 @@
 """The read interface of a bank, and a reader of its rows."""
 
+from __future__ import annotations
+
 import threading
 from dataclasses import dataclass, field
 from typing import Any, Protocol

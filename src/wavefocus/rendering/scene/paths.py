@@ -1,5 +1,7 @@
 """Paths on the surface, each followed by its arc length."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

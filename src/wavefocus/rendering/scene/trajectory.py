@@ -1,5 +1,7 @@
 """A source's course in time, linear between knots: at samples, and as a path from a CSV file or from arrays."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Dated notes that people add to a bank, kept in it: which finger, which bolt, what was unusual in the measurement."""
 
+from __future__ import annotations
+
 import json
 import re
 import shutil
