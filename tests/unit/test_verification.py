@@ -252,9 +252,9 @@ def test_given_a_surface_that_compresses_then_the_linearity_says_by_how_much():
     assert plan.position == AROUND
     setup = setup_of(VirtualRig(dataclasses.replace(SETTINGS, cubic_per_v2=-0.3)))
     loud, quiet = scan(plan, setup, drive, bank()), scan(plan, setup, quieter(drive), bank())
-    linearity, compression = linearity_of(prediction(), loud, quiet, bank().band_hz).figures(0.001)
+    (linearity, compression), _ = linearity_of(prediction(), loud, quiet, bank().band_hz, 0.001)
     scans = [scanned_at(plan, one) for one in (drive, quieter(drive))]
-    sound = linearity_of(prediction(), *scans, bank().band_hz).figures(0.01)
+    sound, _ = linearity_of(prediction(), *scans, bank().band_hz, 0.01)
     assert linearity.passed is False
     assert compression.value > 0.02
     assert sound[0].passed is True
