@@ -100,8 +100,8 @@ def test_bounds_hold_the_stated_share_of_errors_without_the_noise_of_the_checks(
     rng, deviation = np.random.default_rng(6), model.deviations(random_mm, [0])
     truth = model.values(random_mm) + 4.0 * deviation * plate_noise(rng, *deviation.shape)
     nu = 4.0 * np.median(deviation)
-    covered = []
-    for draw in range(12):
+    covered, scales, by_noise = [], [], []
+    for _ in range(12):
         some = rng.permutation(len(random_mm))[:checks]
         seen = truth[:, some] + nu * plate_noise(rng, 1, checks, len(ACTUATOR_MM))
         level = np.full((checks, len(ACTUATOR_MM)), nu)
@@ -109,9 +109,10 @@ def test_bounds_hold_the_stated_share_of_errors_without_the_noise_of_the_checks(
         found = replace(model, **facts)
         assert (found.stated, found.judged_by) == (stated, "check positions")
         covered.append((np.abs(truth - model.values(random_mm)) <= found.bound_scale[:, None, None] * deviation).mean())
-        if draw == 0:
-            assert found.error_scale[0] == pytest.approx(4.0, rel=0.35)
-            assert found.by_noise[0] > 0.02
+        scales.append(found.error_scale[0])
+        by_noise.append(found.by_noise[0])
+    assert np.median(scales) == pytest.approx(4.0, rel=0.2)
+    assert np.median(by_noise) > 0.02
     assert np.mean(covered) == pytest.approx(stated, abs=0.05)
 
 
