@@ -137,3 +137,9 @@ def test_text_fills_its_height_around_its_centre():
     upright = TextPath("L", 10.0)
     heights = upright.point_at(np.linspace(0, upright.length_mm, 2000))[:, 1]
     assert np.count_nonzero(heights < -3) > np.count_nonzero(heights > 3)
+
+
+@pytest.mark.parametrize("data", ["M 0 0 L 12", "M 0 0 L 10 20 345", "M 0 0 A " + 400 * "2"])
+def test_path_data_with_a_number_too_few_is_refused_at_once(data):
+    with pytest.raises(InputError, match="goes wrong"):
+        flatten(data, 0.1)

@@ -15,7 +15,8 @@ from wavefocus.rendering.scene.paths import DrawnPath, PointMm, check_point
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_regular
 
-_NUMBER, _FLAG = r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", r"[\s,]*([01])"
+# Possessive: a number that is missing is not made of the digits of the one before it.
+_NUMBER, _FLAG = r"[\s,]*+([+-]?(?:\d++\.?+\d*+|\.\d++)(?:[eE][+-]?\d++)?+)", r"[\s,]*+([01])"
 _COUNTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "Z": 0}
 _ARGUMENTS = {kind: re.compile(_NUMBER * count) for kind, count in _COUNTS.items()} | {
     "A": re.compile(_NUMBER * 3 + _FLAG * 2 + _NUMBER * 2)
