@@ -308,9 +308,15 @@ class NiSession:
         # Whatever the driver warns about is an error here: no sample that it doubts is taken for good.
         warnings.filterwarnings("error", category=self._nidaqmx.errors.DaqWarning)
         self._options: Any = None
+        if address:
+            try:
+                self._channel = _open_channel(address, answer_s, tls)
+            except OSError as failure:
+                cause = f"{failure.filename} cannot be read ({failure.strerror})"
+                remedy = f"correct tls_root, tls_certificate and tls_key of [{role}]"
+                raise InstrumentError(self.instrument, "opening", cause, remedy) from failure
         try:
             if address:
-                self._channel = _open_channel(address, answer_s, tls)
                 self._options = self._nidaqmx.GrpcSessionOptions(self._channel, "")
             with self.explaining("opening"):
                 self._open()
@@ -318,12 +324,8 @@ class NiSession:
                 cause = f"{self.identity} answers instead of {identity}"
                 remedy = "plug the right one in, or start a new campaign with this one"
                 raise InstrumentError(self.instrument, "opening", cause, remedy)
-        except BaseException as failure:
+        except BaseException:
             self.close()
-            if isinstance(failure, OSError):
-                cause = f"{failure.filename} cannot be read ({failure.strerror})"
-                remedy = f"correct tls_root, tls_certificate and tls_key of [{role}]"
-                raise InstrumentError(self.instrument, "opening", cause, remedy) from failure
             raise
 
     def _open(self) -> None:

@@ -222,7 +222,7 @@ class _InProcess:
             self._end()
 
     def _open(self, doing: str, kind: str, *arguments: Any) -> Any:
-        """End the process, start a fresh one, and make a `kind` there; returns who it is, as its `opened` says."""
+        """End the process, start a fresh one, and make a `kind` there; returns what it answers to "open"."""
         self.require_open(doing)
         with self._connecting:
             self._end()
