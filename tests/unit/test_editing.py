@@ -22,7 +22,7 @@ signal = { kind = "sine", frequency = 200, duration_s = 0.1 }
 
 
 def words(text, kind="scene"):
-    return [one.text for one in completions(text, len(text), MODELS[kind])[1]]
+    return completions(text, len(text), MODELS[kind])[1]
 
 
 def test_given_mistakes_then_each_is_at_its_line_in_the_words_of_the_command_line():

@@ -63,34 +63,24 @@ def lines_of(text: str) -> dict[Steps, int]:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Completion:
-    """A text that fits, and what it means."""
-
-    text: str
-    help: str
-
-
-def completions(text: str, position: int, model: type[Table]) -> tuple[str, list[Completion]]:
+def completions(text: str, position: int, model: type[Table]) -> tuple[str, list[str]]:
     """The part of a word before a place of the text, and what may stand there in its place."""
     line = text[:position].rpartition("\n")[2]
     if "#" in line:
         return "", []
     if heading := re.fullmatch(r"\s*(\[+[\w.]*)", line):
-        return heading[1], [one for one in _headings(model) if one.text.startswith(heading[1].rstrip())]
+        return heading[1], [one for one in _headings(model) if one.startswith(heading[1].rstrip())]
     tables = _tables_at(text, position, model)
     part = re.split(r"[{,]", line)[-1] if _INLINE.search(line) else line
     if value := re.fullmatch(r"\s*([\w-]+)\s*=\s*(\"?[\w.-]*)", part):
         fields = [table.model_fields[value[1]] for table in tables if value[1] in table.model_fields]
         found = dict.fromkeys(choice for field in fields for choice in _values(field))
-        return value[2], [Completion(one, "") for one in found if one.startswith(value[2])]
+        return value[2], [one for one in found if one.startswith(value[2])]
     word = re.fullmatch(r"\s*([\w-]*)", part)
     if word is None:
         return "", []
-    known = {key: field for table in tables for key, field in table.model_fields.items()}
-    return word[1], [
-        Completion(f"{key} = ", explanation(key, field)) for key, field in known.items() if key.startswith(word[1])
-    ]
+    known = dict.fromkeys(key for table in tables for key in table.model_fields)
+    return word[1], [f"{key} = " for key in known if key.startswith(word[1])]
 
 
 def help_at(text: str, position: int, model: type[Table]) -> str:
@@ -176,12 +166,11 @@ def _tables_at(text: str, position: int, model: type[Table]) -> list[type[BaseMo
     return tables
 
 
-def _headings(model: type[Table]) -> list[Completion]:
+def _headings(model: type[Table]) -> list[str]:
     found = []
     for key, field in model.model_fields.items():
-        if tables := tables_of(model, key):
-            text = f"[[{key}]]" if get_origin(field.annotation) is tuple else f"[{key}]"
-            found.append(Completion(text, tables[0].__doc__ or ""))
+        if tables_of(model, key):
+            found.append(f"[[{key}]]" if get_origin(field.annotation) is tuple else f"[{key}]")
     return found
 
 

@@ -53,7 +53,11 @@ class Plot(Themed, pyqtgraph.PlotWidget):
 
     def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
         super().mouseDoubleClickEvent(event)
-        self.getPlotItem().getViewBox().autoRange()
+        plot = self.getPlotItem()
+        clips = plot.clipToViewMode()
+        plot.setClipToView(False)  # else what is in view counts as everything
+        plot.getViewBox().autoRange()
+        plot.setClipToView(clips)
 
     def title(self, words: str, *, faint: bool = False, size: str | None = None) -> None:
         """Set the line above the plot."""

@@ -71,7 +71,7 @@ class TabContext:
         word: Name of the action.
         act: The action.
         virtual: Whether the rig is virtual: several programs can use it at once.
-        but: A command that the action itself ends.
+        but: The command that the action starts, which refuses a second one itself, or ends.
         """
         held = "" if virtual else next((one.held for one in self.commands if one is not but and one.held), "")
         if held:

@@ -387,13 +387,7 @@ class Badge(Themed, QLabel):
             self._colour = colour
             ground = f"background: {colour}; color: {self.theme.ink}; border-radius: 4px;"
             self.setStyleSheet(f"{ground} font-weight: 600; padding: 2px 9px;")
-        put(self, word)
-
-
-def put(label: QLabel, text: str) -> None:
-    """Set a label's text only when it changes: setting it lays out the whole row."""
-    if label.text() != text:
-        label.setText(text)
+        self.setText(word)
 
 
 def finish_text(finish_s: float) -> str:

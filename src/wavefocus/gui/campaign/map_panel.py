@@ -34,7 +34,7 @@ class _SurfaceMap(SurfaceView):
         self.setAccessibleDescription("Arrow keys go from position to position, Space selects")
         self._marks = self.add_spots(40, "o", 7, self.theme.text, self.theme.base)
         self._selection = self.add_spots(41, "s", 11, pyqtgraph.mkPen(MARK, width=2))
-        self._current = self.add_spots(42, "o", 17, pyqtgraph.mkPen(MARK, width=3))
+        self._current = self.add_spots(42, "o", 17, pyqtgraph.mkPen(self.theme.text, width=3))
         self._rectangle = self.add_line(100, pyqtgraph.mkPen(self.theme.text, style=Qt.PenStyle.DashLine))
         self.picked.connect(self.show_position)
 

@@ -95,12 +95,12 @@ class ProgressRow(Themed, QWidget):
         )  # fmt: skip
         self.state.show_word(str(word), colour)
         reason = report or state.reason
-        ui.put(self.reason, reason)
+        self.reason.setText(reason)
         self.reason.setToolTip(f"{reason}\n{owner}".strip())
 
     def show_faults(self, faults: Sequence[str]) -> None:
         """Show what is wrong and stays so: instruments whose last word is a fault, a bank of another run."""
-        ui.put(self.faults, "\n".join(f"▲ {fault}" for fault in faults))
+        self.faults.setText("\n".join(f"▲ {fault}" for fault in faults))
         self.faults.setVisible(bool(faults))
 
     def show_progress(self, measured: int, total: int, session: CampaignStatus, state: ShownState, plan: str) -> None:
@@ -110,7 +110,7 @@ class ProgressRow(Themed, QWidget):
         self.bar.setTextVisible(of > 0)  # without a bank and a plan there is nothing to count
         self.bar.setMaximum(max(of, 1))
         self.bar.setValue(done)
-        ui.put(self.figures, pace_text(session, going_on=state.going_on) if paced else plan)
+        self.figures.setText(pace_text(session, going_on=state.going_on) if paced else plan)
 
 
 def pace_text(session: CampaignStatus, *, going_on: bool) -> str:

@@ -299,11 +299,12 @@ class CampaignTab(Tab):
 
     def _claim(self, word: str, arguments: list[str], bank: Path, *, virtual: bool) -> None:
         def start() -> None:
-            self.context.settings.opened(bank)  # other tabs find it there
-            self.follow(bank)
+            if not self.run.running:
+                self.context.settings.opened(bank)  # other tabs find it there
+                self.follow(bank)
             self.run.start(arguments, bank, virtual=virtual)
 
-        self.context.claim_instruments(word, start, virtual=virtual)
+        self.context.claim_instruments(word, start, virtual=virtual, but=self.run)
 
     def _pause_or_continue(self) -> None:
         self.run.order("resume" if self._paused else "pause", self.bank_field.path)

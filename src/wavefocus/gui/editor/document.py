@@ -182,8 +182,8 @@ class TextFiles(QObject):
         document = self._document
         if not document._changed_outside or document.path is None:
             return
-        silent = not self._context.messages.sentence  # no fault is hidden
-        if document.saved and document.path.is_file() and self._reported(document.reload) and silent:
+        anew = document.saved and document.path.is_file() and self._reported(document.reload)
+        if anew and not self._context.messages.sentence:  # no other fault is hidden
             self._context.messages.note(f"{document.path} was changed by another program and is read again")
         document.file_changed.emit()
 
@@ -279,11 +279,13 @@ class TextFiles(QObject):
 
     def _reported(self, act: Then) -> bool:
         """Do something; returns whether it could be done, and reports why not."""
+        topic = f"{self._document.kind} text"
         try:
             act()
         except (WavefocusError, OSError) as failure:
-            self._context.report_failure(failure, f"{self._document.kind} text")
+            self._context.report_failure(failure, topic)
             return False
+        self._context.settle(topic)
         return True
 
     def keep(self, close: Then) -> None:

@@ -103,10 +103,10 @@ class _TomlEdit(Themed, QPlainTextEdit):
         """List what may stand at the cursor; unless asked for, once a letter has been typed."""
         self._typed, found = completions(self._document.toml(), self.position(), self._document.model)
         popup = self.popup
-        if not found or not (asked or self._typed) or [one.text for one in found] == [self._typed]:
+        if not found or not (asked or self._typed) or found == [self._typed]:
             popup.hide()
             return
-        self._found.setStringList([one.text for one in found])
+        self._found.setStringList(found)
         self.completer.setCompletionPrefix("")
         place = self.cursorRect()
         place.setWidth(popup.sizeHintForColumn(0) + 30)

@@ -346,6 +346,7 @@ class LevelMeter(Themed, QWidget):
         self._bars = {name: ui.progress_bar(f"Level of the {name}", name) for name in ("response", "reference")}
         for bar in self._bars.values():
             bar.setRange(_FLOOR_DB, 0)
+            bar.setToolTip("Bar: peak in dB of the input's range")
         ui.column(*self._bars.values(), owner=self, spacing=1)
         self.show_levels(None)
 

@@ -262,7 +262,7 @@ class LivePanel(Themed, QWidget):
         for part in (self.look_ahead, self.records):
             part.setEnabled(state == IDLE)
         self.folder.setEnabled(state == IDLE and self.records.isChecked())
-        ui.put(self.hint, self._hint())
+        self.hint.setText(self._hint())
         self.state.show_word(state, {LIVE: self.theme.good, IDLE: self.theme.faint}.get(state, self.theme.warning))
         self._show_figures()
 
@@ -279,8 +279,7 @@ class LivePanel(Themed, QWidget):
     def _show_figures(self) -> None:
         fault = f'<span style="color:{self.theme.fault}">▲ {{}}</span>'
         figures = figures_of(self._run.ready, self._run.latest)
-        ui.put(
-            self.figures,
+        self.figures.setText(
             " \N{NO-BREAK SPACE} · \N{NO-BREAK SPACE} ".join(
                 fault.format(one) if wrong else one for one, wrong in figures
             ),

@@ -66,7 +66,7 @@ class ResultsPanel(Themed, QWidget):
             part.changed.connect(self._show_state)
         self.rig_field.line.editingFinished.connect(self._check_rig)
         self.rig_field.chosen.connect(self._check_rig)
-        self.calculation.stage.connect(lambda stage: ui.put(self.stage, f"calculating: {stage}"))
+        self.calculation.stage.connect(lambda stage: self.stage.setText(f"calculating: {stage}"))
         self.calculation.made.connect(self._show)
         self.calculation.refused.connect(self._refuse)
         self._edited()
@@ -77,7 +77,7 @@ class ResultsPanel(Themed, QWidget):
         self.gain = ui.number_box("Gain in dB", tip, " dB", 1, -60.0, 60.0, prefix="gain ")
         tip = "Number of repetitions, without a gap"
         self.loops = ui.number_box("Repetitions", tip, "", 0, 1.0, 10_000.0, value=1.0, prefix="× ")
-        self._state = ui.label(role="faint", any_width=True)
+        self._state = ui.label("Saving and playing", role="faint", any_width=True)
         tip = "Render the scene exactly and save the drives (V), or the sound file of the rig's interface (.wav)"
         self.actions_by_name = {
             "drive": ui.action(self, "Save &drive…", self._choose_place, "Ctrl+E", tip=tip),
@@ -170,13 +170,13 @@ class ResultsPanel(Themed, QWidget):
         if results is None or results.field is not None:
             self.field.show_results(results)
             self.complete = results is not None and results.figures is not None
-            if not self.calculation.busy:
-                ui.put(self.stage, "up to date with the scene" if self.complete else "not calculated")
+        if not self.calculation.busy:
+            self.stage.setText("up to date with the scene" if self.complete else "not calculated")
         self._show_state()
-        ui.put(self.problem, problem)
+        self.problem.setText(problem)
         self.problem.setVisible(bool(problem))
         warnings = () if results is None else results.facts["warnings"]
-        ui.put(self.warnings, "\n".join(f"⚠ {warning}" for warning in warnings))
+        self.warnings.setText("\n".join(f"⚠ {warning}" for warning in warnings))
         self._warned.setVisible(bool(warnings))
 
     def _refuse(self, problem: str) -> None:
@@ -197,4 +197,5 @@ class ResultsPanel(Themed, QWidget):
             texts.append(self.playing.text)
         elif ready and not self.rig and not saving:
             texts.append("choose a rig to play")
-        ui.put(self._state, "; ".join(texts))
+        self._state.setText("; ".join(texts))
+        self._state.setToolTip(self._state.text())

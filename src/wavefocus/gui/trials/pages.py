@@ -71,7 +71,7 @@ class _LargeButton(QPushButton):
 
     def show_text(self, text: str) -> None:
         """Show another text."""
-        ui.put(self.name, text)
+        self.name.setText(text)
         self.setAccessibleName(text)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
@@ -171,7 +171,7 @@ class QuestionPage(QWidget):
             self.answers[choice].setDown(True)
 
     def _enable(self, on: bool) -> None:
-        ui.put(self.note, "")
+        self.note.setText("")
         for button in [*self.answers.values(), *([] if self.replay is None else [self.replay])]:
             button.setEnabled(on)
             button.setDown(False)
@@ -192,8 +192,8 @@ class NoticePage(QWidget):
         self, title: str, text: str = "", button: str = "", progress: tuple[int, int] | None = None
     ) -> None:
         """Show a title and a text; a button with a text, a bar with a part and its whole."""
-        ui.put(self.title, title)
-        ui.put(self.text, text)
+        self.title.setText(title)
+        self.text.setText(text)
         self.text.setVisible(bool(text))
         self.bar.setVisible(progress is not None)
         done, of = progress or (0, 1)

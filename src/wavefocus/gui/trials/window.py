@@ -183,7 +183,7 @@ class TrialsWindow(QMainWindow):
         if self._state is not None:
             self._enter(self._state)
         if self.question is not None:
-            ui.put(self.question.note, sentence)
+            self.question.note.setText(sentence)
 
     def _send(self, order: Answer | EndTrials | GoOn | Replay) -> None:
         self.process.send(**to_record(order))
@@ -210,7 +210,7 @@ class TrialsWindow(QMainWindow):
         """Show an error that nobody caught; the session goes on."""
         if details:
             self.tracebacks.append(details)
-        ui.put(self.notice.text if self.question is None else self.question.note, sentence)
+        (self.notice.text if self.question is None else self.question.note).setText(sentence)
 
 
 def show(arguments: Sequence[str], say: Callable[[str], object]) -> int:

@@ -248,7 +248,7 @@ class _RunRow(Themed, QWidget):
             goes_on = step.step == "scan" and step.left_s is not None and step.done < step.total
             left = ui.finish_text(step.at.timestamp() + (step.left_s or 0.0)) if goes_on else ""
             text = "  ·  ".join(filter(None, (left, run.message)))
-        ui.put(self.figures, text)
+        self.figures.setText(text)
         self.figures.setToolTip(text)
 
 
@@ -308,6 +308,7 @@ class VerificationTab(Tab):
         self.row.show_run(self.run, self._reading or missing)
 
     def shut_down(self) -> None:
+        self._reading = ""
         self._background.end()
 
     def _lay_out(self) -> None:
@@ -342,8 +343,9 @@ class VerificationTab(Tab):
     def _open_record(self, record: Path) -> None:
         """Read a verification and show it when it is there."""
         self.context.settings.opened(record)
-        self._reading = f"reading {record.parent.name}…"
-        self._background.ask("verification", partial(read_results, record), self._show, self._fail)
+        reading = self._reading = f"reading {record.parent.name}…"
+        work = partial(read_results, record, lambda: self._reading is reading)
+        self._background.ask("verification", work, self._show, self._fail)
 
     def _show(self, results: Results) -> None:
         self._reading = ""

@@ -119,7 +119,6 @@ def read_pair(
     prediction: Path,
     scan: Path,
     band_hz: tuple[float, float] | None,
-    on_progress: Callable[[int, int], object] | None = None,
     wanted: Callable[[], bool] = lambda: True,
 ) -> FieldPair:
     """Read two field files and limit them to a band.
@@ -137,7 +136,6 @@ def read_pair(
                 f"{scan} holds position {strange[0]}, which {prediction} lacks; they are not of one verification"
             )
         band = BandLimit(predicted.samples, predicted.sample_rate_hz, band_hz)
-        total, done = len(rows) + len(scanned.position_index), 0
         fields = np.full((2, len(rows), predicted.samples), np.nan, np.float32)
         for field, reader in zip(fields, (predicted, scanned), strict=True):
             for first, values in reader.blocks():
@@ -150,9 +148,6 @@ def read_pair(
                     field[[place[int(row)] for row in here]] = (
                         band.signals(band.spectrum(part)) if band_hz is not None else part
                     )
-                    done += len(part)
-                    if on_progress is not None:
-                        on_progress(done, total)
         return FieldPair(
             fields[0], fields[1], rows, predicted.sample_rate_hz, predicted.start_s, predicted.response_unit
         )
