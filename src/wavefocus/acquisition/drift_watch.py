@@ -11,10 +11,10 @@ from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.judgement import REFERENCE_LEVEL
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
 from wavefocus.acquisition.plan import sentinel_of
-from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.calibration.estimator.noise_error import noise_error_db
 from wavefocus.config.messages.campaign import Drift, Fault
+from wavefocus.storage.bank.ledger import row_ranges
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import WavefocusError
 

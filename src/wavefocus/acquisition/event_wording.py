@@ -2,7 +2,7 @@
 
 import math
 
-from wavefocus.acquisition.wording import hours, row_ranges
+from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.evidence import SIGMAS
 from wavefocus.config.messages import tag
 from wavefocus.config.messages.campaign import (
@@ -22,7 +22,7 @@ from wavefocus.config.messages.campaign import (
     SessionStarted,
     StateChanged,
 )
-from wavefocus.storage.bank.ledger import status_words
+from wavefocus.storage.bank.ledger import row_ranges, status_words
 
 
 def sentence(event: Event) -> str:

@@ -1,11 +1,7 @@
-"""Durations, times and bank rows in few words."""
+"""Durations and times in few words."""
 
 import math
 from datetime import UTC, datetime, timedelta
-
-from wavefocus.storage.bank.ledger import row_ranges
-
-__all__ = ["a_while", "finish_time", "hours", "row_ranges"]
 
 _MAX_S = 100 * 365.25 * 86400
 # Further than any campaign goes, and well within the range of dates.

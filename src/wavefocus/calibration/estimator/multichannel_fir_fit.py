@@ -177,7 +177,7 @@ def _whole(
     Raises InputError: it is too large.
     """
     rank, slots = left.shape[1], turns.shape[1]
-    needed = 8 * rank * slots * (2 * left.shape[0] + 2 * rank * slots)
+    needed = 32 * rank * slots * (left.shape[0] + rank * slots)
     if needed > MAX_JOINT_BYTES:
         raise InputError(
             f"{slots} actuators that play at once with uneven delays need {needed / 2**30:.1f} GiB; at most "
@@ -185,10 +185,12 @@ def _whole(
         )
     columns = (left[:, :, None] * turns[:, None]).reshape(len(left), rank * slots)
     columns = np.concatenate([columns.real, columns.imag])
-    gram = columns.T @ columns
-    inverse = np.linalg.inv(gram + np.diag(np.repeat(penalty.astype(np.float64), slots)))
-    freedom = float(np.einsum("ij,ji->", gram, inverse))
-    return inverse.astype(np.float32), freedom, np.diag(inverse).reshape(rank, slots).mean(axis=1)
+    gram, damping = columns.T @ columns, np.repeat(penalty.astype(np.float64), slots)
+    gram.flat[:: len(gram) + 1] += damping
+    inverse = np.linalg.inv(gram)
+    own = np.diag(inverse)
+    # Freedom, the trace of undamped times inverse, is the rank less what the damping takes.
+    return inverse.astype(np.float32), float(own.size - damping @ own), own.reshape(rank, slots).mean(axis=1)
 
 
 def _harmonics(

@@ -30,6 +30,7 @@ class LedgerReader:
 
     def __init__(self, path: Path, layout: LedgerLayout, file: Any = None) -> None:
         self._path, self._layout, self._shape = path, layout, layout.shape
+        self._tries = _TRIES if file is None else 1  # what is given is not being written
         try:
             self._file = file or open_file(path)
         except OSError as error:
@@ -38,7 +39,7 @@ class LedgerReader:
             # Before the ledger: a status stands in the file only after its ledger row.
             has_status = "/status" in layout.figures
             noted = self.figure("/status") if has_status else bytes(layout.positions)
-            for attempt in range(_TRIES):
+            for attempt in range(self._tries):
                 if attempt:
                     time.sleep(_PAUSE_S)
                 self._read_ledger()
@@ -62,7 +63,7 @@ class LedgerReader:
         if self._replacing and self._replacing.position == position:
             return self._replaced(self._replacing)  # as its ledger row was taken from the journal
         try:
-            for attempt in range(_TRIES):
+            for attempt in range(self._tries):
                 if attempt:
                     time.sleep(_PAUSE_S)
                 found = self._chunks_once(position)
