@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavefocus.commands.demo import compare_with_truth
+from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rendering.greens.source import GreenArray

@@ -11,10 +11,10 @@ from tests.lab_files import change_text
 from tests.system.captures import events_of, of_kind, wavefocus
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
+from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.calibration.check import check_bank
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.campaign.blueprint import bank_configuration
-from wavefocus.commands.demo import compare_with_truth
 from wavefocus.config.run import Virtual
 from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import open_bank

@@ -11,8 +11,8 @@ import pytest
 from tests.lab_files import change_text
 from tests.system.captures import capture_process, events_of, wavefocus
 from tests.system.conftest import with_faults, write_lab
+from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_from_files, blueprint_of
-from wavefocus.commands.demo import compare_with_truth
 from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import create_bank

@@ -16,7 +16,7 @@ from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 
 def examined(bench, rig=None, *, play=True, **openers):
-    """RigFindings about a bench; `rig` has tables of its rig file, `openers` other openers."""
+    """Findings about a bench; `rig` has tables of its rig file, `openers` other openers."""
     roles = bench.instruments
     sound = Openers(
         clock=roles.clock,

@@ -18,7 +18,6 @@ from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITION_MM = np.stack([np.arange(4) * 4.0, np.zeros(4)], axis=1)
 VOLTS = np.full((1, 64), 0.5, np.float32)
-Writer = BankWriter | RawWriter
 
 
 def green_of(position):

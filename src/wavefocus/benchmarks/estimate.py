@@ -23,9 +23,15 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.plan import Plan
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, band_error_db, measure
-from wavefocus.benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure_bank, rig_setup, sweep_plan
+from wavefocus.benchmarks.rig_bank import (
+    TAPS,
+    compare_with_truth,
+    default_grid,
+    measure_bank,
+    rig_setup,
+    sweep_plan,
+)
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.mocks.virtual.rig import VirtualRig
@@ -71,25 +77,11 @@ def _night(settings: VirtualSettings, positions: int, **schedule: Any) -> dict[s
         measure_bank(path, plan, setup)
         took_s = setup.instruments.clock.now_s() - began_s
         with open_bank(path) as bank:
-            green = np.stack([bank.green(row) for row in range(positions)])
-    error_db = _errors_db(rig, plan, green)
+            error_db = compare_with_truth(bank, rig)
     # Commits and other overhead that the rig's clock does not see, as the plan estimates them.
     planned_s = max(took_s / positions, plan.position_s(setup))
     median_db, worst_tenth_db = np.percentile(error_db, [50, 90]).tolist()
     return {"hours": NIGHT * planned_s / 3600, "median_db": median_db, "worst_tenth_db": worst_tenth_db}
-
-
-def _errors_db(rig: VirtualRig, plan: Plan, green: NDArray[np.generic]) -> Float64Array:
-    length = scipy.fft.next_fast_len(2 * TAPS, real=True)
-    hertz = np.fft.rfftfreq(length, 1 / RATE_HZ)
-    inside = np.flatnonzero((hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1]))
-    band = slice(int(inside[0]), int(inside[-1]) + 1)
-    found = []
-    for row, here in enumerate(plan.position_mm):
-        true = rig.truth_spectra(here[None], TAPS, length, band, RATE_HZ)[0]
-        wrong = scipy.fft.rfft(green[row], length)[:, band] - true
-        found.append(20 * np.log10(np.linalg.norm(wrong, axis=1) / np.linalg.norm(true, axis=1)))
-    return np.stack(found)
 
 
 OFFSET = 200
@@ -120,7 +112,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
         "wavefocus": _ours(estimator),
         "plain H1, band mask, cut at 0": _plain_h1(sweep),
     }
-    notes = [f"The noise's own limit is {np.median(_limit_db(work, estimator)):.1f} dB."]
+    notes = [f"The noise's own limit is {np.median(_limit_db(work)):.1f} dB."]
     try:
         methods |= _pyfar_methods(sweep)
     except ImportError as error:
@@ -172,7 +164,7 @@ def _make_workload(records: int, seed: int = 0) -> _Workload:
     return _Workload(excitation, truth, reference.astype(np.float32), response.astype(np.float32), noise_v)
 
 
-def _limit_db(work: _Workload, estimator: SequentialEstimator) -> NDArray[np.float64]:
+def _limit_db(work: _Workload) -> NDArray[np.float64]:
     """Error that white noise alone leaves: least squares from a noise-free reference, in expectation.
 
     The trace of the estimate's covariance over the band, by the fit's own unbiased in-band projection: noise

@@ -20,7 +20,7 @@ from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.storage.bank.layout import BankHeader, create_bank
-from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import BankWriter
 
 Float64Array = NDArray[np.float64]
@@ -130,3 +130,25 @@ def true_bank(rig: VirtualRig, position_mm: Float64Array, error_db: float | None
 def default_grid(rig: VirtualRig) -> Float64Array:
     """The 1500 positions of the default campaign."""
     return surface_grid(rig.settings.outline, MARGIN_MM, SPACING_MM)
+
+
+def compare_with_truth(bank: Bank, rig: VirtualRig) -> Float64Array:
+    """Compare every measured pair with the plate's true FIR, over the bank's band.
+
+    Returns (positions, actuators) ``20 log10(|G - G_true|_2 / |G_true|_2)``, NaN where not measured, over the bins
+    from ``band_hz[0]`` to ``band_hz[1]`` of a transform of twice the length of the FIRs.
+    """
+    error_db = np.full((bank.positions, bank.actuators), np.nan)
+    length = scipy_fft.next_fast_len(2 * bank.taps, real=True)
+    frequency_hz = np.fft.rfftfreq(length, 1.0 / bank.sample_rate_hz)
+    start_hz, stop_hz = bank.band_hz if bank.band_hz is not None else (0.0, np.inf)
+    in_band = np.flatnonzero((frequency_hz >= start_hz) & (frequency_hz <= stop_hz))
+    band = slice(int(in_band[0]), int(in_band[-1]) + 1)
+    measured = np.flatnonzero(bank.status)
+    for rows in np.split(measured, range(CHUNK, len(measured), CHUNK)):
+        true = rig.truth_spectra(bank.position_mm[rows], bank.taps, length, band, bank.sample_rate_hz)
+        for row, spectra in zip(rows.tolist(), true, strict=True):
+            wrong = scipy_fft.rfft(bank.green(row).astype(np.float32, copy=False), length)[:, band] - spectra
+            relative = np.linalg.norm(wrong, axis=1) / np.linalg.norm(spectra, axis=1)
+            error_db[row] = 20.0 * np.log10(np.maximum(relative, np.finfo(np.float64).tiny))
+    return error_db

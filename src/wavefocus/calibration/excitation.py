@@ -61,7 +61,7 @@ class PlayedExcitation:
     amplitude_v: Peak of the sweep in volts, > 0.
     averages: Number of sweeps in a record, >= 1.
     fade_s: Length of each half-cosine fade in seconds, 0 to half of `duration_s`.
-    waveform: One of `wavefocus.calibration.excitation.WAVEFORMS`.
+    waveform: One of `WAVEFORMS`.
 
     Raises InputError: a value outside the range above.
     """

@@ -101,7 +101,7 @@ class _BlockSearch:
             ]
             self._moves = (lags[0] - lags[1]) / (2 * trial)
 
-    def _first_guess(self, recorded: NDArray[np.floating]) -> tuple[float, float]:
+    def first_guess(self, recorded: NDArray[np.floating]) -> tuple[float, float]:
         """Offset and clock ratio, to about a sample over the record.
 
         recorded, float (samples,): The recording; the signal may lie anywhere in it, or stick out at either end.
@@ -214,7 +214,7 @@ class ClockFitter:
         absent, too noisy, or not entirely inside the recording.
         """
         recorded = self._checked(np.asarray(recorded_v), name)
-        offset, ratio = self.search._first_guess(recorded) if near is None else near
+        offset, ratio = self.search.first_guess(recorded) if near is None else near
         found = self._refined(*self._cut(recorded, offset), offset, self._near(ratio))[0]
         if not self._is_found(found):
             words = f"unexplained {found.residual_db:.1f} dB, allowed {10 * np.log10(REFERENCE_LIMIT):g} dB"

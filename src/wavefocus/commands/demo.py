@@ -9,9 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import scipy.fft
-from numpy.typing import NDArray
 
+from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.commands import bank as bank_commands
 from wavefocus.commands import init, plan, status
 from wavefocus.commands import predict as prediction
@@ -26,7 +25,7 @@ from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.options import RenderOptions
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rig.virtual_bench import virtual_rig
-from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError, WavefocusError
 
 # The bank is this good at the default noise, or the demo has failed.
@@ -146,29 +145,3 @@ def _verify(scene: Path, bank: Path, out: Path, every: int) -> Exit:
         needed = scan_rows("path", load_scene(scene), view.position_mm, scene) or ()
         rows = sorted({*needed, *range(0, view.positions, every)})
     return verification.verify(scene, bank, Path("virtual"), out, ",".join(map(str, rows)), as_json=False)
-
-
-# Bounds memory to some 20 MB.
-CHUNK_POSITIONS = 64
-
-
-def compare_with_truth(bank: Bank, rig: VirtualRig) -> NDArray[np.float64]:
-    """Compare every measured pair with the plate's true FIR, over the bank's band.
-
-    Returns (positions, actuators) ``20 log10(|G - G_true|_2 / |G_true|_2)``, NaN where not measured, over the bins
-    from ``band_hz[0]`` to ``band_hz[1]`` of a transform of twice the length of the FIRs.
-    """
-    error_db = np.full((bank.positions, bank.actuators), np.nan)
-    length = scipy.fft.next_fast_len(2 * bank.taps, real=True)
-    frequency_hz = np.fft.rfftfreq(length, 1.0 / bank.sample_rate_hz)
-    start_hz, stop_hz = bank.band_hz if bank.band_hz is not None else (0.0, np.inf)
-    in_band = np.flatnonzero((frequency_hz >= start_hz) & (frequency_hz <= stop_hz))
-    band = slice(int(in_band[0]), int(in_band[-1]) + 1)
-    measured = np.flatnonzero(bank.status)
-    for rows in np.split(measured, range(CHUNK_POSITIONS, len(measured), CHUNK_POSITIONS)):
-        true = rig.truth_spectra(bank.position_mm[rows], bank.taps, length, band, bank.sample_rate_hz)
-        for row, spectra in zip(rows.tolist(), true, strict=True):
-            wrong = scipy.fft.rfft(bank.green(row).astype(np.float32, copy=False), length)[:, band] - spectra
-            relative = np.linalg.norm(wrong, axis=1) / np.linalg.norm(spectra, axis=1)
-            error_db[row] = 20.0 * np.log10(np.maximum(relative, np.finfo(np.float64).tiny))
-    return error_db

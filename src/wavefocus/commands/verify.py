@@ -109,14 +109,10 @@ def verify(
         ):
             with staged_folder(out, files.RECORD_NAME, results) as staged:
                 work = _Work(scene_file, scene, view, configuration, rig, log)
-                asked: dict[str, Any] = {"linearity": linearity, "corrections": corrections, "force": force}
-                verification, prediction = work.run(rows, staged, out, **asked)
                 names = {"scene_file": str(scene_file), "bank": str(bank), "rig": str(rig_file)}
-                outline_mm = rig.surface.outline.line(OUTLINE_POINTS)
-                record = files.write_record(
-                    staged, verification=verification, scene=scene, prediction=prediction, bank=view, names=names,
-                    outline_mm=outline_mm,
-                )  # fmt: skip
+                verification, record = work.run(
+                    rows, staged, out, names, linearity=linearity, corrections=corrections, force=force
+                )
             for name in journals:
                 (out / name).unlink(missing_ok=True)
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
@@ -141,9 +137,20 @@ class _Work:
         self.configuration = configuration
 
     def run(
-        self, rows: list[int] | None, out: Path, journals: Path, *, linearity: bool, corrections: int, force: bool
-    ) -> tuple[Verification, Field]:
-        """Carry out all steps, and write all files but the record; `journals` is where an interrupted scan is kept."""
+        self,
+        rows: list[int] | None,
+        out: Path,
+        journals: Path,
+        names: dict[str, str],
+        *,
+        linearity: bool,
+        corrections: int,
+        force: bool,
+    ) -> tuple[Verification, dict[str, Any]]:
+        """Carry out all steps and write all files; `journals` is where an interrupted scan is kept.
+
+        Returns what was found, and the content of ``verify.json``.
+        """
         bank, limits = self.bank, self.configuration.run.tolerance
         with self._step("render", 1) as report, naming(self.scene_file, bank):
             report(0, 1, "preparing the scene: its interpolation and quiet places")
@@ -196,8 +203,12 @@ class _Work:
                 bank=bank, campaign=_facts(self.configuration, bank, scan_s), outline_mm=outline_mm,
                 drift=read_drift(bank.path), drift_limits=drift_limits, save_pictures=True,
             )  # fmt: skip
+            record = files.write_record(
+                out, verification=verification, scene=self.scene, prediction=prediction, bank=bank, names=names,
+                outline_mm=outline_mm,
+            )  # fmt: skip
             report(2, 2)
-        return verification, prediction
+        return verification, record
 
     def _begun(self, journal: Path, report: Report) -> tuple[Drive, RenderReport] | None:
         """The drive of an interrupted scan of an earlier version, which took "nearest" where a scene names nothing."""

@@ -19,7 +19,7 @@ from pydantic_core import ErrorDetails
 from wavefocus.config.fields import KEPT, models_in
 from wavefocus.config.retired import KEYS, refused
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.text_file import open_regular, read_text
+from wavefocus.storage.text_file import HDF5_SIGNATURE, open_regular, read_text
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -336,7 +336,6 @@ _HDF5 = {
     "wavefocus-bank": "bank", "wavefocus-raw": "file of raw recordings", "wavefocus-drive": "drive file",
     "wavefocus-field": "field file",
 }  # fmt: skip
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 def kind_of_tables(data: Mapping[str, Any]) -> str:
@@ -367,7 +366,7 @@ def hdf5_kind(path: Path) -> str:
     """Kind of an HDF5 file in words, as ``"bank"``; empty where a file is not HDF5 or cannot be read."""
     try:
         with open_regular(path) as file:
-            if file.read(len(_HDF5_SIGNATURE)) != _HDF5_SIGNATURE:
+            if file.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
                 return ""
     except (OSError, ValueError):
         return ""

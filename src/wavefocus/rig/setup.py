@@ -211,7 +211,7 @@ def watch_of(
     return Watch(bands, bounded, section.probe_every_s, section.give_up_after_s)
 
 
-def _with_input_delay(setup: Setup, rig: RigConfig, sample_rate_hz: float, bank: BankWriter | None = None) -> Setup:
+def _with_input_delay(setup: Setup, rig: RigConfig, sample_rate_hz: float, bank: BankWriter | None) -> Setup:
     """A set-up with the delay of its response input: the calibrated one, else the device's own, else as stated.
 
     sample_rate_hz: Of the records to come.

@@ -125,7 +125,7 @@ class FieldWriter:
         self._digest.update(rows)
         self._written = last
 
-    def _finish(self) -> None:
+    def finish(self) -> None:
         if self._written < len(self._data):
             raise InputError(f"{self._path}: row {self._written} of the field was never written; the file is left out")
         self._data.attrs[hdf5_digest.VALUES] = self._digest.hexdigest()
@@ -172,7 +172,7 @@ def field_in_rows(
         set_long_names(file, LONG_NAMES)
         writer = FieldWriter(path, data)
         yield writer
-        writer._finish()
+        writer.finish()
 
 
 @checked

@@ -15,11 +15,11 @@ from pathlib import Path
 from wavefocus.storage import durable
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.sidecar_files import StagingDir, clear_leftovers, staging_dir
+from wavefocus.storage.text_file import HDF5_SIGNATURE
 
 EXPORT_MARK = "wavefocus_export"
 """Root attribute of exports that are read as banks, too; being copies, they may be replaced."""
 _STAGED = "results"
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # The metadata of a bank lie in front of its data.
 _HEAD_BYTES = 2 << 20
 
@@ -226,7 +226,7 @@ def _precious(path: Path) -> str:
     """Say what kind of measurement a file holds; empty where it holds none."""
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    if _HDF5_SIGNATURE not in head:
+    if HDF5_SIGNATURE not in head:
         return ""
     for name, words in (("wavefocus-bank", "is a bank"), ("wavefocus-raw", "holds raw recordings")):
         if name.encode() in head:

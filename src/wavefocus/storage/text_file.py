@@ -8,6 +8,9 @@ from typing import BinaryIO
 
 from wavefocus.storage.errors import InputError
 
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""HDF5 file format specification, version 3.0, section II.A: the first bytes of a file without a user block."""
+
 MAX_BYTES = 16 * 2**20
 """More than any position list or configuration needs; beyond it the wrong file was named."""
 

@@ -17,11 +17,10 @@ from wavefocus.storage import durable, hdf5_digest, hdf5_reading
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import created
 from wavefocus.storage.sidecar_files import staging_dir
+from wavefocus.storage.text_file import HDF5_SIGNATURE
 
 FORMAT = "wavefocus-waves"
 _KEY = "bank_sha256"
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""HDF5 file format specification, version 3.0, section II.A: the first bytes of a file without a user block."""
 
 
 def wave_file(bank: Path) -> Path:
@@ -55,7 +54,7 @@ def _is_of_another_kind(path: Path) -> bool:
     if not path.exists():
         return False
     with path.open("rb") as file:
-        if file.read(len(_HDF5_SIGNATURE)) != _HDF5_SIGNATURE:
+        if file.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
             return True
     with suppress(InputError):
         return hdf5_digest.format_of(path)[0] != FORMAT

@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wavefocus.config.trials import AdaptiveTable
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import Row
 from wavefocus.trials.design import TrialsDesign
@@ -25,7 +26,7 @@ from wavefocus.trials.design import TrialsDesign
 
 def share_right(
     level: ArrayLike, threshold: ArrayLike, slope: ArrayLike, guess: ArrayLike, lapse: ArrayLike
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Share of right answers: a logistic function, p = guess + (1 - guess - lapse) / (1 + exp(-slope (x - threshold))).
 
     level: x, the common logarithm of the stimulus's level.
@@ -39,7 +40,7 @@ def share_right(
         np.asarray(value, np.float64) for value in (level, threshold, slope, guess, lapse)
     )
     # The hyperbolic tangent does not overflow.
-    shares: NDArray[np.float64] = low + (1.0 - low - slips) * 0.5 * (1.0 + np.tanh(0.5 * steepness * (x - midway)))
+    shares: Float64Array = low + (1.0 - low - slips) * 0.5 * (1.0 + np.tanh(0.5 * steepness * (x - midway)))
     return shares
 
 
@@ -133,9 +134,6 @@ def ordered(
             last, run = level, row
             order.append(left[level].pop(draws.below(count + 1)))
     return order
-
-
-Float64Array = NDArray[np.float64]
 
 
 def track_of(adaptive: AdaptiveTable, levels: Sequence[float]) -> Track:

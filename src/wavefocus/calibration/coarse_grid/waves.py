@@ -192,12 +192,12 @@ class Dispersion:
         return np.asarray(ratio**-self.slope * damped / self.speed_mm_s)
 
     @property
-    def _vector(self) -> Float64Array:
+    def vector(self) -> Float64Array:
         """What is fitted: (log c, log b, m, q)."""
         return np.array([np.log(self.speed_mm_s), np.log(self.loss_per_s), self.slope, self.loss_slope])
 
     @classmethod
-    def _of_vector(cls, vector: Float64Array, middle_hz: float) -> Dispersion:
+    def of_vector(cls, vector: Float64Array, middle_hz: float) -> Dispersion:
         """From what is fitted."""
         log_c, log_b, slope, loss_slope = vector.tolist()
         return cls(
@@ -208,10 +208,10 @@ class Dispersion:
         """The law nearest to some wave numbers, relative to them, by least squares."""
 
         def misfit(vector: Float64Array) -> float:
-            law = Dispersion._of_vector(vector, self.middle_hz).wavenumber(frequency_hz)
+            law = Dispersion.of_vector(vector, self.middle_hz).wavenumber(frequency_hz)
             return float(1e4 * np.square(np.abs(law / wavenumber - 1.0)).sum())
 
-        return Dispersion._of_vector(_simplex(misfit, self._vector, [0.01, 0.2, 0.05, 0.1], 2000), self.middle_hz)
+        return Dispersion.of_vector(_simplex(misfit, self.vector, [0.01, 0.2, 0.05, 0.1], 2000), self.middle_hz)
 
 
 SCANNED_SPEEDS = 160
@@ -251,7 +251,7 @@ def dispersion_of_own_waves(
     weight = 1.0 / np.maximum(np.square(np.abs(values)).sum(axis=(1, 2)), 1e-300)
 
     def left(vector: Float64Array) -> float:
-        wavenumber = Dispersion._of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
+        wavenumber = Dispersion.of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
         # No plate's wave number falls with frequency, or grows with more than its square.
         length_mm = 2.0 * np.pi / max(abs(wavenumber[-1]), 1e-300)
         if not (abs(vector[2]) <= 1.0 and shortest_mm <= length_mm <= longest_mm):
@@ -281,12 +281,12 @@ def dispersion_of_own_waves(
             for length in lengths_mm
         ]
     else:
-        starts = [np.array([*elastic_near._vector, PRESSURE_SHARE]) for _ in ELASTIC_SPEEDS]
+        starts = [np.array([*elastic_near.vector, PRESSURE_SHARE]) for _ in ELASTIC_SPEEDS]
         for start, ratio in zip(starts, ELASTIC_SPEEDS, strict=True):
             start[0] += np.log(ratio)
     best = _simplex(left, min(starts, key=left), [0.03, 0.5, 0.1, 0.3, 0.02], 300)
     share = float(np.clip(best[4], 0.02, 1.0)) if pressure_share else 0.0
-    return Dispersion._of_vector(best[:4], middle_hz), share, left(best)
+    return Dispersion.of_vector(best[:4], middle_hz), share, left(best)
 
 
 def _simplex(misfit: Any, start: Float64Array, step: list[float], evaluations: int) -> Float64Array:

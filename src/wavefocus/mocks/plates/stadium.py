@@ -201,7 +201,7 @@ class _RitzModes:
 
 @dataclass(frozen=True, slots=True)
 class _Triangles:
-    """_Triangles on a plate, those at the rim curved.
+    """Triangles on a plate, those at the rim curved.
 
     node_mm, float64 (nodes, 2): Corners, those of the outline first and in its order.
     corners, int64 (triangles, 3): Which nodes each triangle joins.

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.drivers.protocols import Float32Array
+from wavefocus.mocks.virtual import NANOSECONDS
 from wavefocus.mocks.wire import WireFault
 
 _Int64Array = NDArray[np.int64]
@@ -41,7 +42,6 @@ _HEADER = np.dtype(
     ]
 )
 _CYCLES = 64
-_NANOSECONDS = 1_000_000_000
 
 _SLOWEST = 2e-5
 """How much slower than the monotonic clock the server's may run, so that the recording keeps up with it."""
@@ -130,7 +130,7 @@ class RingWriter:
         Returns bool: whether anything sounds in it.
         """
         ring, frames = self._ring, block[0].size
-        period_ns = frames * _NANOSECONDS // self._rate_hz
+        period_ns = frames * NANOSECONDS // self._rate_hz
         sounds = any(channel.any() for channel in block)
         if ring["cycle"] == 0:
             self._grid_ns = now_ns
@@ -156,7 +156,7 @@ class RingWriter:
         # When a cycle was late the server's clock stood still, and no sample was lost: made up for in silence.
         # A grid of periods that has moved by less is not noticed.
         if moved_ns > 2_000_000 and (self._resumed or silent):
-            gap = moved_ns * self._rate_hz // _NANOSECONDS
+            gap = moved_ns * self._rate_hz // NANOSECONDS
             ring.silence(ring["written"], gap)
             ring["revision"] += 1
             self._grid_ns += moved_ns
@@ -227,10 +227,10 @@ class PlayedAudio:
             held = self._held
             # How long one relation of frames and time is held: longer than a record, shorter than two clocks take to
             # part.
-            if held is None or abs(instant_ns - held[1]) > 30 * _NANOSECONDS or held[2] != revision:
+            if held is None or abs(instant_ns - held[1]) > 30 * NANOSECONDS or held[2] != revision:
                 frame, start_ns = self._newest_cycle()
                 self._held = held = (frame, start_ns, revision)
-        return held[0] - ring["period_frames"] + (instant_ns - held[1]) * self.rate_hz / _NANOSECONDS
+        return held[0] - ring["period_frames"] + (instant_ns - held[1]) * self.rate_hz / NANOSECONDS
 
     def read(self, first_frame: int, stop_frame: int) -> Float32Array:
         """Frames as parts of full scale, once the last one is there. Raises _AudioNotCapturedError.

@@ -132,7 +132,7 @@ class Multipliers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Energies:
-    """_Energies over all moments: of the drives, of the response at each place and at the loudest focus."""
+    """Energies over all moments: of the drives, of the response at each place and at the loudest focus."""
 
     drive: float
     place: Float64Array
@@ -165,7 +165,7 @@ def filters_of(moments: Sequence[Moment], multiplier: Float64Array) -> Filters:
 
 
 def energies_of(moments: Sequence[Moment], filters: Filters) -> _Energies:
-    """_Energies of what the sources emit, through their filters."""
+    """Energies of what the sources emit, through their filters."""
     drive, places = 0.0, moments[0].applies.shape[1]
     place, at_focus = np.zeros(places), dict[int, float]()
     for moment, own in zip(moments, filters, strict=True):

@@ -255,7 +255,7 @@ class QuietRows(BankRows):
         energy = sum(np.square(np.abs(np.fft.rfft(row, self._length, axis=1))).sum(axis=0) for row, _ in green.values())
         # Bins with less of a row's energy than this, relative to the largest, are left to time reversal.
         self._bins = np.flatnonzero(energy > 1e-12 * np.max(energy))
-        cross = self._emitted(scene, emissions)
+        cross = self._emitted(emissions)
         whole = np.maximum(sounding @ lasts, 1)
         made = []
         for m, knot in enumerate(moments.tolist()):
@@ -276,7 +276,7 @@ class QuietRows(BankRows):
         left = energies_of(made, behind).place / max(self.found.focus, 1e-300)
         self.long_enough = self.found.capped or bool((left <= level * 10 ** (-0.1 * BELOW_DB)).all())
 
-    def _emitted(self, scene: Scene, emissions: Sequence[Emission]) -> Complex128Array:
+    def _emitted(self, emissions: Sequence[Emission]) -> Complex128Array:
         """Cross spectra (sources, sources, bins) of what the sources emit, of many only the spectra, (sources, bins).
 
         As far as responses can meet: of correlations, the lags within the transform.

@@ -130,14 +130,15 @@ class Foci:
         """
         row_of = {int(position): row for row, position in enumerate(field.position_index.tolist())}
         ends = (np.stack([self.start_s, self.stop_s]) - field.start_s) * field.sample_rate_hz
-        firsts, lasts = np.rint(ends).astype(np.int64).tolist()
+        firsts, lasts = np.rint(ends).astype(np.int64)
+        row = np.array([row_of.get(position, -1) for position in self.position.tolist()], np.int64)
+        inside = (firsts >= 0) & (firsts < field.samples)
         found: list[tuple[int, int, float]] = []
         for start, values in field.blocks():
-            for focus, (position, first, last) in enumerate(zip(self.position.tolist(), firsts, lasts, strict=True)):
-                row = row_of.get(position, -1) - start
-                if 0 <= row < len(values) and 0 <= first < field.samples:
-                    magnitude = np.abs(values[row, first : max(first + 1, last)])
-                    found.append((first + int(np.argmax(magnitude)), focus, float(magnitude.max())))
+            for focus in np.flatnonzero(inside & (row >= start) & (row < start + len(values))).tolist():
+                first = int(firsts[focus])
+                magnitude = np.abs(values[row[focus] - start, first : max(first + 1, int(lasts[focus]))])
+                found.append((first + int(np.argmax(magnitude)), focus, float(magnitude.max())))
         found.sort()
         held = np.array([focus for _, focus, _ in found], dtype=np.int64)
         sample = np.array([sample for sample, _, _ in found], dtype=np.int64)

@@ -63,7 +63,7 @@ def build_report(
     surface = ReportSurface.of(bank, paths_mm, outline_mm)
     saturation = scene.regularisation.saturation
     gain = focus_gain_map(bank, saturation)
-    pictures, captions = _pictures(surface, verification, drive, bank, gain)
+    pictures, captions = _pictures(surface, verification, drive, gain)
     if drift:
         pictures["drift"] = drift_over_time(drift, drift_limits or DriftLimits())
     waves = waves_of(scene, bank, verification.fields, surface.spacing_mm)
@@ -95,7 +95,7 @@ def build_report(
 
 
 def _pictures(
-    surface: ReportSurface, verification: Verification, drive: Drive, bank: GreenSource, gain: Float64Array
+    surface: ReportSurface, verification: Verification, drive: Drive, gain: Float64Array
 ) -> tuple[dict[str, Picture | None], dict[str, str]]:
     fields = verification.fields
     every_row = np.arange(len(surface.position_mm))

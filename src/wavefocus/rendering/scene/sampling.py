@@ -122,7 +122,6 @@ class SampledSource:
     arc_length_mm, float64 (points,): Arc lengths of the path points, m * d; of a trajectory those of its foci.
     focus_sample, int64 (points,): n_m, counted from scene time zero.
     focus_position, int64 (points,): Bank row nearest to each path point.
-    snap_mm, float64 (points,): Distance from each path point to that row's position.
     signal, float64 (samples,): The whole signal, amplitude included.
     nodes: Bank rows that make one point.
     """
@@ -133,7 +132,6 @@ class SampledSource:
     points_mm: Float64Array
     focus_sample: Int64Array
     focus_position: Int64Array
-    snap_mm: Float64Array
     signal: Float64Array
     nodes: int
 
@@ -207,7 +205,6 @@ def sample_source(
         points_mm,
         focus[:-1],
         nodes.nearest,
-        nodes.distance_mm,
         signal,
         nodes.rows.shape[1],
     )
@@ -257,9 +254,7 @@ def _sample_trajectory(
     except OffGridError as error:
         raise InputError(f"row {path.focus_rows[error.point]} of the trajectory of source {index} {error}") from error
     emission, arc_mm = ContinuousEmission(signal, first, stop, of_samples), path.arc_length_mm(focus_s - source.start_s)
-    return SampledSource(
-        index, emission, arc_mm, points_mm, focus, nodes.nearest, nodes.distance_mm, signal, nodes.rows.shape[1]
-    )
+    return SampledSource(index, emission, arc_mm, points_mm, focus, nodes.nearest, signal, nodes.rows.shape[1])
 
 
 def point_count(source: Source, index: int) -> int:

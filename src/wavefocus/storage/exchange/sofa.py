@@ -181,7 +181,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     unit = _UNIT.search(text_attribute(file, "Comment"))
     status = _bank_status(file, counts[0]) if role == "positions" and len(receivers) == 1 else None
     return Measured(
-        rows=values._in_order() if role == "positions" else values.placed(row_of, column_of, counts),
+        rows=values.in_order() if role == "positions" else values.placed(row_of, column_of, counts),
         shape=(*counts, samples),
         position_m=position_m,
         actuator_m=actuator_m,
@@ -339,7 +339,7 @@ class _Responses:
         fractional = bool((delay % 1).any())
         self.extra = int(np.ceil(delay.max())) + (_SINC if fractional else 0)
 
-    def _in_order(self) -> Any:
+    def in_order(self) -> Any:
         """Yield (emitters, samples) of each receiver of each measurement."""
         for number, block in enumerate(self._measurements()):
             for receiver in self._receivers:

@@ -12,14 +12,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import xlogy
 from scipy.stats import chi2
 
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.trials.order import share_right
 
-Float64Array = NDArray[np.float64]
 Interval = tuple[float | None, float | None]
 
 MAX_LAPSES = 0.12

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,21 @@ from wavefocus.storage.errors import InputError
 
 SLACK = 1e-9
 """Rounding that is forgiven, relative to the grid spacing."""
+
+
+Key = TypeVar("Key")
+Model = TypeVar("Model")
+
+
+def kept(models: dict[Key, Model], key: Key, make: Callable[[], Model], most: int) -> Model:
+    """The model of a key, made where it is missing; the `most` that were used last are kept."""
+    found = models.pop(key, None)
+    if found is None:
+        found = make()
+    models[key] = found
+    for oldest in list(models)[:-most]:
+        models.pop(oldest, None)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

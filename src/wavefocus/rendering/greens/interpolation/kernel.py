@@ -4,7 +4,7 @@ import hashlib
 from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from scipy import fft as scipy_fft
@@ -20,6 +20,7 @@ from wavefocus.rendering.greens.interpolation.base import (
     Neighbourhoods,
     OffGridError,
     SparseError,
+    kept,
     near,
     show_mm,
 )
@@ -69,7 +70,7 @@ class _RowValues:
 
 
 def _left_out_estimate(
-    kernel: Any, points_mm: Float64Array, values: _RowValues, other: Interpolation | None = None
+    kernel: "KernelInterpolation", points_mm: Float64Array, values: _RowValues, other: Interpolation | None = None
 ) -> Estimate:
     """Values of the kernel, or of another interpolation, at points (n, 2), and their errors.
 
@@ -79,7 +80,6 @@ def _left_out_estimate(
     which leaving out alone does not show: a left-out position is further from its neighbours than any point
     between them. Another interpolation is wrong by its difference to the kernel as well.
 
-    kernel: A `KernelInterpolation`, whose module imports this one.
     values: Rows at the frequencies that are judged.
     """
     anchors, _ = kernel.neighbourhoods.nearest(points_mm)
@@ -323,11 +323,7 @@ def _fitted(patches: Sequence[Patch], values: _RowValues, spacing_mm: float) -> 
         digest.update(patch.offset_mm.tobytes())
         digest.update(values.of(patch.rows).tobytes())
     key = digest.digest()
-    if key not in _fits:
-        while len(_fits) >= 32:
-            del _fits[next(iter(_fits))]
-        _fits[key] = fit_waves(patches, values.frequency_hz, values.of, spacing_mm)
-    return _fits[key]
+    return kept(_fits, key, lambda: fit_waves(patches, values.frequency_hz, values.of, spacing_mm), 32)
 
 
 def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array:

@@ -6,7 +6,6 @@ kept next to it.
 
 import hashlib
 import logging
-from collections import OrderedDict
 from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
 from typing import Any, Self
@@ -21,7 +20,7 @@ from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import on_a_line, one_blas_thread
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.greens.interpolation.base import Estimate, near
+from wavefocus.rendering.greens.interpolation.base import Estimate, kept, near
 from wavefocus.rendering.greens.interpolation.path_nodes import (
     PATH_ERROR,
     REACH_SPACINGS,
@@ -142,7 +141,7 @@ def _require_modelled(bank: GreenSource, allowed: BoolArray) -> None:
         )
 
 
-_models: OrderedDict[str, _BankWaves] = OrderedDict()
+_models: dict[str, _BankWaves] = {}
 
 
 def _bank_waves(bank: GreenSource) -> _BankWaves:
@@ -151,10 +150,11 @@ def _bank_waves(bank: GreenSource) -> _BankWaves:
     What is kept belongs to the bank's contents, by their hash; if they change, it is fitted anew.
     """
     key = _contents_sha256(bank)
-    if key not in _models:
+
+    def made() -> _BankWaves:
         path = getattr(bank, "path", None)
-        kept = read_wave_file(wave_file(path), key, _NAMES) if isinstance(path, FilePath) else None
-        found = None if kept is None else _of_arrays(kept, bank)
+        arrays = read_wave_file(wave_file(path), key, _NAMES) if isinstance(path, FilePath) else None
+        found = None if arrays is None else _of_arrays(arrays, bank)
         if found is None:
             positions = int(np.count_nonzero(well_measured(bank)))
             # Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220.
@@ -165,11 +165,9 @@ def _bank_waves(bank: GreenSource) -> _BankWaves:
             found = _fit(bank)
             if isinstance(path, FilePath):
                 write_wave_file(wave_file(path), key, _arrays(found))
-        _models[key] = found
-        while len(_models) > 4:
-            _models.popitem(last=False)
-    _models.move_to_end(key)
-    return _models[key]
+        return found
+
+    return kept(_models, key, made, 4)
 
 
 def _contents_sha256(bank: GreenSource) -> str:
