@@ -21,8 +21,9 @@ from PyQt5.QtWidgets import (
     QTableView,
 )
 
-from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
+from tests.gui.conftest import campaign_of, shown_tab, tab_of, wait, write_lab
 from tests.system.test_options import loaded_by
+from wavefocus.gui.field_map import Plot
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, palette_of
 from wavefocus.gui.window import Window
@@ -129,6 +130,25 @@ def test_given_a_screen_of_1280_by_800_then_no_page_scrolls(open_window, finishe
     window = open_window(finished)
     heights = {tab.title: tab.minimumSizeHint().height() for tab in window.tabs}
     assert max(heights.values()) <= 800 - 150, heights  # menus, tabs, messages and the screen's own bars
+    window.resize(1280, 800)
+    scene = shown_tab(window, SceneTab)
+    QApplication.processEvents()
+    assert scene.bar.name.width() >= scene.bar.name.fontMetrics().horizontalAdvance("scene.toml •")
+
+
+def test_a_double_click_after_zooming_then_the_whole_of_a_clipped_plot_is_seen(qtbot):
+    plot = Plot("a plot", "time (s)", "V")
+    qtbot.addWidget(plot)
+    plot.resize(400, 300)
+    plot.show()
+    plot.getPlotItem().setClipToView(True)
+    plot.line(np.linspace(0.0, 1.0, 1000), np.zeros(1000), "#000000")
+    plot.setXRange(0.4, 0.5, padding=0.0)
+    QApplication.processEvents()
+    qtbot.mouseDClick(plot.viewport(), Qt.MouseButton.LeftButton, pos=plot.viewport().rect().center())
+    low, high = plot.viewRange()[0]
+    assert low <= 0.0
+    assert high >= 1.0
 
 
 def test_given_size_run_and_bank_then_the_next_window_has_them_again(qtbot, open_window, finished, memory):

@@ -241,6 +241,7 @@ class FileBar(QWidget):
         insert.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
         insert.setMenu(insert_menu(document))
         self.name = ui.label("File", any_width=True)
+        self.name.setMinimumWidth(self.name.fontMetrics().horizontalAdvance("scene.toml •"))
         ui.row(*map(ui.button, self.actions_by_name.values()), insert, 6, (self.name, 1), owner=self)
         document.file_changed.connect(self._show_name)
         self._show_name()

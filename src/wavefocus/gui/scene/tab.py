@@ -146,7 +146,7 @@ class SceneTab(Tab):
             columns=columns, look_ahead=live.look_ahead, records=live.records, recordings=live.folder,
         )  # fmt: skip
         fields = (self.bank_field, 3), (self.results.rig_field, 2)
-        top = ui.row((self.bar, 4), *self.modes.values(), 6, *fields)
+        top = ui.row((self.bar, 3), *self.modes.values(), 6, *fields)
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
