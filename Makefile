@@ -59,7 +59,6 @@ test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new
 	COVERAGE_CORE=$$($(PY) -c 'import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")') \
 		$(PY) -m pytest -m "not nightly" --hypothesis-profile nightly --cov --cov-report=term $(ARGS)
 	$(PY) -m pytest -m nightly $(ARGS)
-	$(MAKE) soak
 
 constraints: ## Renew constraints.txt with the newest versions of what wavefocus and its tests need, and run the tests
 	: >constraints.txt
@@ -91,10 +90,10 @@ stiff-cases: ## Run the stiff and extreme cases and write their page in docs/
 	@tools/set-up.sh test
 	$(PY) tools/stiff_cases.py
 
-soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; half an hour on 2 idle cores; writes soak-out/
+soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; an hour on 2 idle cores
 	@tools/system-packages.sh $(COMPILER)
 	@tools/set-up.sh test
-	$(PY) -m tests.system.crash.soak --out soak-out
+	$(PY) -m pytest -m nightly -rP tests/system/test_soak.py $(ARGS)
 
 screenshots: ## Take pictures of the window; writes docs/pictures/window-*.png
 	@tools/system-packages.sh $(WINDOW_PACKAGES) $(X_PACKAGES)
@@ -103,5 +102,5 @@ screenshots: ## Take pictures of the window; writes docs/pictures/window-*.png
 
 clean: ## Remove .venv, caches and what demo and bench wrote
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.* \
-		htmlcov build dist *.egg-info demo-out bench-out soak-out site
+		htmlcov build dist *.egg-info demo-out bench-out site
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

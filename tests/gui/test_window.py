@@ -22,7 +22,7 @@ from PyQt5.QtWidgets import (
 )
 
 from tests.gui.conftest import campaign_of, shown_tab, tab_of, wait, write_lab
-from tests.system.test_options import loaded_by
+from tests.system.test_process_of_a_command import loaded_by
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, palette_of

@@ -1,37 +1,37 @@
 """A command that talks in JSON lines, driven as a script drives it."""
 
+import io
 import json
+import os
 import queue
 import subprocess
 import sys
 import threading
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import IO, Any
+
+import pytest
+
+from wavefocus.__main__ import run
 
 # What a busy machine may take; nothing is judged by it.
 SOON_S = 60.0
 
 
-class Lines:
-    """A running command; a block's end waits for its own."""
+class Talk:
+    """What a command tells, one event a line, and the orders that it is sent."""
 
-    def __init__(self, *arguments, environment=None):
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "wavefocus", *map(str, arguments)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
-        )  # fmt: skip
+    def __init__(self, orders: IO[str] | None):
         self._told: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
-        self.said: list[str] = []
-        self._threads = [threading.Thread(target=self._read), threading.Thread(target=self._listen)]
-        for thread in self._threads:
-            thread.start()
+        self._orders = orders
 
     def send(self, **line):
         self.send_text(json.dumps(line))
 
     def send_text(self, text):
-        assert self.process.stdin is not None
-        self.process.stdin.write(text + "\n")
-        self.process.stdin.flush()
+        assert self._orders is not None
+        self._orders.write(text + "\n")
+        self._orders.flush()
 
     def told(self):
         """The next line that it tells; None at its end."""
@@ -42,7 +42,7 @@ class Lines:
         while (told := self.told()) is not None:
             if told["event"] in events:
                 return told
-        raise AssertionError(f"it ended without {' or '.join(events)}: {self.said}")
+        raise AssertionError(f"it ended without {' or '.join(events)}")
 
     def next_of(self, event):
         """The next event of a kind that was told already, None where there is none; those before it are passed over."""
@@ -57,14 +57,61 @@ class Lines:
 
     def rest(self):
         """All that it tells until its end."""
-        told = []
-        while (one := self.told()) is not None:
-            told.append(one)
-        return told
+        return list(iter(self.told, None))
 
     def close_input(self):
-        assert self.process.stdin is not None
-        self.process.stdin.close()
+        assert self._orders is not None
+        self._orders.close()
+
+
+class _Told(io.TextIOBase):
+    """Standard output whose lines are heard."""
+
+    def __init__(self, hear):
+        self._hear, self._rest = hear, ""
+
+    def write(self, text):
+        *lines, self._rest = (self._rest + text).split("\n")
+        for line in lines:
+            self._hear(json.loads(line))
+        return len(text)
+
+
+def in_process(script, *arguments):
+    """Run a command in this process while a script talks with it in a thread of its own; the exit code."""
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as stdin, os.fdopen(writing, "w") as orders, pytest.MonkeyPatch.context() as patch:
+        talk = Talk(orders)
+        patch.setattr(sys, "stdin", stdin)
+        patch.setattr(sys, "stdout", _Told(talk._told.put))
+
+        def carry_out():
+            with orders:  # whatever becomes of the script, the command ends
+                script(talk)
+
+        with ThreadPoolExecutor(1) as thread:
+            done = thread.submit(carry_out)
+            try:
+                code = run([str(one) for one in arguments])
+            finally:
+                talk._told.put(None)
+            done.result(SOON_S)
+    return code
+
+
+class Lines(Talk):
+    """A command in a process of its own; a block's end waits for its own."""
+
+    def __init__(self, *arguments, environment=None):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "wavefocus", *map(str, arguments)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+        )  # fmt: skip
+        super().__init__(self.process.stdin)
+        self.said: list[str] = []
+        self._threads = [threading.Thread(target=self._read), threading.Thread(target=self._listen)]
+        for thread in self._threads:
+            thread.start()
 
     def end(self):
         """Its exit code."""

@@ -10,7 +10,8 @@ import sys
 
 import pytest
 
-from tests.system.lines import Lines
+from tests.system.lines import in_process
+from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig
 from wavefocus.rig.operation import order_of
 from wavefocus.storage.errors import InputError
@@ -26,6 +27,18 @@ position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
 limit_v = 3.0
 limit_rms_v = 1.0
 """
+ABSENT = """
+[mirror]
+driver = "asi-tiger"
+port = "{folder}/nowhere"
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+address = "localhost:1"
+[player]
+driver = "sounddevice"
+device = "none"
+"""
 
 
 @pytest.fixture
@@ -34,92 +47,80 @@ def rig(tmp_path):
     return tmp_path / "rig.toml"
 
 
-@pytest.fixture
-def operated(rig):
-    with Lines("operate", rig) as lines:
-        yield lines
+def test_given_orders_then_each_is_carried_out_and_answered_in_turn(rig):
+    def script(operated):
+        ready = operated.hear("ready")
+        assert ready["name"] == "by hand"
+        assert ready["largest_level_v"] == pytest.approx(2**0.5)
+        assert len(ready["actuator_mm"]) == 3
+        assert set(ready["instruments"]) == {"mirror", "recorder", "player"}
+
+        operated.send(order="jog", x_mm=12.5, y_mm=-8, id="a")
+        mirror = operated.hear("mirror")
+        assert (mirror["x_mm"], mirror["y_mm"], mirror["parked"]) == (12.5, -8.0, False)
+        assert operated.hear("done") == {"event": "done", "order": "jog", "id": "a", "ok": True}
+
+        operated.send(order="level", every_s=0.1, actuator=1, level_v=0.4)
+        for level in (operated.hear("level"), operated.hear("level")):
+            assert level["reference"]["peak_v"] == pytest.approx(0.4, rel=0.01)
+            assert level["response"]["range_v"] == 10.0
+            assert level["light"] == 1.0
+
+        operated.send(order="sweep", actuator=2, level_v=0.8, duration_s=0.3)
+        sweep = operated.hear("sweep")
+        assert sweep["figures"]["snr_db"] > 20
+        assert sweep["figures"]["defects"] == []
+        assert len(sweep["response_v"]) == len(sweep["reference_v"]) > 3000
+        assert len(sweep["frequency_hz"]) == len(sweep["response_db"]) == len(sweep["noise_db"])
+        assert operated.hear("done")["ok"]
+
+        operated.send(order="park")
+        assert operated.hear("mirror")["parked"]
+        operated.send(order="state")
+        assert operated.hear("levels")["on"]
+        operated.send(order="mute")
+        operated.hear("muted")
+        operated.send(order="state")
+        assert not operated.hear("levels")["on"]
+        operated.send(order="reconnect", instrument="recorder")
+        assert operated.hear("reconnected")["instrument"] == "recorder"
+        operated.send(order="end")
+        assert operated.hear("ended") == {"event": "ended", "muted": True, "parked": True}
+
+    assert in_process(script, "operate", rig) == 0
 
 
-def test_given_orders_then_each_is_carried_out_and_answered_in_turn(operated):
-    ready = operated.hear("ready")
-    assert ready["name"] == "by hand"
-    assert ready["largest_level_v"] == pytest.approx(2**0.5)
-    assert len(ready["actuator_mm"]) == 3
-    assert set(ready["instruments"]) == {"mirror", "recorder", "player"}
-
-    operated.send(order="jog", x_mm=12.5, y_mm=-8, id="a")
-    mirror = operated.hear("mirror")
-    assert (mirror["x_mm"], mirror["y_mm"], mirror["parked"]) == (12.5, -8.0, False)
-    assert operated.hear("done") == {"event": "done", "order": "jog", "id": "a", "ok": True}
-
-    operated.send(order="level", every_s=0.1, actuator=1, level_v=0.4)
-    first, second = operated.hear("level"), operated.hear("level")
-    for level in (first, second):
-        assert level["reference"]["peak_v"] == pytest.approx(0.4, rel=0.01)
-        assert level["response"]["range_v"] == 10.0
-        assert level["light"] == 1.0
-
-    operated.send(order="sweep", actuator=2, level_v=0.8, duration_s=0.3)
-    sweep = operated.hear("sweep")
-    assert sweep["figures"]["snr_db"] > 20
-    assert sweep["figures"]["defects"] == []
-    assert len(sweep["response_v"]) == len(sweep["reference_v"]) > 3000
-    assert len(sweep["frequency_hz"]) == len(sweep["response_db"]) == len(sweep["noise_db"])
-    assert operated.hear("done")["ok"]
-
-    operated.send(order="park")
-    assert operated.hear("mirror")["parked"]
-    operated.send(order="state")
-    assert operated.hear("levels")["on"]
-    operated.send(order="mute")
-    operated.hear("muted")
-    operated.send(order="state")
-    assert not operated.hear("levels")["on"]
-    operated.send(order="reconnect", instrument="recorder")
-    assert operated.hear("reconnected")["instrument"] == "recorder"
-    operated.send(order="end")
-    assert operated.hear("ended") == {"event": "ended", "muted": True, "parked": True}
-    assert operated.end() == 0
-
-
-def test_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried_out(operated):
-    operated.send(order="jog", x_mm=900, y_mm=0, id=7)
-    assert "mirror.limit_mrad" in operated.hear("refused")["sentence"]
-    assert operated.hear("done") == {"event": "done", "order": "jog", "id": 7, "ok": False}
-    operated.send_text("jog, please")
-    assert "no JSON object" in operated.hear("refused")["sentence"]
-    for x_mm in range(5):  # what is in the pipe when it ends is carried out
-        operated.send(order="jog", x_mm=x_mm, y_mm=0)
-    operated.close_input()
-    told = operated.rest()
-    assert [one["x_mm"] for one in told if one["event"] == "mirror"] == [0, 1, 2, 3, 4]
-    assert told[-1]["event"] == "ended"
-    assert operated.end() == 0
-
-
-def _piped(rig, text):
-    """Answers to orders that are all in the pipe before anything is read, and how the command ended."""
-    command = [sys.executable, "-m", "wavefocus", "operate", str(rig)]
-    done = subprocess.run(command, input=text, capture_output=True, timeout=60, check=False)
-    assert b"Traceback" not in done.stderr, done.stderr
-    return [json.loads(line) for line in done.stdout.splitlines()], done
-
-
-def test_orders_after_byte_order_marks_and_extreme_numbers_are_carried_out(rig):
+def test_orders_that_cannot_be_then_each_is_one_sentence_and_the_next_is_carried_out(rig):
     wrong = (
         '{"order": "mute", "now": true}',  # first: a mute drops the orders that wait
         '{"order": "state", "id": 1e400}',
         '{"order": "state", "id": ' + 700 * "[" + 700 * "]" + "}",
         '{"order": "jog", "x_mm": 1' + 400 * "0" + ', "y_mm": 0}',
         '{"order": "\\ud800"}',
+        "jog, please",
     )
-    orders = ('{"order": "mute"}', *wrong, '{"order": "sweep", "actuator": 0, "duration_s": 0.1}', '{"order": "end"}')
-    told, done = _piped(rig, codecs.BOM_UTF8 + b"\n" + codecs.BOM_UTF8 + "\n".join(orders).encode())
-    kinds = [one["event"] for one in told]
-    assert kinds.count("refused") == len(wrong)
-    assert [one["order"] for one in told if one["event"] == "done" and one["ok"]] == ["mute", "sweep", "end"]
-    assert kinds.index("muted") < kinds.index("sweep")
-    assert done.returncode == 0
+
+    def script(operated):
+        operated.hear("ready")
+        byte_order_mark = codecs.BOM_UTF8.decode()
+        operated.send_text(f"{byte_order_mark}\n{byte_order_mark}" + '{"order": "mute"}')
+        operated.hear("muted")
+        for line in wrong:
+            operated.send_text(line)
+            assert operated.hear("refused")["sentence"]
+        operated.send(order="jog", x_mm=900, y_mm=0, id=7)
+        assert "mirror.limit_mrad" in operated.hear("refused")["sentence"]
+        assert operated.hear("done") == {"event": "done", "order": "jog", "id": 7, "ok": False}
+        operated.send(order="sweep", actuator=0, duration_s=0.1)
+        for x_mm in range(5):  # what is in the pipe when it ends is carried out
+            operated.send(order="jog", x_mm=x_mm, y_mm=0)
+        operated.close_input()
+        told = operated.rest()
+        assert [one["event"] for one in told].count("sweep") == 1
+        assert [one["x_mm"] for one in told if one["event"] == "mirror"] == [0, 1, 2, 3, 4]
+        assert told[-1]["event"] == "ended"
+
+    assert in_process(script, "operate", rig) == 0
 
 
 @pytest.mark.parametrize(
@@ -173,50 +174,42 @@ def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_repor
 
 
 @pytest.mark.parametrize("name", [name for name in ("SIGTERM", "SIGQUIT") if hasattr(signal, name)])
-def test_given_a_signal_then_it_ends_in_130(operated, name):
-    operated.send(order="level", every_s=0.1, actuator=0)
-    operated.hear("level")
-    operated.process.send_signal(getattr(signal, name))
-    assert operated.hear("ended")["parked"]
-    assert operated.end() == 130
-    assert operated.said == ["stopped by the user; the outputs are muted, the mirror is parked"]
+def test_given_a_signal_then_it_ends_in_130(rig, name, capfd):
+    def script(operated):
+        operated.send(order="level", every_s=0.1, actuator=0)
+        operated.hear("level")
+        os.kill(os.getpid(), getattr(signal, name))
+        assert operated.hear("ended")["parked"]
+
+    assert in_process(script, "operate", rig) == 130
+    assert capfd.readouterr().err == "stopped by the user; the outputs are muted, the mirror is parked\n"
 
 
 def test_given_nobody_who_reads_then_it_ends_with_its_orders(rig):
     command = [sys.executable, "-m", "wavefocus", "operate", str(rig)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
-        assert process.stdin is not None
         process.stdout.readline()
         process.stdout.close()
-        process.stdin.write(b'{"order": "level", "every_s": 0.1}\n{"order": "jog", "x_mm": 10, "y_mm": 5}\n')
-        process.stdin.flush()
-        process.stdin.close()
-        assert process.wait(timeout=60) == 0
-        assert process.stderr is not None
-        assert b"Traceback" not in process.stderr.read()
+        process.stdout = None
+        orders = b'{"order": "level", "every_s": 0.1}\n{"order": "jog", "x_mm": 10, "y_mm": 5}\n'
+        _, said = process.communicate(orders, timeout=60)
+    assert (process.returncode, b"Traceback" in said) == (0, False)
 
 
-def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig):
+def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig, capsys):
     rig.write_text(RIG + "loud = true\n", encoding="utf-8")
-    with Lines("operate", rig) as lines:
-        assert lines.end() == 2
-        assert len(lines.said) == 1
-        assert "player.loud" in lines.said[0]
+    assert run(["operate", str(rig)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "player.loud" in line
 
 
-def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(tmp_path):
-    file = tmp_path / "rig.toml"
-    file.write_text(
-        '[actuators]\nposition_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]\n[mirror]\ndriver = "asi-tiger"\n'
-        f'port = "{tmp_path / "nowhere"}"\n[recorder]\ndriver = "nidaqmx"\ndevice = "Dev1"\naddress = "localhost:1"\n'
-        '[player]\ndriver = "sounddevice"\ndevice = "none"\n',
-        encoding="utf-8",
-    )
-    with Lines("operate", file) as lines:
-        fault = lines.hear("fault")
-        assert fault["instrument"] == "mirror"
-        assert "there is no such port now" in fault["cause"]
-        assert fault["remedy"]
-        assert lines.end() == 3
-        assert len(lines.said) == 1
+def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(rig, capsys):
+    rig.write_text(RIG.partition("[player]")[0] + ABSENT.format(folder=rig.parent), encoding="utf-8")
+    assert run(["operate", str(rig)]) == 3
+    told = capsys.readouterr()
+    fault = json.loads(told.out.splitlines()[-1])
+    assert (fault["event"], fault["instrument"]) == ("fault", "mirror")
+    assert "there is no such port now" in fault["cause"]
+    assert fault["remedy"]
+    assert len(told.err.splitlines()) == 1

@@ -4,8 +4,15 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.system.crash.logged import INODE, LoggedFile, WithoutFirstBarrier, WithoutSecondBarrier
-from tests.system.crash.power_cuts import Disk, evenly, images
+from tests.system.crash.power_cuts import (
+    INODE,
+    Disk,
+    LoggedFile,
+    WithoutFirstBarrier,
+    WithoutSecondBarrier,
+    evenly,
+    images,
+)
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank

@@ -1,35 +1,170 @@
-"""The process around a command: closed standard streams, Ctrl-C at any moment, errors and warnings in one line."""
+"""The process of a command: what it loads and needs, closed streams, Ctrl-C at any moment, errors in one line."""
 
+import json
 import os
+import re
 import subprocess
 import sys
+import tempfile
+import tomllib
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.lab_files import POSITIONS, write_positions
+from wavefocus import cli
 from wavefocus.__main__ import run
+from wavefocus.command_line import Command, file
+from wavefocus.commands.table import COMMANDS
+from wavefocus.console import EXTRAS, Exit, exit_code, sentence
+from wavefocus.drivers.errors import MissingPackageError
 from wavefocus.storage.bank.reading import open_bank
 
+ROOT = Path(__file__).parents[2]
 ESCAPES = ("\x1b", "\x07", "\u202e", "\u2066")
 
 
-def wavefocus(code, *arguments, folder, **environment):
-    """A command in a process of its own, after some lines of Python."""
+def of_posix(test):
+    """Mark a test that needs a POSIX shell, and signals to a process of its own."""
+    reason = "a POSIX shell, and signals to a process of its own"
+    return pytest.mark.may_skip(reason)(pytest.mark.skipif(os.name != "posix", reason=reason)(test))
+
+
+def python(*words, folder, shell=()):
+    """What Python does in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *map(str, arguments)],
-        cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
+        [*shell, sys.executable, *words], cwd=folder, capture_output=True, text=True, timeout=100, check=False
+    )
 
 
-@pytest.mark.may_skip("a shell that closes standard streams")
-@pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
-@pytest.mark.parametrize("closing", [">&-", "<&- >&- 2>&-"])
-def test_given_closed_standard_streams_then_a_campaign_is_measured(lab, closing):
-    words = [sys.executable, "-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
-    done = subprocess.run(
-        ["sh", "-c", f'exec "$@" {closing}', "sh", *words],
-        cwd=lab, capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-    assert (done.returncode, "Traceback" in done.stderr) == (0, False)
+def in_shell(script, *words, folder):
+    """The same in a shell, where the script says "$@"."""
+    return python(*words, folder=folder, shell=("sh", "-c", script, "sh"))
+
+
+def loaded_by(code, folder):
+    """Modules that a fresh interpreter has loaded after running the code."""
+    done = python("-c", f"{code}\nimport json, sys\nprint(json.dumps([*sys.modules]))", folder=folder)
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def after(code, *arguments, folder):
+    """A command in a process of its own, after some lines of Python."""
+    return python("-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *arguments, folder=folder)
+
+
+def test_given_all_helps_then_there_are_at_most_29_commands_and_120_options(capsys):
+    listed = set()
+    for command in COMMANDS:
+        assert run([command.name, "--help"]) == 0
+        help, _, shared = capsys.readouterr().out.partition("Also takes ")  # options of several commands
+        found = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", help, re.MULTILINE)
+        found += re.findall(r"--[a-z-]+", shared.partition(": see")[0])
+        listed |= {(command.name, option) for option in found if option not in ("--help", "--json")}
+    assert ("render", "--force") in listed
+    assert len(COMMANDS) <= 29
+    assert len(listed) <= 120, sorted(listed)
+
+
+def test_given_the_help_then_each_command_stands_in_one_of_three_groups(capsys):
+    assert run(["--help"]) == 0
+    help = capsys.readouterr().out
+    for command in COMMANDS:
+        assert len(re.findall(rf"^  {command.name} ", help, re.MULTILINE)) == 1
+    assert re.findall(r"^commands .*(?=:$)", help, re.MULTILINE) == [
+        "commands that measure", "commands that use a bank", "commands for the rig and for data",
+    ]  # fmt: skip
+
+
+SLOW = {
+    "h5py", "numpy", "matplotlib", "pandas", "scipy", "soundfile", "wavefocus.mocks", "wavefocus.rendering",
+    "wavefocus.gui", "PyQt5", "pyqtgraph",
+}  # fmt: skip
+MEASURES = {
+    "scipy", "matplotlib", "pandas", "pydantic", "wavefocus.mocks", "wavefocus.rendering.scene.model",
+    "wavefocus.acquisition.engine.campaign", "wavefocus.calibration.estimator.sequential",
+}  # fmt: skip
+SOME_RUNS_NEED = {
+    "scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "matplotlib", "pandas",
+    "wavefocus.rendering.scene.model",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "loaded", "not_loaded"),
+    [
+        (["--help"], 0, "wavefocus.cli", SLOW),
+        (["gui", "--help"], 0, "wavefocus.cli", SLOW),
+        (["init", "lab"], 0, "wavefocus.cli", SLOW - {"numpy"}),
+        (["status", "plate.h5"], 0, "h5py", MEASURES),
+        (["pause", "plate.h5"], 2, "h5py", MEASURES),
+        (["resume", "plate.h5"], 0, "wavefocus.acquisition.engine.campaign", SOME_RUNS_NEED),
+    ],
+)
+def test_a_command_loads_nothing_that_only_others_need(bank, arguments, code, loaded, not_loaded):
+    found = loaded_by(f"from wavefocus.__main__ import run\nassert run({arguments!r}) == {code}", bank.parent)
+    assert loaded in found
+    assert not not_loaded & found
+
+
+def test_the_window_and_grpc_are_extras_and_tests_and_emulator_have_what_they_need():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    needed = {re.match(r"[\w-]+", one)[0] for one in project["dependencies"]}
+    assert needed.isdisjoint({"PyQt5", "pyqtgraph", "grpcio"})
+    assert not any("[grpc]" in one for one in project["dependencies"])
+    extras = project["optional-dependencies"]
+    assert set(EXTRAS.values()) <= set(extras)
+    assert "wavefocus[window,remote]" in extras["test"]
+    assert "wavefocus[remote]" in extras["emulate"]
+
+
+@pytest.mark.parametrize(
+    ("packages", "words", "extra"),
+    [
+        (("PyQt5", "pyqtgraph"), ("gui",), "window"),
+        (("pyqtgraph",), ("gui",), "window"),
+        (("grpc",), ("emulate", "rig.toml"), "emulate"),
+    ],
+)
+def test_an_extra_that_is_not_installed_then_exit_2_and_one_line_with_the_command(
+    packages, words, extra, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
+    assert run(["init", "--rig", "emulated", str(tmp_path)]) == 0
+    # The import of some packages fails as if they were not installed.
+    done = after(f"import sys\nsys.modules.update(dict.fromkeys({packages}))", *words, folder=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert f"wavefocus[{extra}]" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("failure", "code", "said"),
+    [
+        (MissingPackageError("recorder", "opening", "no grpc", "pip install it"), Exit.WRONG_INPUT, "pip install it"),
+        (ModuleNotFoundError("No module", name="skfem.mesh"), Exit.WRONG_INPUT, '"wavefocus[plates]"'),
+        (ModuleNotFoundError("No module", name="acme"), Exit.WRONG_INPUT, 'pip install "acme"'),
+        (ModuleNotFoundError("No module", name="wavefocus.nothing"), Exit.DEFECT, ""),  # a defect
+    ],
+)
+def test_a_missing_package_is_wrong_input_and_a_missing_module_of_ours_a_defect(failure, code, said):
+    assert exit_code(failure) == code
+    assert said in sentence(failure)
+
+
+@of_posix
+@pytest.mark.parametrize(
+    "script", ['"$@" >&-', '"$@" <&- >&- 2>&-', '{ "$@" || echo failed >&2; } | head -n 1'], ids=["out", "all", "gone"]
+)
+def test_streams_that_are_closed_or_go_away_then_a_campaign_is_measured(lab, script):
+    write_positions(lab, POSITIONS[:2])
+    words = ["-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
+    done = in_shell(script, *words, folder=lab)
+    assert done.returncode == 0
+    assert not re.search("Traceback|failed", done.stderr)
+    assert len(done.stdout.splitlines()) == ("head" in script)
     with open_bank(lab / "plate.h5") as bank:
         assert bank.status.all()
 
@@ -51,108 +186,113 @@ AS_ANOTHER = f"""
             except BaseException as failure: raise ImportError('broken') from failure"""
 
 
-@pytest.mark.may_skip("signals to a process of its own")
-@pytest.mark.skipif(os.name != "posix", reason="signals to a process of its own")
+@of_posix
 @pytest.mark.parametrize(
     ("module", "act"),
-    [(module, KILL) for module in ("argparse", "wavefocus.cli", "numpy", "wavefocus.commands.bank")]
-    + [("h5py", act) for act in (KILL, IN_A_FINALISER, AS_ANOTHER)],
+    [
+        ("wavefocus.cli", KILL),
+        ("numpy", KILL),
+        ("wavefocus.commands.bank", KILL),
+        ("h5py", IN_A_FINALISER),
+        ("h5py", AS_ANOTHER),
+    ],
 )
 def test_ctrl_c_while_modules_are_loaded_then_exit_code_is_130_without_traceback(tmp_path, module, act):
-    done = wavefocus(INTERRUPTED_AT.format(module=module, act=act), "check", "plate.h5", folder=tmp_path)
+    done = after(INTERRUPTED_AT.format(module=module, act=act), "check", "plate.h5", folder=tmp_path)
     assert done.returncode == 130
     assert done.stderr in ("", "wavefocus: stopped by the user\n")
 
 
-FAILING = """
-from pathlib import Path
-import numpy as np
-from wavefocus import cli, command_line
-def fail(file: Path) -> None:
-    {act}
-cli.COMMANDS = (command_line.Command("fail", fail, "", (command_line.file("file"),)),)
-"""
+@pytest.fixture
+def failing(tmp_path, monkeypatch, capsys):
+    """A command that does what it is told, on a file; its exit code and what it said."""
+    (tmp_path / "scene.toml").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def failed(act):
+        def fail(file: Path):
+            act()
+
+        monkeypatch.setattr(cli, "COMMANDS", (Command("fail", fail, "", (file("file"),)),))
+        return run(["fail", "scene.toml"]), capsys.readouterr().err
+
+    return failed
+
+
+def _raise(failure):
+    raise failure
 
 
 @pytest.mark.parametrize(
     "act",
     [
-        "raise KeyError('x')",
-        "10.0 ** 400",
-        "import wavefocus.nothing",
-        "raise RuntimeError('\\x1b[31m' + 9000 * 'x')",
+        lambda: _raise(KeyError("x")),
+        lambda: 10.0**400,
+        lambda: __import__("wavefocus.nothing"),
+        lambda: _raise(RuntimeError("\x1b[31m" + 9000 * "x")),
     ],
+    ids=["key", "arithmetic", "import", "long and coloured"],
 )
-def test_defect_then_it_is_exit_70_one_line_with_files_name_and_traceback_in_log(tmp_path, act):
-    (tmp_path / "scene.toml").touch()
-    done = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path, TMPDIR=str(tmp_path))
-    assert done.returncode == 70
-    (line,) = done.stderr.splitlines()
+def test_defect_then_it_is_exit_70_one_line_with_files_name_and_traceback_in_log(failing, act, tmp_path, monkeypatch):
+    code, said = failing(act)
+    assert code == 70
+    (line,) = said.splitlines()
     assert "scene.toml: defect of the program" in line
     assert len(line) < 1000
     assert not any(one in line for one in ESCAPES)
     (log,) = tmp_path.glob("wavefocus-defect-*.log")
     assert str(log) in line
     assert "Traceback" in log.read_text(encoding="utf-8")
-    explained = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path, WAVEFOCUS_TRACEBACK="1")
-    assert explained.returncode == 70
-    assert "Traceback" in explained.stderr
+    monkeypatch.setenv("WAVEFOCUS_TRACEBACK", "1")
+    code, said = failing(act)
+    assert code == 70
+    assert "Traceback" in said
 
 
-def test_given_more_than_the_memory_then_it_is_wrong_input_with_the_files_name(tmp_path):
-    (tmp_path / "scene.toml").touch()
-    done = wavefocus(FAILING.format(act="np.empty(1 << 50)"), "fail", "scene.toml", folder=tmp_path)
-    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
-    assert "scene.toml: not enough memory" in done.stderr
+def test_given_more_than_the_memory_then_it_is_wrong_input_with_the_files_name(failing):
+    code, said = failing(lambda: np.empty(1 << 50))
+    assert (code, len(said.splitlines())) == (2, 1)
+    assert "scene.toml: not enough memory" in said
 
 
-@pytest.mark.may_skip("a shell with pipes")
-@pytest.mark.skipif(os.name != "posix", reason="a shell with pipes")
-def test_given_a_listener_that_goes_away_then_all_is_carried_out(lab):
-    words = [sys.executable, "-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
-    done = subprocess.run(
-        ["sh", "-c", '{ "$@"; echo $? > code; } | head -n 1', "sh", *words],
-        cwd=lab, capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-    assert (len(done.stdout.splitlines()), "Traceback" in done.stderr) == (1, False)
-    assert (lab / "code").read_text(encoding="utf-8").strip() == "0"
-    with open_bank(lab / "plate.h5") as bank:
-        assert bank.status.all()
-
-
-LISTENED = """
-import sys, time
+OF_OUR_OWN = """
+import time
 from pathlib import Path
+import numpy as np
 from wavefocus import cli, command_line
 from wavefocus.console import answer
+def overflow() -> None:
+    np.float64(1e308) * 10
 def work() -> int:
     for number in range(3):
         answer(number * 9000 * "x")
         time.sleep(0.1)
     Path("done").touch()
     return 1
-cli.COMMANDS = (command_line.Command("work", work, "", ()),)
+cli.COMMANDS = (command_line.Command("work", work, "", ()), command_line.Command("overflow", overflow, "", ()))
 """
 
 
-@pytest.mark.may_skip("a shell with pipes")
-@pytest.mark.skipif(os.name != "posix", reason="a shell with pipes")
+@of_posix
 @pytest.mark.parametrize(
     ("to", "code", "said"), [("| true", "1", ""), ("> /dev/full", "2", "standard output: No space")]
 )
 def test_output_that_goes_nowhere_then_reader_decides_nothing_and_full_disk_is_named(tmp_path, to, code, said):
-    words = [sys.executable, "-c", f"{LISTENED}\nfrom wavefocus.__main__ import main\nmain()", "work"]
-    done = subprocess.run(
-        ["sh", "-c", f'{{ "$@"; echo $? >&3; }} 3> code {to}', "sh", *words],
-        cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
+    done = in_shell(
+        f'{{ "$@"; echo $? >&3; }} 3> code {to}',
+        "-c",
+        f"{OF_OUR_OWN}\nfrom wavefocus.__main__ import main\nmain()",
+        "work",
+        folder=tmp_path,
+    )
     assert (tmp_path / "code").read_text(encoding="utf-8").strip() == code
     assert said in done.stderr
     assert (tmp_path / "done").exists() == (not said)
 
 
 def test_given_a_warning_of_numpy_then_it_is_one_plain_line(tmp_path):
-    done = wavefocus(FAILING.format(act="np.float64(1e308) * 10"), "fail", "scene.toml", folder=tmp_path)
+    done = after(OF_OUR_OWN, "overflow", folder=tmp_path)
     assert done.returncode == 0
     (line,) = done.stderr.splitlines()
     assert line.startswith("warning: overflow encountered")
@@ -161,6 +301,7 @@ def test_given_a_warning_of_numpy_then_it_is_one_plain_line(tmp_path):
 def test_names_with_control_characters_then_no_message_brings_them_to_the_terminal(lab, capsys):
     name = "x\x1b[31m\x1b]0;owned\x07\u202e\u2066.h5"
     (lab / name).write_text("no bank", encoding="utf-8")
+    write_positions(lab, POSITIONS[:2])
     for command in (["status", name], ["check", name], ["capture", name, "--bank", "a.h5"], ["status", "none" + name]):
         assert run([*command[:1], *(str(lab / one) if one[0] != "-" else one for one in command[1:])]) == 2
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / f"plate{name}")]) == 0

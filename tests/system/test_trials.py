@@ -1,14 +1,24 @@
-"""Whole experiments through the command, answered by a program: what is stored, refused, repeated and muted."""
+"""Whole experiments through the command, answered by a program: what is stored, refused, repeated, muted, analysed."""
 
+import csv
 import json
+import random
+import sys
+import time
 
+import numpy as np
 import pytest
+from scipy.stats import binom
 
+from tests.simulated_people import CONSTANT, PEOPLE, Observer, SimulatedParticipant, coverage, designs
 from tests.system.conftest import with_faults, write_lab
-from tests.system.lines import Lines
+from tests.system.crash.processes import How, Order, Processes
+from tests.system.lines import Lines, in_process
 from tests.unit.trials_files import STROKES
 from wavefocus.__main__ import run
-from wavefocus.trials.answers import AnswersFile, read_answers, read_facts
+from wavefocus.trials.answers import COLUMNS, AnswersFile, read_answers, read_facts
+from wavefocus.trials.design import load_trials
+from wavefocus.trials.order import order_of
 
 TRIALS = f"""
 [trials]
@@ -21,24 +31,33 @@ blocks = 2
 {STROKES}emission = "per_point"
 amplitude = 0.001
 """
+ADAPTIVE = f"""
+[trials]
+name = "felt_or-not"
+question = "Which way?"
+answers = ["left", "right"]
+correct = "path"
+familiarise = false
+{STROKES}emission = "per_point"
+amplitude = [0.0001, 0.0002, 0.0004, 0.0006, 0.001]
 
+[adaptive]
+method = "up_down"
+factor = "amplitude"
+trials = 12
+"""
 MASKING = "\n[masking]\noutput = 5\nrms_v = 0.2\n"
+ANSWERS = ("left", "right")
 
 
-def arguments(lab):
-    """The command line of a lab's experiment for its first participant."""
+def experiment(lab, trials=TRIALS, participant="P1"):
+    """The command line of a lab's experiment, its trials file written."""
+    (lab / "trials.toml").write_text(trials, encoding="utf-8")
     files = [lab / "trials.toml", "--bank", lab / "plate.h5", "--rig", lab / "rig.toml", "--out", lab / "out"]
-    return ["trials", *map(str, files), "--participant", "P1"]
+    return ["trials", *map(str, files), "--participant", participant]
 
 
-@pytest.fixture
-def experiment(lab, bank):
-    """The same, its trials file and bank written."""
-    (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
-    return arguments(lab)
-
-
-def answer(session, choice="right"):
+def answer(session, choose=lambda stimulus: "right"):
     """Go on and answer until the session ends; its events."""
     events = []
     while True:
@@ -47,7 +66,8 @@ def answer(session, choice="right"):
             case "state", "go_on":
                 session.send(order="go_on")
             case "state", "answer":
-                session.send(order="answer", choice=choice)
+                stimulus = [one["stimulus"] for one in events if one["event"] == "presented"][-1]
+                session.send(order="answer", choice=choose(stimulus))
             case "ended", _:
                 return events
 
@@ -62,23 +82,21 @@ def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(tmp_path, 
     )
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
     trials = TRIALS.replace("blocks = 2", "blocks = 2\npause_s = 10.0\nfamiliarise = false") + "plays = 2\n"
-    (lab / "trials.toml").write_text(trials + MASKING, encoding="utf-8")
-    experiment = arguments(lab)
-    with Lines(*experiment, "--lines") as session:  # over ten seconds each, in the wall's time
+    command = experiment(lab, trials + MASKING)
+    with Lines(*command, "--lines") as session:  # over ten seconds each, in the wall's time
         assert session.hear("state")["phase"] == "welcome"
         session.send(order="go_on")
         assert session.hear("state")["waiting"] == "playing"
         capsys.readouterr()
-        assert run([*experiment, "--lines", "--fast"]) == 75
+        assert run([*command, "--lines", "--fast"]) == 75
         assert str(session.process.pid) in capsys.readouterr().err
         session.close_input()
         assert session.rest()[-1] == {"event": "ended", "done": 0, "of": 8, "complete": False}
         assert session.end() == 130
         assert any("muted" in line and "resumes" in line for line in session.said)
 
-    with Lines(*experiment, "--lines", "--fast") as session:
-        events = answer(session)
-        assert session.end() == 0
+    events = []
+    assert in_process(lambda session: events.extend(answer(session)), *command, "--lines", "--fast") == 0
     assert events[-1] == {"event": "ended", "done": 8, "of": 8, "complete": True}
     rows = read_answers(lab / "out")
     assert [row.attempts for row in rows] == [1, 1, 2, 1, 2, 1, 1, 1]
@@ -93,15 +111,14 @@ def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(tmp_path, 
         assert row.trials_sha256 == facts["trials_sha256"] == manifest["trials_sha256"]
         assert row.bank_sha256 == facts["bank_sha256"] == manifest["bank_sha256"]
         assert row.stimulus_sha256 == manifest["stimuli"][row.stimulus]["sha256"]
-    assert run([*experiment, "--lines", "--fast"]) == 2
+    assert run([*command, "--lines", "--fast"]) == 2
     assert "complete" in capsys.readouterr().err
 
 
-def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, experiment, capsys):
+def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, bank, capsys):
     def refused(*words, trials=TRIALS, options=("--lines",)):
-        (lab / "trials.toml").write_text(trials, encoding="utf-8")
         capsys.readouterr()
-        assert run([*experiment, *options]) == 2
+        assert run([*experiment(lab, trials), *options]) == 2
         told = capsys.readouterr()
         assert told.err.strip().splitlines()[-1].startswith("wavefocus: ")
         assert "Traceback" not in told.err
@@ -121,10 +138,141 @@ def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, exp
 
 
 @pytest.mark.smoke
-def test_given_a_preparation_then_the_stimuli_are_there_and_a_window_is_not_needed(lab, experiment, capsys):
-    assert run([*experiment[:-2], "--prepare", "--json"]) == 0
+def test_given_a_preparation_then_the_stimuli_are_there_and_a_window_is_not_needed(lab, bank, capsys):
+    assert run([*experiment(lab)[:-2], "--prepare", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["stimuli"]
     assert sorted(listed) == sorted(one.stem for one in (lab / "out" / "stimuli").glob("*.h5"))
     assert read_answers(lab / "out") == ()
     with AnswersFile(lab / "out") as answers:
         assert answers.rows == ()
+
+
+def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, bank, capsys):
+    command, out = experiment(lab, ADAPTIVE, "A-1"), lab / "out"
+    design = load_trials(lab / "trials.toml")
+    person = SimulatedParticipant(design, Observer("amplitude", -3.5, 8.0), np.random.default_rng(1))
+    assert in_process(lambda session: answer(session, person.answer), *command, "--lines", "--fast") == 0
+
+    capsys.readouterr()
+    assert run(["analyse", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    result = out / "analysis"
+    written = json.loads((result / "analysis.json").read_text(encoding="utf-8"))
+    assert printed == written | {"out": str(result)}
+    assert sorted(written["files"]) == sorted(
+        path.relative_to(result).as_posix() for path in result.rglob("*") if path.is_file()
+    )
+    rows = read_answers(out)
+    assert written["trials"] == {"A-1": len(rows)} == {"A-1": 12}
+    (function,) = written["psychometric"]
+    assert (function["factor"], function["track"]) == ("amplitude", rows[0].track)
+    assert sum(function["fit"]["right"]) == sum(bool(row.correct) for row in rows)
+    assert "report.html" in written["files"]
+
+    place = result / "bids" / "sub-A1" / "beh"
+    with (place / "sub-A1_task-feltornot_beh.tsv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file, delimiter="\t"))
+    sidecar = json.loads((place / "sub-A1_task-feltornot_beh.json").read_text(encoding="utf-8"))
+    assert list(table[0]) == [name for name in COLUMNS if name != "participant"]
+    assert set(table[0]) <= set(sidecar)
+    assert [int(one["trial"]) for one in table] == list(range(1, 13))
+    assert [float(one["reaction_s"]) for one in table] == [row.reaction_s for row in rows]
+    people = (result / "bids" / "participants.tsv").read_text(encoding="utf-8").splitlines()
+    assert people == ["participant_id\tcode\ttrials", "sub-A1\tA-1\t12"]
+    described = json.loads((result / "bids" / "dataset_description.json").read_text(encoding="utf-8"))
+    assert {"Name", "BIDSVersion", "DatasetType"} <= set(described)
+
+    assert run(["analyse", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert run(["analyse", str(out), "--force"]) == 0
+    (result / "notes.txt").write_text("mine")
+    assert run(["analyse", str(out), "--force"]) == 2
+    assert (result / "notes.txt").read_text() == "mine"
+    assert run(["analyse", str(out), "--out", str(out), "--force"]) == 2
+    (out / "trials.json").write_text('{"format": "wavefocus-trials", "design": {"trials": 3}}')
+    assert run(["analyse", str(out), "--out", str(lab / "other")]) == 2
+    assert run(["analyse", str(lab)]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+def test_200_simulated_people_of_each_design_then_intervals_hold_truth_in_95_of_100(tmp_path):
+    for name, design in designs(tmp_path).items():
+        found = coverage(design, PEOPLE, 0.02, tmp_path)
+        least = 190 if name == CONSTANT else binom.ppf(0.01, PEOPLE, 0.95)
+        assert min(found.threshold_held, found.slope_held) >= least, name
+        assert name != CONSTANT or 0.5 < found.slope_ratio < 2.0
+
+
+class Killed:
+    """An experiment whose participants' sessions are killed and resumed."""
+
+    def __init__(self, lab, processes):
+        *self._command, self._participant = experiment(lab)
+        self.out, self.processes = lab / "out", processes
+        self._design = load_trials(lab / "trials.toml")
+        processes.warm_up([*self._command[:-1], "--prepare"])
+        self.kills, self._number = 0, 0
+        self._begin()
+
+    def _begin(self):
+        """Take the next participant."""
+        self._number, self._stored = self._number + 1, 0
+        self._participant = f"P{self._number}"
+        order = order_of(self._design, self._participant)
+        self._expected = []
+        while (trial := order.next_trial()) is not None:
+            self._expected.append((trial.number, trial.stimulus, ANSWERS[trial.number % 2]))
+            order.answered(ANSWERS[trial.number % 2])
+
+    def session(self, lifetime_s=1000000000.0, order=None):
+        """Carry on with the participant until the end or the kill, look at what is stored."""
+        command = [*self._command, self._participant, "--lines", "--fast"]
+        ended = self.processes.converse(_answer, *command, order=order, lifetime_s=lifetime_s)
+        assert "Traceback" not in ended.err
+        assert ended.killed or ended.code in (0, 2), ended.err
+        assert ended.killed or ended.code == 0 or ended.err.strip().splitlines()[-1].startswith("wavefocus: ")
+        self.kills += ended.killed
+        events = [json.loads(line) for line in ended.out.split("\n")[:-1]]
+        acknowledged = [event["trial"] for event in events if event["event"] == "stored"]
+        rows = [row for row in read_answers(self.out) if row.participant == self._participant]
+        assert [(row.trial, row.stimulus, row.answer) for row in rows] == self._expected[: len(rows)]
+        stored = max([self._stored, *acknowledged])
+        assert stored <= len(rows) <= stored + 1  # one may have been stored, and the kill come before it was said
+        self._stored = len(rows)
+        if len(rows) == len(self._expected):
+            self._begin()
+        return ended
+
+
+def _answer(line):
+    event = json.loads(line)
+    match event["event"], event.get("waiting"):
+        case "state", "go_on":
+            return '{"order": "go_on"}'
+        case "state", "answer":
+            return json.dumps({"order": "answer", "choice": ANSWERS[event["trial"] % 2]})
+    return ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and /proc are Linux's")
+@pytest.mark.may_skip("what is loaded before the program sees the calls of Linux")
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("at_random", "at_calls", "full"), [(2, 3, 2), pytest.param(100, 100, 100, marks=pytest.mark.nightly)]
+)
+def test_kills_and_full_disks_lose_no_answer_and_leave_the_order_as_it_was(lab, bank, at_random, at_calls, full):
+    """Some at any moment, some at a call on files; others find the disk full from a call on, or fail once."""
+    (lab / "says").mkdir()
+    with Processes(lab / "says", lab / "out") as processes:
+        chance, killed, started_s = random.Random(1), Killed(lab, processes), time.monotonic()
+        calls = killed.session().calls
+        longest_s = time.monotonic() - started_s
+        while killed.kills < at_random:
+            killed.session(chance.uniform(0, longest_s))
+        while killed.kills < at_random + at_calls:
+            part, how = chance.choice((0, 1, 50, 300)), chance.choice((How.KILL_BEFORE, How.KILL_WITHIN))
+            killed.session(order=Order(how, chance.randint(1, calls), part))
+        for _ in range(full):
+            killed.session(order=Order(chance.choice((How.FAIL_ON, How.FAIL_ONCE)), chance.randint(1, calls)))

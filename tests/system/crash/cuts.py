@@ -20,19 +20,18 @@ def in_capture(campaign, chance, count):
 
 def in_repair(campaign, chance, count):
     """Cut the power in a resume, after a kill within any commit."""
-    campaign.clear()
-    calls = campaign.processes.run(*campaign.capture).calls or 0
+    calls = campaign.calls(campaign.capture)
     while True:
         campaign.clear()
         order = Order(How.KILL_WITHIN, chance.randrange(calls // 4, calls), chance.choice((512, 1000, 4608)))
-        ended = campaign.interrupted(campaign.capture, order)
+        ended = campaign.processes.run(*campaign.capture, order=order)
         if campaign.bank.exists():
             yield from _cut(campaign, campaign.resume, chance, acknowledged(ended.out), PER_STATE)
 
 
 def in_remeasure(campaign, chance, count):
     """Cut the power while a position is replaced."""
-    campaign.restore(campaign.captured)
+    campaign.put(campaign.captured)
     everything = set(range(len(campaign.rows)))
     yield from _cut(campaign, campaign.remeasure, chance, everything, count, remeasure=True)
 
@@ -44,7 +43,12 @@ def _cut(campaign, command, chance, promised, count, *, remeasure=False):
     ended = campaign.processes.run(*command, log=log_path)
     assert ended.code == 0, ended.err
     log = read_log(log_path)
-    told = list(_told(log))
+    # After how many calls which positions were told to be in; the log of events says so before anyone else.
+    told = [
+        (step, acknowledged(call.data.decode()))
+        for step, call in enumerate(log, 1)
+        if call.kind is Kind.WRITE and call.path.endswith(".events.jsonl")
+    ]
     seed = chance.randrange(1 << 30)
     # Until the bank has its name there is nothing in it to lose: torn writes alone are tried.
     named = next((step for step, call in enumerate(log) if call.kind is Kind.LINK), 0)
@@ -57,20 +61,6 @@ def _cut(campaign, command, chance, promised, count, *, remeasure=False):
         if total >= count:
             break
     for image in evenly(found(subsets), total, count):
+        campaign.put(image.files, image.folders)
         so_far = promised.union(*(positions for step, positions in told if step <= image.step))
-        yield replayed(campaign, image, so_far, remeasure=remeasure)
-
-
-def replayed(campaign, image, promised, *, remeasure=False):
-    """Look at what a power cut left, go on to the end and look again."""
-    campaign.put(image)
-    verdict = campaign.judge(promised)
-    campaign.finish(verdict, remeasure=remeasure)
-    return verdict
-
-
-def _told(log):
-    """After how many calls which positions were told to be in; the log of events says so before anyone else."""
-    for step, call in enumerate(log, 1):
-        if call.kind is Kind.WRITE and call.path.endswith(".events.jsonl"):
-            yield step, acknowledged(call.data.decode())
+        yield 1, campaign.outcome(so_far, remeasure=remeasure)

@@ -2,9 +2,8 @@
 
 import itertools
 import time
-from pathlib import Path
 
-from tests.system.crash.campaign import acknowledged, require_well_told
+from tests.system.crash.campaign import acknowledged, badly_told
 from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import How, Order
 
@@ -20,69 +19,52 @@ def at_random(campaign, chance, count):
     longest_s = time.monotonic() - start_s
     while True:
         campaign.clear()
-        ended = campaign.interrupted(campaign.capture, lifetime_s=chance.uniform(0, longest_s))
+        ended = campaign.processes.run_for(chance.uniform(0, longest_s), *campaign.capture)
         killed, promised = int(ended.killed), acknowledged(ended.out)
         if ended.killed and campaign.bank.exists() and chance.random() < 1 / 3:
-            again = campaign.interrupted(campaign.resume, lifetime_s=chance.uniform(0, longest_s))
+            again = campaign.processes.run_for(chance.uniform(0, longest_s), *campaign.resume)
             killed, promised = killed + again.killed, promised | acknowledged(again.out)
         if killed:
-            yield judged(campaign, ended, promised, killed)
+            yield killed, badly_told(ended, {0}) + campaign.outcome(promised)
 
 
 def at_calls(campaign, chance, count):
     """Kill a capture before and within each of its calls, from the bank's creation on."""
-    campaign.clear()
-    calls = campaign.processes.run(*campaign.capture).calls or 0
-    for order in evenly(_orders(calls, chance), 2 * calls, count):
-        campaign.clear()
-        ended = campaign.interrupted(campaign.capture, order)
-        yield judged(campaign, ended, acknowledged(ended.out), int(ended.killed))
-
-
-def in_repair(campaign, chance, count):
-    """Kill a capture at some call and then, at each of the first calls of the resume, that too."""
-    campaign.clear()
-    calls = campaign.processes.run(*campaign.capture).calls or 0
-    while True:
-        first = chance.randrange(calls // 4, calls + 1)
-        campaign.clear()
-        ended = campaign.interrupted(campaign.capture, Order(How.KILL_WITHIN, first, _part(chance)))
-        left = {str(path): path.read_bytes() for path in campaign.lying_there() if path.is_file()}
-        if not campaign.bank.exists() or not ended.killed:
-            continue
-        for second in chance.sample(range(1, REPAIR_CALLS + 1), SECONDS):
-            campaign.clear()
-            for name, content in left.items():
-                Path(name).parent.mkdir(exist_ok=True)
-                Path(name).write_bytes(content)
-            how = chance.choice((How.KILL_BEFORE, How.KILL_WITHIN))
-            again = campaign.interrupted(campaign.resume, Order(how, second, _part(chance)))
-            yield judged(campaign, again, acknowledged(ended.out) | acknowledged(again.out), int(again.killed))
+    yield from _at_each_call(campaign, campaign.capture, {}, set(), chance, count)
 
 
 def in_remeasure(campaign, chance, count):
     """Kill the replacement of a position, before and within each call."""
-    campaign.restore(campaign.captured)
-    calls = campaign.processes.run(*campaign.remeasure).calls or 0
     everything = set(range(len(campaign.rows)))
-    for order in evenly(_orders(calls, chance), 2 * calls, count):
-        campaign.restore(campaign.captured)
-        ended = campaign.interrupted(campaign.remeasure, order)
-        yield judged(campaign, ended, everything, int(ended.killed), remeasure=True)
+    yield from _at_each_call(campaign, campaign.remeasure, campaign.captured, everything, chance, count)
 
 
-def judged(campaign, ended, promised, faults, *, remeasure=False):
-    """Look at what a fault left, go on to the end and look again."""
-    verdict = campaign.judge(promised)
-    verdict.faults = faults
-    require_well_told(verdict, ended, {0})
-    campaign.finish(verdict, remeasure=remeasure)
-    return verdict
+def _at_each_call(campaign, command, before, promised, chance, count):
+    calls = campaign.calls(command, before)
+    places = itertools.product(range(1, calls + 1), (How.KILL_BEFORE, How.KILL_WITHIN))
+    for call, how in evenly(places, 2 * calls, count):
+        campaign.put(before)
+        ended = campaign.processes.run(*command, order=Order(how, call, _part(chance)))
+        notes = campaign.outcome(promised | acknowledged(ended.out), remeasure=bool(before))
+        yield int(ended.killed), badly_told(ended, {0}) + notes
 
 
-def _orders(calls, chance):
-    for call, how in itertools.product(range(1, calls + 1), (How.KILL_BEFORE, How.KILL_WITHIN)):
-        yield Order(how, call, _part(chance))
+def in_repair(campaign, chance, count):
+    """Kill a capture at some call and then, at each of the first calls of the resume, that too."""
+    calls = campaign.calls(campaign.capture)
+    while True:
+        first = Order(How.KILL_WITHIN, chance.randrange(calls // 4, calls + 1), _part(chance))
+        campaign.clear()
+        ended = campaign.processes.run(*campaign.capture, order=first)
+        left = {str(path): path.read_bytes() for path in campaign.lying_there() if path.is_file()}
+        if not campaign.bank.exists() or not ended.killed:
+            continue
+        for second in chance.sample(range(1, REPAIR_CALLS + 1), SECONDS):
+            campaign.put(left)
+            how = chance.choice((How.KILL_BEFORE, How.KILL_WITHIN))
+            again = campaign.processes.run(*campaign.resume, order=Order(how, second, _part(chance)))
+            notes = campaign.outcome(acknowledged(ended.out) | acknowledged(again.out))
+            yield int(again.killed), badly_told(again, {0}) + notes
 
 
 def _part(chance):

@@ -9,8 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from tests.system.crash.campaign import Verdict, acknowledged, require_well_told
-from tests.system.crash.kills import judged
+from tests.system.crash.campaign import acknowledged, badly_told
 from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import How, HungError, Order, Processes
 
@@ -33,22 +32,17 @@ def dead_disk(campaign, chance, count):
 
 
 def _failing(campaign, how, error, count):
-    campaign.clear()
-    calls = campaign.processes.run(*campaign.capture).calls or 0
+    calls = campaign.calls(campaign.capture)
     for call in evenly(range(1, calls + 1), calls, count):
         campaign.clear()
-        ended = campaign.interrupted(campaign.capture, Order(how, call, error=error))
-        verdict = campaign.judge(acknowledged(ended.out))
-        require_well_told(verdict, ended, {0, WRONG_INPUT, FAILED})
-        campaign.finish(verdict)
-        yield verdict
+        ended = campaign.processes.run(*campaign.capture, order=Order(how, call, error=error))
+        yield 1, badly_told(ended, {0, WRONG_INPUT, FAILED}) + campaign.outcome(acknowledged(ended.out))
 
 
 def flipped_bytes(campaign, chance, count):
     """Flip bits of a byte anywhere in a bank: it is harmless, repaired or named, and no more is lost."""
-    campaign.clear()
-    half = campaign.interrupted(campaign.capture, Order(How.KILL_BEFORE, _calls(campaign) * 3 // 5))
-    assert half.killed
+    calls = campaign.calls(campaign.capture)
+    assert campaign.processes.run(*campaign.capture, order=Order(How.KILL_BEFORE, calls * 3 // 5)).killed
     unfinished = campaign.bank.read_bytes()
     whole = campaign.captured[campaign.bank.name]
     places = _places(campaign)
@@ -60,48 +54,36 @@ def flipped_bytes(campaign, chance, count):
         bits = chance.randrange(1, 256)
         content = bytearray(before)
         content[at] ^= bits
-        campaign.restore({campaign.bank.name: bytes(content)})
-        yield _flipped(campaign, content, at, f"byte {at} of {kind}, {name}, xor {bits:#x}")
+        campaign.put({campaign.bank.name: bytes(content)})
+        what = f"byte {at} of {kind}, {name}, xor {bits:#x}"
+        yield 1, [f"{what}: {note}" for note in _flipped(campaign, content, at)]
 
 
-def _flipped(campaign, content, at, what):
-    verdict = Verdict()
+def _flipped(campaign, content, at):
+    notes: list[str] = []
     try:
         for command in (("check", campaign.bank), ("status", campaign.bank), campaign.resume):
             ended = campaign.processes.run(*command)
-            require_well_told(verdict, ended, {0, 1, WRONG_INPUT})
+            notes += badly_told(ended, {0, 1, WRONG_INPUT})
             if ended.code == WRONG_INPUT and str(campaign.bank) not in ended.err.splitlines()[-1]:
-                verdict.note("badly_told", "the refusal does not name the file")
+                notes.append("the refusal does not name the file")
     except HungError as error:
-        verdict.note("badly_told", str(error))
+        notes.append(str(error))
     found = campaign.bank.read_bytes()
-    if verdict.clean and ended.code == 0:
-        wanted = campaign.captured[campaign.bank.name]
-        harmless = bytearray(wanted)
-        harmless[at] = content[at]
-        if found not in (wanted, harmless):
-            verdict.note("different", "resume went on and did not end as the uninterrupted run")
-        verdict_now = campaign.judge(set(range(len(campaign.rows))))
-        for kind in ("unreadable", "lost", "wrong"):
-            setattr(verdict, kind, getattr(verdict_now, kind))
-        verdict.notes += verdict_now.notes
-    elif verdict.clean and found != content:
-        verdict.note("different", "the bank was refused, and changed")
-    verdict.notes = [f"{what}: {note}" for note in verdict.notes]
-    return verdict
-
-
-def _calls(campaign):
-    campaign.clear()
-    calls = campaign.processes.run(*campaign.capture).calls or 0
-    campaign.clear()
-    return calls
+    if notes or ended.code:
+        return notes or (["different: the bank was refused, and changed"] if found != content else [])
+    wanted = campaign.captured[campaign.bank.name]
+    harmless = bytearray(wanted)
+    harmless[at] = content[at]
+    if found not in (wanted, harmless):
+        notes.append("different: resume went on and did not end as the uninterrupted run")
+    return notes + campaign.judge(set(range(len(campaign.rows))))
 
 
 def _places(campaign):
     """Where a bank keeps what: runs of bytes by kind; what HDF5 itself keeps is everything else that is not zero."""
     places: dict[str, list[tuple[int, int]]] = {}
-    campaign.restore(campaign.captured)
+    campaign.put(campaign.captured)
     with h5py.File(campaign.bank, "r") as file:
 
         def note(name, item):
@@ -128,7 +110,7 @@ def second_process(campaign, chance, count):
     """Start a second process while the first is stopped at a call; then let that go on, or kill it meanwhile."""
     rivals_folder = campaign.folder / "rival"
     rivals_folder.mkdir(exist_ok=True)
-    calls = _calls(campaign)
+    calls = campaign.calls(campaign.capture)
     with Processes(rivals_folder, campaign.lab) as rival:
         rival.warm_up(["resume", campaign.folder / "warm" / campaign.bank.name])
         while True:
@@ -151,20 +133,12 @@ def second_process(campaign, chance, count):
                 os.kill(pid, signal.SIGCONT)
             first = campaign.processes.wait()
             promised = acknowledged(first.out) | acknowledged(second.out)
+            notes = badly_told(second, {BUSY} if owned and not kill else {0, BUSY})
             # Before the bank has its owner either may become it; a maker that comes second goes on with it.
-            verdict = judged(campaign, first, promised, 1) if first.killed else _both(campaign, promised)
-            if not first.killed:
-                require_well_told(verdict, first, {0} if owned else {0, BUSY})
-            require_well_told(verdict, second, {BUSY} if owned and not kill else {0, BUSY})
+            notes += badly_told(first, {0} if owned or first.killed else {0, BUSY})
             if owned and not kill and f"process {pid} " not in second.err:
-                verdict.note("badly_told", f"the owner is not named: {second.err.splitlines()[-1]}")
-            yield verdict
-
-
-def _both(campaign, promised):
-    verdict = campaign.judge(promised)
-    campaign.finish(verdict)
-    return verdict
+                notes.append(f"the owner is not named: {second.err.splitlines()[-1]}")
+            yield 1, notes + campaign.outcome(promised)
 
 
 def _stopped(pid):

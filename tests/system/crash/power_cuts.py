@@ -9,9 +9,10 @@ import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import TypeVar
+from typing import ClassVar
 
-T = TypeVar("T")
+from wavefocus.storage.durable import PosixFile
+
 SECTOR, PAGE = 512, 4096
 _ENTRY = struct.Struct("<IIIIQQ")
 
@@ -242,3 +243,39 @@ def _named(names, calls):
 def _placed(name, folders, before):
     parent = Path(name).parent
     return not parent.name.endswith(".partial") or str(parent) in folders
+
+
+INODE = 1
+
+
+class LoggedFile(PosixFile):
+    """A file of the program's own that notes its writes and barriers, without a library loaded before the program."""
+
+    log: ClassVar[list[Call]] = []
+    barriers: ClassVar[tuple[bool, bool]] = (True, True)
+    """Which are kept: that between Green's functions and ledger row, and that after the row."""
+
+    def __init__(self, path, *, write=False):
+        super().__init__(path, write=write)
+        self._name, self._syncs = str(path), 0
+
+    def write(self, offset, data):
+        LoggedFile.log.append(Call(Kind.WRITE, self._name, "", offset, INODE, bytes(data)))
+        super().write(offset, data)
+
+    def sync(self):
+        if self.barriers[self._syncs % 2]:
+            LoggedFile.log.append(Call(Kind.SYNC, self._name, "", 0, INODE, b""))
+        self._syncs += 1
+
+
+class WithoutSecondBarrier(LoggedFile):
+    """Leaves out the barrier after a ledger row."""
+
+    barriers = (True, False)
+
+
+class WithoutFirstBarrier(LoggedFile):
+    """Leaves out the barrier between Green's functions and ledger row."""
+
+    barriers = (False, True)

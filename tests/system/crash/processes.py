@@ -1,20 +1,28 @@
-"""Processes that are killed, stopped or failed at a chosen call or moment."""
+"""Processes that are killed, stopped or failed at a chosen call or moment.
 
+A server, into which `calls.c` is loaded, forks one for each order, so that hundreds of captures start without importing
+anew. What is forked runs the program as it is, from its entry point to the interpreter's end.
+"""
+
+import atexit
+import ctypes
 import errno
-import json
+import gc
 import os
-import select
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from enum import IntEnum
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 HERE = Path(__file__).parent
-ROOT = HERE.parents[2]
 # A tiny capture takes a second; one that takes this long hangs.
 PATIENCE_S = 60.0
 
@@ -24,7 +32,6 @@ class How(IntEnum):
 
     WATCH = 0
     KILL_BEFORE = 1
-    KILL_AFTER = 2
     KILL_WITHIN = 3
     STOP_BEFORE = 4
     FAIL_ONCE = 5
@@ -35,8 +42,7 @@ class How(IntEnum):
 class Order:
     """What becomes of a process: `how` at its `call`-th call, after `part` bytes of a write, or with an error.
 
-    how: What happens.
-    call: At which call, counted from 1.
+    call: Counted from 1.
     part: Bytes that a write completes before the process is killed within it.
     error: The error number of calls that fail.
     """
@@ -49,16 +55,15 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a process ended: its exit code (negative: the signal), and what it said."""
+    """How a process ended: its exit code (negative: the signal), what it said, and how many calls it made."""
 
     code: int
     out: str
     err: str
-    calls: int | None
+    calls: int
 
     @property
     def killed(self):
-        """Whether it was killed."""
         return self.code == -signal.SIGKILL
 
 
@@ -74,39 +79,32 @@ class Processes:
     """
 
     def __init__(self, folder, watched):
-        self.folder = folder
-        self.watched = watched.resolve()
+        self.folder, self.watched, self.pid = folder, watched.resolve(), 0
         library = folder / "calls.so"
-        compiler = shutil.which("cc") or shutil.which("gcc") or "gcc"
-        command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", "-o", library, HERE / "calls.c"]
-        subprocess.run([*command, "-ldl", "-lpthread"], check=True)
+        compile_it = [shutil.which("cc") or "gcc", "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror"]
+        subprocess.run([*compile_it, "-o", library, HERE / "calls.c", "-ldl", "-lpthread"], check=True)
+        self._pipe, theirs = Pipe()
         # One thread for linear algebra: more would outlive no fork.
         surroundings = os.environ | {"LD_PRELOAD": str(library), "OPENBLAS_NUM_THREADS": "1"}
         self._server = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-m", "tests.system.crash.process_server"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT, env=surroundings,
+            [sys.executable, "-W", "ignore", "-m", "tests.system.crash.processes", str(theirs.fileno())],
+            stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()], cwd=HERE.parents[2], env=surroundings,
         )  # fmt: skip
-        self._said = b""
-        self.pid = 0
+        theirs.close()
 
     def warm_up(self, *commands):
         """Let commands run once in the process that the others are forked from."""
-        self._order({"warm": [[str(word) for word in command] for command in commands]})
-        self._answer("ready")
+        self._pipe.send(("warm", [[str(word) for word in command] for command in commands]))
+        self._answer()
 
-    def start(self, *arguments, order=None, log=None, stdin=os.devnull):
+    def start(self, *arguments, order=None, log=os.devnull, stdin=os.devnull):
         """Start a process; return its number."""
-        order = order or Order()
-        for name in ("calls.txt", "out.txt", "err.txt"):  # it may be killed before it makes its own
-            (self.folder / name).unlink(missing_ok=True)
-        line = {
-            "arguments": [str(one) for one in arguments], "folder": str(self.watched),
-            "stdin": str(stdin), "stdout": str(self.folder / "out.txt"), "stderr": str(self.folder / "err.txt"),
-            "ended": str(self.folder / "calls.txt"), "log": str(log) if log else "",
-            "how": order.how, "call": order.call, "part": order.part, "error": order.error,
-        }  # fmt: skip
-        self._order(line)
-        self.pid = self._answer("pid")
+        files = [str(self.folder / name) for name in ("out.txt", "err.txt", "calls.txt")]
+        for name in files:  # it may be killed before it makes its own
+            Path(name).unlink(missing_ok=True)
+        words = [str(one) for one in arguments]
+        self._pipe.send(("run", (words, str(self.watched), [str(stdin), *files, str(log)], order or Order())))
+        self.pid = self._answer()
         return self.pid
 
     def wait(self):
@@ -115,15 +113,15 @@ class Processes:
         Raises HungError: when it did not end in a minute; it was killed.
         """
         try:
-            code = self._answer("end")
+            code = self._answer()
         except TimeoutError as error:
             os.kill(self.pid, signal.SIGKILL)
-            self._answer("end")
+            self._answer()
             raise HungError(f"process {self.pid} did not end in {PATIENCE_S:g} s") from error
         out, err, calls = (self._said_in(name) for name in ("out.txt", "err.txt", "calls.txt"))
-        return Ended(code, out, err, int(calls) if calls else None)
+        return Ended(code, out, err, int(calls or 0))
 
-    def run(self, *arguments, order=None, log=None):
+    def run(self, *arguments, order=None, log=os.devnull):
         """Start a process and wait for its end."""
         self.start(*arguments, order=order, log=log)
         return self.wait()
@@ -132,10 +130,10 @@ class Processes:
         """Start a process and kill it after so many seconds, unless it has ended."""
         self.start(*arguments)
         deadline_s = time.monotonic() + lifetime_s
-        # Not through select: its rounding to milliseconds is coarse beside a commit.
-        while time.monotonic() < deadline_s and not self._has_answer():
+        # Not through poll alone: its rounding to milliseconds is coarse beside a commit.
+        while time.monotonic() < deadline_s and not self._pipe.poll():
             time.sleep(0.0005)
-        if not self._has_answer():
+        if not self._pipe.poll():
             os.kill(self.pid, signal.SIGKILL)
         return self.wait()
 
@@ -151,7 +149,7 @@ class Processes:
         try:
             self.start(*arguments, order=order, stdin=pipe)
             started_s = last_s = time.monotonic()
-            while not self._has_answer():
+            while not self._pipe.poll():
                 if time.monotonic() > min(started_s + lifetime_s, last_s + PATIENCE_S):
                     os.kill(self.pid, signal.SIGKILL)
                     break
@@ -169,45 +167,82 @@ class Processes:
         finally:
             os.close(descriptor)
 
-    def close(self):
-        """End the server."""
-        assert self._server.stdin is not None
-        assert self._server.stdout is not None
-        self._server.stdin.close()
-        self._server.wait(timeout=PATIENCE_S)
-        self._server.stdout.close()
-
     def __enter__(self):
         return self
 
     def __exit__(self, kind, error, trace):
-        self.close()
+        self._pipe.close()
+        self._server.wait(timeout=PATIENCE_S)
 
     def _said_in(self, name):
         said = self.folder / name
         return said.read_text(encoding="utf-8", errors="replace") if said.exists() else ""
 
-    def _order(self, order):
-        assert self._server.stdin is not None
-        self._server.stdin.write(json.dumps(order).encode() + b"\n")
-        self._server.stdin.flush()
+    def _answer(self):
+        if not self._pipe.poll(PATIENCE_S):
+            raise TimeoutError
+        return self._pipe.recv()
 
-    def _has_answer(self):
-        assert self._server.stdout is not None
-        return bool(select.select([self._server.stdout], [], [], 0)[0])
 
-    def _answer(self, expected):
-        assert self._server.stdout is not None
-        deadline_s = time.monotonic() + PATIENCE_S
-        while b"\n" not in self._said:
-            left_s = max(0.0, deadline_s - time.monotonic())
-            if not select.select([self._server.stdout], [], [], left_s)[0]:
-                raise TimeoutError(f"no {expected!r} in {PATIENCE_S:g} s")
-            heard = os.read(self._server.stdout.fileno(), 4096)
-            if not heard:
-                raise EOFError("the server of processes has ended")
-            self._said += heard
-        line, self._said = self._said.split(b"\n", 1)
-        word, number = line.decode().split()
-        assert word == expected, line
-        return int(number)
+def _serve(pipe):
+    """Carry out one order after the other until there are no more; tell each process's number and how it ended."""
+    while True:
+        try:
+            what, order = pipe.recv()
+        except EOFError:
+            return
+        if what == "warm":
+            _warm_up(order)
+            pipe.send(0)
+            continue
+        child = os.fork()
+        if child == 0:
+            _become(*order)
+        pipe.send(child)
+        _, status = os.waitpid(child, 0)
+        pipe.send(os.waitstatus_to_exitcode(status))
+
+
+def _warm_up(commands):
+    """Run commands here, so that whoever is forked finds everything imported and every cache filled."""
+    from wavefocus.__main__ import run
+
+    with Path(os.devnull).open("w", encoding="utf-8") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
+        for command in commands:
+            run(command)
+    # A collection in a child would touch, and so copy, every page of what it inherits.
+    gc.collect()
+    gc.freeze()
+
+
+def _become(arguments, folder, files, order):
+    """Be the process that was ordered; `files` are its standard streams, the number of its calls and their log."""
+    from wavefocus.__main__ import main
+
+    stdin, stdout, stderr, calls, log = files
+    library, log_fd = ctypes.CDLL(None), -1
+    for number, name in enumerate((stdin, stdout, stderr)):
+        fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC if number else os.O_RDONLY, 0o600)
+        os.dup2(fd, number)
+        os.close(fd)
+    if log != os.devnull:
+        log_fd = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    atexit.register(lambda: Path(calls).write_text(str(library.crash_calls()), encoding="utf-8"))
+    sys.argv = ["wavefocus", *arguments]
+    at, part = ctypes.c_long(order.call), ctypes.c_long(order.part)
+    library.crash_order(os.fsencode(folder), int(order.how), at, part, order.error, log_fd)
+    code = 0
+    try:
+        main()
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    # As the interpreter ends, but for taking down what it inherited, which takes longer than a capture.
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    _serve(Connection(int(sys.argv[1])))
