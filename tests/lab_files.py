@@ -11,6 +11,7 @@ from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.raw.header import RawHeader, sequential
 
 ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
 POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
@@ -119,6 +120,22 @@ def with_check_rows(bank, out, *rows):
     return out
 
 
+def flip(path, offset, bit=4):
+    """Flip one bit of a file's byte."""
+    content = bytearray(path.read_bytes())
+    content[offset] ^= bit
+    path.write_bytes(content)
+
+
+def raw_header(positions=3, records=2, samples=300):
+    """Of raw recordings: sequential records at positions 2 mm apart, in whole counts of 1/1024 V."""
+    return RawHeader(
+        1000.0, samples, 50, (50.0, 400.0), sequential(records), np.arange(2.0 * positions).reshape(positions, 2),
+        np.zeros((records, 2)), 0.125, volts_per_count=(1 / 1024, 1 / 1024), averages=1, sweep_s=0.2, decay_s=0.05,
+        plan_sha256="ab" * 32,
+    )  # fmt: skip
+
+
 def write_foreign(path, gain=1.0):
     """A bank of another program, no more in it than there must be: 5 x 3 positions, three actuators, 60 taps, 2 kHz."""
     x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
@@ -136,6 +153,15 @@ def put(name, value):
         if name in file:
             del file[name]
         file[name] = value
+
+    return change
+
+
+def within(name, value):
+    """A change of a file: other values in a dataset."""
+
+    def change(file):
+        file[name][...] = value
 
     return change
 

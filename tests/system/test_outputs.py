@@ -149,15 +149,16 @@ def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_
     assert run(["demo", "--out", "demo"]) == 2
 
 
-# Commands in forks of one process, so that libraries are imported once. Nothing measures coverage in there: a limit on
-# the size of files would hold for its file too.
+# Commands in forks of one process, which has run each once: libraries are loaded once. Nothing measures coverage in
+# there: a limit on the size of files would hold for its file too.
 FORKS = """
-import json, os, resource, signal, sys
+import contextlib, json, os, resource, signal, sys
 from pathlib import Path
 from wavefocus.__main__ import run
-import wavefocus.rendering.report.movie, wavefocus.rendering.drive.wav
-import wavefocus.storage.exchange.mat, wavefocus.storage.exchange.named_arrays
-import matplotlib.figure, h5py
+
+def loaded(arguments):
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+        assert run(arguments) == 0
 
 def forked(arguments, prepare):
     child = os.fork()
@@ -178,6 +179,7 @@ def hidden():
 """
 LIMITED = """
 for name, arguments in json.loads(sys.argv[1]).items():
+    loaded([*arguments, "old", "--force"])
     for limit in (0, 1500, 6000) if name == "render" else (1500,):
         Path("old").write_bytes(old)
         limits = (resource.RLIMIT_FSIZE, (limit, limit))
@@ -205,8 +207,7 @@ def kill_at(number):
 
 for name, arguments in json.loads(sys.argv[1]).items():
     arguments = [*arguments, "old", "--force"]
-    Path("old").write_bytes(old)
-    assert forked(arguments, lambda: None) == 0
+    loaded(arguments)
     new = Path("old").stat().st_size
     for number in range(0, 400, int(sys.argv[2])):
         Path("old").write_bytes(old)

@@ -18,7 +18,7 @@ import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.lab_files import attribute, without
+from tests.lab_files import attribute, flip, without
 from wavefocus.calibration.check import check_bank
 from wavefocus.rendering.greens.regularisation import rms_map
 from wavefocus.storage.bank.layout import BankHeader
@@ -147,20 +147,16 @@ def test_rows_committed_in_any_order_then_come_back_bit_for_bit(tmp_path, positi
     path.unlink()
 
 
-def test_a_path_that_exists_then_is_refused_and_untouched(tmp_path):
-    (tmp_path / "bank.h5").write_bytes(b"precious")
-    with pytest.raises(InputError, match=r"bank\.h5 exists already"):
-        create_bank(tmp_path / "bank.h5", header())
-    assert (tmp_path / "bank.h5").read_bytes() == b"precious"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["bank.h5"]
-
-
-def test_a_bank_larger_than_the_disk_then_is_refused_and_leaves_nothing(tmp_path):
+def test_a_path_that_exists_or_a_bank_larger_than_the_disk_then_is_refused(tmp_path):
+    (tmp_path / "old.h5").write_bytes(b"precious")
+    with pytest.raises(InputError, match=r"old\.h5 exists already"):
+        create_bank(tmp_path / "old.h5", header())
+    assert (tmp_path / "old.h5").read_bytes() == b"precious"
     free = shutil.disk_usage(tmp_path).free
     too_many = free // (20 * 200_000 * 4) + 100
     with pytest.raises(InputError, match=r"bank\.h5 needs \d+ bytes and its disk has \d+ free"):
         create_bank(tmp_path / "bank.h5", header(too_many, 20, 200_000))
-    assert list(tmp_path.iterdir()) == []
+    assert [entry.name for entry in tmp_path.iterdir()] == ["old.h5"]
 
 
 @pytest.mark.parametrize(
@@ -180,26 +176,18 @@ def test_a_wrong_header_then_is_refused_by_name(change, message):
         replace(header(), **change)
 
 
-def test_a_position_measured_again_then_is_replaced_and_the_journal_is_empty(tmp_path):
+def test_a_position_measured_again_is_replaced_and_a_disabled_one_keeps_its_data(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with BankWriter.open(path) as writer:
         writer.commit(1, green_of(1, 2), record_of(1, 2, status=4))
-        assert writer.status.tolist() == [1, 4, 1, 1]
+        writer.disable(2)
+        assert writer.status.tolist() == [1, 4, 16, 1]
         assert writer.attempts.tolist() == [1, 2, 1, 1]
         assert np.array_equal(writer.green(1), green_of(1, 2))
     with open_bank(path) as bank, h5py.File(path, "r") as file:
         assert np.array_equal(bank.green(1), green_of(1, 2))
-        assert file["status"][...].tolist() == [1, 4, 1, 1]
+        assert file["status"][...].tolist() == bank.status.tolist() == [1, 4, 16, 1]
         assert not file["durability/journal"][...].any()
-
-
-def test_a_disabled_position_then_keeps_its_data_and_loses_its_valid_bit(tmp_path):
-    path = measured(tmp_path / "bank.h5")
-    with BankWriter.open(path) as writer:
-        writer.disable(2)
-        assert writer.status[2] == 16
-    with open_bank(path) as bank:
-        assert bank.status.tolist() == [1, 1, 16, 1]
         assert np.array_equal(bank.green(2), green_of(2))
         assert np.array_equal(bank.quality["snr_db"][2], record_of(2).snr_db)
 
@@ -291,14 +279,6 @@ def flip_in_header(path):
     flip(path, offset + 6)
 
 
-def flip(path, offset):
-    with path.open("r+b") as file:
-        file.seek(offset)
-        byte = file.read(1)[0]
-        file.seek(offset)
-        file.write(bytes([byte ^ 0x10]))
-
-
 def other_schema(path):
     with h5py.File(path, "w") as file:
         file["temperature"] = np.zeros(3)
@@ -385,14 +365,9 @@ def test_a_second_process_then_is_told_who_owns_the_bank(tmp_path):
     assert bank_owner(path) is None
     with BankWriter.open(path):
         assert json.loads(owner_path(path).read_text())["pid"] == os.getpid()
+        with pytest.raises(BankBusyError, match=f"process {os.getpid()} on"):
+            BankWriter.open(path)
     assert not owner_path(path).exists()
-
-
-def test_two_writers_in_one_process_then_only_the_first_gets_the_bank(tmp_path):
-    path = measured(tmp_path / "bank.h5")
-    with BankWriter.open(path), pytest.raises(BankBusyError, match=f"process {os.getpid()} on"):
-        BankWriter.open(path)
-    BankWriter.open(path).close()
 
 
 # A forked child that outlives its parent, as worker processes may.
@@ -461,15 +436,6 @@ def test_only_rows_of_an_older_version_are_read_for_the_rms_of_a_bank(tmp_path):
         np.testing.assert_allclose(rms_map(bank), _true_rms([0, 1, 2, 3]), rtol=1e-12)
 
 
-def _of_the_first_edition(path):
-    """A measured bank without what the first edition did not have."""
-    measured(path)
-    with h5py.File(path, "r+") as file:
-        del file["quality/moved_mm"], file["quality/reference_db"]
-        del file.attrs["layout_later_crc32"], file.attrs["contents_sha256"]
-    return path
-
-
 def test_a_row_measured_aside_then_says_so_and_how_loud_the_reference_was(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with BankWriter.open(path) as writer:
@@ -486,7 +452,10 @@ def test_a_row_measured_aside_then_says_so_and_how_loud_the_reference_was(tmp_pa
 
 
 def test_a_bank_of_the_first_edition_then_is_read_checked_and_measured_on(tmp_path):
-    path = _of_the_first_edition(tmp_path / "bank.h5")
+    path = measured(tmp_path / "bank.h5")
+    with h5py.File(path, "r+") as file:  # what the first edition did not have
+        del file["quality/moved_mm"], file["quality/reference_db"]
+        del file.attrs["layout_later_crc32"], file.attrs["contents_sha256"]
     with open_bank(path) as bank:
         assert bank.status.tolist() == [1, 1, 1, 1]
         assert np.isnan(bank.quality["moved_mm"]).all()

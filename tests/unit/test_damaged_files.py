@@ -6,14 +6,13 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import write_bank
+from tests.lab_files import raw_header, write_bank
 from tests.unit.mutations import mutations, snapshot, stored_bytes
 from wavefocus.calibration.check import check_file
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, FieldRowReader, read_field, write_field
-from wavefocus.storage.raw.header import RawHeader, Schedule
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITION_MM = np.stack([np.arange(5) * 4.0, np.zeros(5)], axis=1)
@@ -27,15 +26,10 @@ def a_bank(path):
 
 
 def a_raw_file(path):
-    schedule = Schedule(np.arange(3, dtype=np.int32)[:, None], np.zeros((3, 1)), np.ones((3, 1)), 0.0)
-    header = RawHeader(
-        10_000.0, 400, 100, (20.0, 500.0), schedule, POSITION_MM, np.zeros((3, 2)), 1.0, volts_per_count=(1e-3, 1e-3),
-        plan_sha256="ab" * 32,
-    )  # fmt: skip
-    create_raw(path, header)
+    create_raw(path, raw_header(5, 3, 400))
     with RawWriter.open(path) as writer:
         for position in range(4):
-            volts = RNG.integers(-999, 999, (2, 3, 400)).astype(np.float32) * np.float32(1e-3)
+            volts = RNG.integers(-999, 999, (2, 3, 400)).astype(np.float32) / np.float32(1024)
             writer.commit(position, volts[0], volts[1])
 
 

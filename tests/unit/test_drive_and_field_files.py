@@ -13,29 +13,15 @@ from hypothesis import strategies as st
 from tests.lab_files import attribute, put, without
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.field_file import (
-    Field,
-    FieldRowReader,
-    LowPass,
-    field_in_rows,
-    read_field,
-    write_field,
-)
+from wavefocus.storage.field_file import Field, FieldRowReader, LowPass, field_in_rows, read_field, write_field
 
 
 def drive(actuators=2, samples=5, foci=3, seed=0):
     rng = np.random.default_rng(seed)
     return Drive(
-        drive_v=rng.normal(size=(actuators, samples)),
-        sample_rate_hz=10_000.0,
-        start_s=-0.1999,
-        method="exact",
-        scale=0.5,
-        omitted_bound=1e-6,
-        focus_sample=rng.integers(0, 1000, foci),
-        focus_position=rng.integers(0, 1500, foci),
-        focus_source=np.zeros(foci, np.int64),
-    )
+        rng.normal(size=(actuators, samples)), 10_000.0, -0.1999, "exact", 0.5, 1e-6, rng.integers(0, 1000, foci),
+        rng.integers(0, 1500, foci), np.zeros(foci, np.int64),
+    )  # fmt: skip
 
 
 def field(positions=3, samples=5, seed=0):
@@ -44,15 +30,15 @@ def field(positions=3, samples=5, seed=0):
     return Field(values, rng.integers(0, 1500, positions), 10_000.0, -0.2, "m/s")
 
 
-def a_drive(path, seed=0, **options):
-    write_drive(path, drive(seed=seed), **options)
+def a_drive(path):
+    write_drive(path, drive())
 
 
-def a_field(path, seed=0, **options):
-    write_field(path, field(seed=seed), **options)
+def a_field(path):
+    write_field(path, field())
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 4), st.integers(0, 2**32 - 1))
 def test_a_drive_or_field_written_then_comes_back_bit_for_bit(tmp_path, rows, samples, foci, seed):
     written = drive(rows, samples, foci, seed)
@@ -74,15 +60,11 @@ def test_a_drive_or_field_written_then_comes_back_bit_for_bit(tmp_path, rows, sa
 def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path):
     a_drive(tmp_path / "drive.h5")
     a_field(tmp_path / "field.h5")
+    common = {"format_version": 1, "sample_rate_hz": 10_000.0}
     attributes = {
-        "drive": {
-            "format": "wavefocus-drive", "format_version": 1, "sample_rate_hz": 10_000.0, "start_s": -0.1999,
-            "method": "exact", "scale": 0.5, "omitted_bound": 1e-6,
-        },
-        "field": {
-            "format": "wavefocus-field", "format_version": 1, "sample_rate_hz": 10_000.0, "start_s": -0.2,
-            "response_unit": "m/s",
-        },
+        "drive": {**common, "format": "wavefocus-drive", "start_s": -0.1999, "method": "exact", "scale": 0.5,
+                  "omitted_bound": 1e-6},
+        "field": {**common, "format": "wavefocus-field", "start_s": -0.2, "response_unit": "m/s"},
     }  # fmt: skip
     for name, expected in attributes.items():
         with h5py.File(tmp_path / f"{name}.h5", "r") as file:
@@ -92,6 +74,11 @@ def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path):
             )
             integers = ["position_index"] if name == "field" else [f"focus/{one}" for one in file["focus"]]
             assert all((file[one].dtype, file[one].shape) == (np.int64, (3,)) for one in integers)
+            datasets: list[str] = []
+            file.visititems(lambda key, one, to=datasets: to.append(key) if isinstance(one, h5py.Dataset) else None)
+            for key in datasets:  # each carries its checksum
+                values = np.ascontiguousarray(file[key][...], file[key].dtype.newbyteorder("<"))
+                assert file[key].attrs["sha256"] == hashlib.sha256(values.tobytes()).hexdigest(), key
 
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
@@ -111,17 +98,6 @@ def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(tmp_pat
         assert all("long_name" in one.attrs for one in data.variables.values())
 
 
-@pytest.mark.parametrize("write", [a_drive, a_field])
-def test_a_drive_or_field_then_every_dataset_in_it_carries_its_checksum(tmp_path, write):
-    write(tmp_path / "file.h5")
-    with h5py.File(tmp_path / "file.h5") as file:
-        found: dict[str, h5py.Dataset] = {}
-        file.visititems(lambda name, one: found.update({name: one}) if isinstance(one, h5py.Dataset) else None)
-        for name, one in found.items():
-            values = np.ascontiguousarray(one[...], one.dtype.newbyteorder("<"))
-            assert one.attrs["sha256"] == hashlib.sha256(values.tobytes()).hexdigest(), name
-
-
 def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path):
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         file.attrs.update(format="wavefocus-drive", format_version=1, sample_rate_hz=10_000, start_s=-0.1)
@@ -137,13 +113,8 @@ def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path):
     [
         ({"drive_v": np.zeros(3)}, "/drive has shape"),
         ({"drive_v": np.array([[0.0], [np.nan]])}, "/drive of actuator 1 holds NaN"),
-        ({"sample_rate_hz": 0.0}, "sample_rate_hz is 0"),
-        ({"start_s": np.inf}, "start_s is inf"),
-        ({"scale": 0.0}, "scale is 0"),
         ({"omitted_bound": -1.0}, "omitted_bound is -1"),
-        ({"focus_sample": np.zeros(2)}, "one common length"),
         ({"field": np.zeros(3)}, "/field has shape"),
-        ({"position_index": [0]}, "/position_index has shape"),
         ({"position_index": [1, -1, 2]}, "/position_index holds -1"),
         ({"field": np.full((3, 5), np.nan), "position_index": [8, 8, 8]}, "/field of position 8 holds NaN"),
     ],
@@ -157,11 +128,8 @@ def test_a_wrong_drive_or_field_then_is_refused_by_name(change, message):
 @pytest.mark.parametrize(
     ("write", "change", "message"),
     [
-        (
-            a_drive,
-            attribute("format", "wavefocus-bank"),
-            "has the format 'wavefocus-bank'; 'wavefocus-drive' is needed",
-        ),
+        (a_drive, attribute("format", "wavefocus-bank"), "the format 'wavefocus-bank'; 'wavefocus-drive' is needed"),
+        (a_drive, attribute("sample_rate_hz", 0.0), "sample_rate_hz is 0"),
         (a_drive, attribute("format_version", 2), "version 2; this program reads version 1"),
         (a_drive, attribute("sample_rate_hz", "fast"), "sample_rate_hz is 'fast'"),
         (a_drive, attribute("scale", -1.0), "scale is -1"),
@@ -193,44 +161,37 @@ def test_a_file_with_something_wrong_then_is_refused_in_one_line(tmp_path, write
 
 
 @pytest.mark.parametrize("read", [read_drive, read_field])
-@pytest.mark.parametrize(("content", "message"), [(b"", "is not an HDF5 file"), (None, "does not exist")])
-def test_a_path_without_a_file_of_ours_then_is_refused(tmp_path, read, content, message):
-    if content is not None:
-        (tmp_path / "file.h5").write_bytes(content)
-    with pytest.raises(InputError, match=message):
+def test_a_path_without_a_file_of_ours_then_is_refused(tmp_path, read):
+    with pytest.raises(InputError, match="does not exist"):
         read(tmp_path / "file.h5")
+    (tmp_path / "file.h5").write_bytes(b"")
+    with pytest.raises(InputError, match="is not an HDF5 file"):
+        read(tmp_path / "file.h5")
+
+
+LOW_PASS = LowPass(500.0, 8)
 
 
 def test_a_field_at_a_lower_rate_then_says_what_it_lost(tmp_path):
     path, plain = tmp_path / "low.h5", tmp_path / "plain.h5"
-    write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
+    write_field(path, dataclasses.replace(field(), low_pass=LOW_PASS))
     a_field(plain)
     with h5py.File(path) as low, h5py.File(plain) as other:
         assert low.attrs["band_hz"].tolist() == [0.0, 500.0]
         assert low.attrs["decimated_by"] == 8
         assert not {"band_hz", "decimated_by"} & set(other.attrs)
-    assert read_field(path).low_pass == LowPass(500.0, 8)
-    assert read_field(plain).low_pass is None
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("decimated_by", 1, "decimated_by is 1; 2 or more"),
-        ("decimated_by", 2.5, "decimated_by is 2.5; a whole number"),
-        ("band_hz", [0.0, -1.0], "band_hz ends at -1"),
-        ("band_hz", [0.0, np.nan], "band_hz"),
+    assert (read_field(path).low_pass, read_field(plain).low_pass) == (LOW_PASS, None)
+    for name, value, message in (
+        ("decimated_by", 1, "decimated_by is 1; 2 or more"), ("decimated_by", 2.5, "decimated_by is 2.5; a whole"),
+        ("band_hz", [0.0, -1.0], "band_hz ends at -1"), ("band_hz", [0.0, np.nan], "band_hz"),
         ("band_hz", [3.0], "band_hz"),
-    ],
-)
-def test_a_field_at_a_lower_rate_with_a_wrong_attribute_then_is_refused(tmp_path, name, value, message):
-    path = tmp_path / "low.h5"
-    write_field(path, dataclasses.replace(field(), low_pass=LowPass(500.0, 8)))
-    with h5py.File(path, "r+") as file:
-        file.attrs[name] = value
-    with pytest.raises(InputError, match=message) as refusal:
-        FieldRowReader(path)
-    assert str(path) in str(refusal.value)
+    ):  # fmt: skip
+        with h5py.File(path, "r+") as file:
+            file.attrs["decimated_by"], file.attrs["band_hz"] = 8, [0.0, 500.0]
+            file.attrs[name] = value
+        with pytest.raises(InputError, match=message) as refusal:
+            FieldRowReader(path)
+        assert str(path) in str(refusal.value)
 
 
 def rows_of(path, **options):

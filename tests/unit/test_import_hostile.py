@@ -14,11 +14,10 @@ import pytest
 import scipy.io
 
 from tests.lab_files import put
+from wavefocus import export_bank
 from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
 from wavefocus.options import ImportOptions
-from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import opened
 
 GREEN = np.random.default_rng(0).standard_normal((6, 2, 40)).astype(np.float32)
 PLACES_MM = np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(6)])
@@ -26,12 +25,11 @@ ARRAYS = {"green": GREEN, "position_mm": PLACES_MM, "sample_rate_hz": np.float64
 BOMB_BYTES = 100 << 20
 
 
-def exported(tmp_path, kind, *options):
-    np.savez(tmp_path / "b.npz", **ARRAYS)
-    if not (tmp_path / "bank.h5").exists():
-        import_bank(tmp_path / "b.npz", tmp_path / "bank.h5", ImportOptions())
-    out = tmp_path / f"exported.{kind}"
-    assert run(["export", str(tmp_path / "bank.h5"), str(out), "--to", kind, *options]) == 0
+def exported(folder, kind):
+    np.savez(folder / "b.npz", **ARRAYS)
+    import_bank(folder / "b.npz", folder / "bank.h5", ImportOptions())
+    out = folder / f"exported.{kind}"
+    export_bank(folder / "bank.h5", out, kind.partition("-")[0], binary=kind.endswith("-binary"))
     return out
 
 
@@ -84,9 +82,14 @@ def zipped(values, header="", *, pickled=False):
     return make
 
 
-def pickled_array(tmp_path):
-    np.save(tmp_path / "a.npy", np.array([{"a": 1}], object), allow_pickle=True)
-    return tmp_path / "a.npy"
+def saved(name, save):
+    """A maker of a file that one call writes."""
+
+    def make(folder):
+        save(folder / name)
+        return folder / name
+
+    return make
 
 
 def unfolding_mat(tmp_path):
@@ -98,13 +101,6 @@ def unfolding_mat(tmp_path):
     return tmp_path / "a.mat"
 
 
-def cells(tmp_path):
-    green = np.empty((2, 1), object)
-    green[:, 0] = [GREEN, "text"]
-    scipy.io.savemat(tmp_path / "a.mat", ARRAYS | {"green": green})
-    return tmp_path / "a.mat"
-
-
 def ascii_short(tmp_path):
     file = exported(tmp_path, "uff")
     content = file.read_text(encoding="ascii")
@@ -112,30 +108,24 @@ def ascii_short(tmp_path):
     return file
 
 
-def unfolding_zip(tmp_path):
-    return zipped(np.zeros((1, 1, BOMB_BYTES // 4), np.float32))(tmp_path)
-
-
-def unfolding_hdf5(tmp_path):
-    shape = (6, 2, BOMB_BYTES // 48)
-    return dataset(data=np.zeros(shape, np.float32), chunks=(1, 2, shape[2]), compression=9)(tmp_path)
-
-
 NOT_FINITE = np.where(np.arange(GREEN.size).reshape(GREEN.shape) == 287, np.nan, GREEN)
+PICKLED, CELLS = np.array([{"a": 1}], object), np.empty((2, 1), object)
+CELLS[:, 0] = [GREEN, "text"]
+BOMB = np.broadcast_to(np.float32(0.0), (6, 2, BOMB_BYTES // 48))
 HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "external link": (hdf5(put("green", h5py.ExternalLink("other.nc", "/green"))), "link"),
     "soft link": (hdf5(put("green", h5py.SoftLink("/position_mm"))), "link"),
     "hollow": (dataset(shape=(6, 10_000, 10_000), dtype="f4", chunks=(1, 100, 100)), "holds"),
-    "unfolding HDF5": (unfolding_hdf5, "holds"),
+    "unfolding HDF5": (dataset(data=BOMB, chunks=(1, 2, BOMB.shape[2]), compression=9), "holds"),
     "external storage": (
         dataset(shape=GREEN.shape, dtype="f4", external=[("raw", 0, h5py.h5f.UNLIMITED)]), "other files",
     ),
-    "unfolding archive": (unfolding_zip, "holds"),
+    "unfolding archive": (zipped(BOMB), "holds"),
     "huge shape": (zipped(GREEN, "(6, 2, 99999999999)"), "holds"),
-    "pickled archive": (zipped(np.array([{"a": 1}], object), pickled=True), "pickled"),
-    "pickled array": (pickled_array, "pickled"),
+    "pickled archive": (zipped(PICKLED, pickled=True), "pickled"),
+    "pickled array": (saved("a.npy", lambda file: np.save(file, PICKLED, allow_pickle=True)), "pickled"),
     "unfolding MATLAB file": (unfolding_mat, "holds"),
-    "cells": (cells, "green"),
+    "cells": (saved("a.mat", lambda file: scipy.io.savemat(file, ARRAYS | {"green": CELLS})), "green"),
     "not finite": (archive(green=NOT_FINITE), "position 3 to actuator 1"),
     "control characters": (archive(response_unit="m/s/V\x1b[31m"), "control characters"),
     "two places": (archive(position_mm=PLACES_MM[:2]), "places of 2 positions"),
@@ -184,12 +174,12 @@ def mutated(content, source):
 
 def mutations(tmp_path, kind, count):
     """Damaged copies of a small file, with its format and options."""
-    form, options = kind.partition("-")[0], ImportOptions()
+    form, options = kind.partition("-")[0], list[str]()
     if kind == "npy":
         np.save(tmp_path / "exported.npy", GREEN)
         whole = tmp_path / "exported.npy"
         (tmp_path / "places.csv").write_text("x_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in PLACES_MM.tolist()))
-        options = ImportOptions(places=tmp_path / "places.csv", unit="m/s/V", sample_rate_hz=2000.0)
+        options = ["--places", str(tmp_path / "places.csv"), "--unit", "m/s/V", "--sample-rate-hz", "2000"]
     else:
         whole = exported(tmp_path, kind)
     source, copy = random.Random(5), tmp_path / "copy"
@@ -204,30 +194,16 @@ def mutations(tmp_path, kind, count):
         yield copy, form, options
 
 
-@pytest.mark.parametrize("kind", FORMATS)
-def test_given_a_damaged_file_then_it_is_read_or_refused(tmp_path, kind):
-    outcomes = []
-    for copy, form, options in mutations(tmp_path, kind, 20):
-        try:
-            with opened(copy, form, options) as measured:
-                outcomes.append(sum(1 for _ in measured.rows) == measured.shape[0])
-        except InputError as error:
-            outcomes.append(len(str(error).splitlines()) == 1)
-    assert len(outcomes) == 20
-    assert all(outcomes)
-
-
-@pytest.mark.nightly
 @pytest.mark.timeout(900)
+@pytest.mark.parametrize("count", [10, pytest.param(300, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("kind", FORMATS)
-def test_given_hundreds_of_damaged_files_then_each_import_ends_well(tmp_path, capsys, kind):
-    for copy, form, options in mutations(tmp_path, kind, 300):
-        given = ["--from", form]
-        if options.places is not None:
-            given += ["--places", str(options.places), "--unit", "m/s/V", "--sample-rate-hz", "2000"]
+def test_given_damaged_files_then_each_import_ends_with_a_bank_or_a_sentence(tmp_path, capsys, kind, count):
+    for copy, form, options in mutations(tmp_path, kind, count):
         out = tmp_path / "out.h5"
         out.unlink(missing_ok=True)
-        code = run(["import", str(copy), "--bank", str(out), *given])
+        code = run(["import", str(copy), "--bank", str(out), "--from", form, *options])
         assert code in (0, 2)
         assert out.exists() == (code == 0)
-        assert "Traceback" not in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert "Traceback" not in told
+        assert code == 0 or len([line for line in told.splitlines() if line.startswith("wavefocus:")]) == 1

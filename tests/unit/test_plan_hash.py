@@ -94,8 +94,12 @@ def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values():
 
 def test_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_values(tmp_path):
     places = [[0, 0], [5, 0]]
-    wf.virtual_rig(actuators=2, position_mm=places).measure(tmp_path / "bank.h5", [0]).close()
-    other = wf.virtual_rig(actuators=2, position_mm=places, run={"sweep": {"stop_hz": 400.0}})
+    capture = {"averages": 2, "decay_s": 0.1, "taps": 1000}
+    quick = {"sweep": {"duration_s": 0.3}, "capture": capture}
+    wf.virtual_rig(actuators=2, position_mm=places, run=quick).measure(tmp_path / "bank.h5", [0]).close()
+    other = wf.virtual_rig(
+        actuators=2, position_mm=places, run={"sweep": {"duration_s": 0.3, "stop_hz": 400.0}, "capture": capture}
+    )
     with pytest.raises(wf.InputError, match=r"another plan.*sweep\.stop_hz \(500\.0, not 400\.0\)"):
         other.measure(tmp_path / "bank.h5")
 

@@ -1,37 +1,15 @@
 """Keeping recordings: what is committed stays, whatever the disk does, and what is wrong is refused by a sentence."""
 
-from dataclasses import replace
-
 import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import raw_header
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.raw.header import RawHeader, sequential
 from wavefocus.storage.raw.writer import DamagedError, RawWriter, create_raw, open_raw
 
 SHAPE = (2, 300)
 STEP_V = 1 / 1024
-
-
-def header(positions=3, **changes):
-    """Two records of 300 samples at each position."""
-    plain = RawHeader(
-        sample_rate_hz=1000.0,
-        samples=SHAPE[1],
-        taps=50,
-        band_hz=(50.0, 400.0),
-        schedule=sequential(2),
-        position_mm=np.arange(2.0 * positions).reshape(positions, 2),
-        actuator_mm=np.zeros((2, 2)),
-        response_per_volt=0.125,
-        volts_per_count=(STEP_V, STEP_V),
-        averages=1,
-        sweep_s=0.2,
-        decay_s=0.05,
-        plan_sha256="ab" * 32,
-    )
-    return replace(plain, **changes)  # type: ignore[arg-type]
 
 
 def volts(position, attempt=1):
@@ -55,7 +33,7 @@ def holds(path, position, attempt):
 
 def made(tmp_path, positions=3):
     path = tmp_path / "a.raw.h5"
-    create_raw(path, header(positions))
+    create_raw(path, raw_header(positions))
     return path
 
 
@@ -82,21 +60,15 @@ def test_given_the_contract_then_plain_h5py_reads_what_was_kept(tmp_path):
         assert file["schedule/actuator"][:].tolist() == [[0], [1]]
 
 
-def test_given_a_second_attempt_then_it_takes_the_place_of_the_first(tmp_path):
-    path = made(tmp_path)
-    with RawWriter.open(path) as writer:
-        writer.commit(0, *volts(0, 1))
-        writer.commit(0, *volts(0, 2))
-    assert holds(path, 0, 2)
-
-
-def test_given_space_reserved_then_committing_everything_does_not_grow_the_file(tmp_path):
+def test_a_second_attempt_replaces_the_first_and_commits_do_not_grow_the_file(tmp_path):
     path = made(tmp_path)
     size = path.stat().st_size
     with RawWriter.open(path) as writer:
         for position in range(3):
             writer.commit(position, *volts(position))
-    assert path.stat().st_size == size <= header().file_bytes
+        writer.commit(0, *volts(0, 2))
+    assert holds(path, 0, 2)
+    assert path.stat().st_size == size <= raw_header().file_bytes
 
 
 @pytest.mark.parametrize(
@@ -122,7 +94,7 @@ def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_k
 def test_given_a_file_that_exists_then_it_is_never_made_anew(tmp_path):
     path = made(tmp_path)
     with pytest.raises(InputError, match="exists already"):
-        create_raw(path, header())
+        create_raw(path, raw_header())
 
 
 def test_given_a_flipped_byte_then_that_position_alone_is_told_as_damaged(tmp_path):

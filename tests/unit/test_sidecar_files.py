@@ -1,15 +1,32 @@
-"""Files beside a bank are written neither through links nor over files of somebody else."""
+"""Files beside a bank: never written through links or over files of somebody else; pipes are passed over or refused."""
 
 import json
 import os
 
 import pytest
 
-from wavefocus.campaign.sidecar_files import EventLog, VerifyLog, drift_path, log_path, write_whole
+from tests.lab_files import write_foreign
+from wavefocus.__main__ import run
+from wavefocus.campaign.control import heartbeat_path, orders_path, read_heartbeat, take_order
+from wavefocus.campaign.sidecar_files import (
+    EventLog,
+    VerifyLog,
+    drift_path,
+    last_events,
+    log_path,
+    read_drift,
+    write_whole,
+)
 from wavefocus.config.messages.campaign import Drift
+from wavefocus.input_files import input_files
+from wavefocus.rendering.verify.record import read_record
+from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import owner_path, remove_owner, write_owner
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
+pytestmark = [
+    pytest.mark.may_skip("symbolic links and named pipes are POSIX"),
+    pytest.mark.skipif(os.name == "nt", reason="symbolic links and named pipes are POSIX"),
+]
 PRECIOUS = b"precious\n"
 
 
@@ -25,24 +42,25 @@ def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(victim, 
     names = [bank.with_suffix(ending) for ending in (".events.jsonl", ".drift.jsonl")]
     for name in names:
         name.symlink_to(victim)
-    drift = Drift(0, 0.0, 0.1, 0.0, 1.0, "steady", "run", "", ())
-    with EventLog(path_of(bank), Drift) as written:
-        written(drift)
+
+    def write():
+        with EventLog(path_of(bank), Drift) as written:
+            written(Drift(0, 0.0, 0.1, 0.0, 1.0, "steady", "run", "", ()))
+
+    write()
     for name in names:
         name.unlink()
         name.write_bytes(PRECIOUS)
-    with EventLog(path_of(bank), Drift) as written:
-        written(drift)
+    write()
     assert [name.read_bytes() for name in names] == [PRECIOUS, PRECIOUS]
     for name in names:
         name.unlink()
         os.mkfifo(name)
-    with EventLog(path_of(bank), Drift) as written:
-        written(drift)
+    write()
     assert victim.read_bytes() == PRECIOUS
 
 
-def test_given_a_link_then_the_owner_is_named_beside_the_bank_alone(victim):
+def test_given_a_link_or_a_file_of_another_the_owner_is_named_beside_the_bank_alone(victim):
     bank = victim.with_name("plate.h5")
     owner_path(bank).symlink_to(victim)
     write_owner(bank)
@@ -50,10 +68,6 @@ def test_given_a_link_then_the_owner_is_named_beside_the_bank_alone(victim):
     assert victim.read_bytes() == PRECIOUS
     remove_owner(bank)
     assert not os.path.lexists(owner_path(bank))
-
-
-def test_given_a_file_of_another_then_no_owner_replaces_it(tmp_path):
-    bank = tmp_path / "plate.h5"
     owner_path(bank).write_bytes(PRECIOUS)
     write_owner(bank)
     remove_owner(bank)
@@ -100,3 +114,45 @@ def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_remo
     owner_path(bank).write_bytes(b"\xff\xa5" * 257)  # more than a power cut leaves
     remove_owner(bank)
     assert owner_path(bank).exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "read", "nothing"),
+    [
+        (heartbeat_path, read_heartbeat, None),
+        (orders_path, take_order, None),
+        (drift_path, read_drift, []),
+        (log_path, lambda bank: list(last_events(bank)), []),
+    ],
+)
+def test_given_a_pipe_in_place_of_a_file_beside_a_bank_then_it_holds_nothing(tmp_path, name, read, nothing):
+    bank = tmp_path / "plate.h5"
+    os.mkfifo(name(bank))
+    assert read(bank) == nothing
+
+
+def test_given_pipes_as_inputs_then_they_are_refused(tmp_path):
+    pipe = tmp_path / "pipe.toml"
+    os.mkfifo(pipe)
+    assert input_files(pipe) == [pipe]
+    with pytest.raises(InputError):
+        read_record(pipe)
+    for command in (
+        ["plan", str(pipe)], ["doctor", str(pipe)], ["render", str(pipe), "--bank", str(pipe), "--out", "x.h5"],
+        ["status", str(pipe)], ["check", str(pipe)], ["import", str(pipe), "--bank", str(tmp_path / "new.h5")],
+        ["trials", str(pipe), "--bank", str(pipe), "--rig", str(pipe), "--participant", "p", "--out", str(tmp_path)],
+    ):  # fmt: skip
+        assert run(command) == 2
+
+
+def test_given_a_pipe_as_owner_file_then_status_does_not_wait_for_it(tmp_path):
+    bank = write_foreign(tmp_path / "plate.h5")
+    for path in (owner_path(bank), heartbeat_path(bank)):
+        os.mkfifo(path)
+    assert run(["status", str(bank)]) == 0
+
+
+def test_given_a_deeply_nested_line_of_drift_then_the_others_are_read(tmp_path):
+    bank = tmp_path / "plate.h5"
+    drift_path(bank).write_text("[" * 100_000 + "\n" + '{"a":' * 100_000 + "\n")
+    assert read_drift(bank) == []
