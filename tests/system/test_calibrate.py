@@ -1,10 +1,11 @@
-"""Calibration through the real command: a person's lines on standard input, a file, and what becomes of it."""
+"""Calibration through the real command: a person's or a program's answers, a file, and what becomes of it."""
 
 import io
 import json
 import os
 import subprocess
 import sys
+import tomllib
 from contextlib import redirect_stderr, redirect_stdout
 from datetime import date
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.system.lines import Lines
 from wavefocus.__main__ import run
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import CalibrationRecord, load_calibration
@@ -264,3 +266,97 @@ def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
     file.unlink()
     rig.unlink()
     assert run(["remeasure", str(bank), "--positions", "1"]) == 0
+
+
+def meet(lines, ask, off_mm=0.0):
+    """Bring the beam onto the mark that is asked for."""
+    x_mrad, y_mrad = (float(angle) for angle in TRUE.angles_mrad(ask["place_mm"][0] + off_mm, ask["place_mm"][1]))
+    lines.send(answer="by", x_mrad=x_mrad - ask["at_mrad"][0], y_mrad=y_mrad - ask["at_mrad"][1])
+    again = lines.hear("ask")
+    assert again["number"] == ask["number"]
+    assert again["at_mrad"] == pytest.approx([x_mrad, y_mrad])
+    lines.send(answer="here")
+
+
+def test_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_named(rig):
+    with Lines("calibrate", rig, "--only", "mirror", "--operator", "lines", "--use") as asked:
+        _meet_all(asked, rig)
+
+
+def _meet_all(asked, rig):
+    begin = asked.hear("begin")
+    assert len(begin["marks_mm"]) == 7
+    level = asked.hear("level")  # while a person jogs, both inputs are heard
+    assert level["response"]["rms_v"] > 0
+    for number in range(1, 8):
+        ask = asked.hear("ask") if number > 1 else {"number": 1, "place_mm": [0.0, 0.0], "at_mrad": [0.0, 0.0]}
+        meet(asked, ask, off_mm=9.0 if number == 3 else 0.0)
+    judged = asked.hear("ask")
+    assert judged["what"] == "map"
+    assert judged["worst_mm"] > 1.0
+    assert judged["suspect"] == 3
+    assert "mark 3" in judged["problem"]
+    asked.send(answer="keep")
+    assert "mark 3" in asked.hear("refused")["sentence"]
+    assert asked.hear("ask")["what"] == "map"
+    asked.send(answer="redo", mark=3)
+    ask = asked.hear("ask")
+    assert (ask["what"], ask["number"]) == ("jog", 3)
+    meet(asked, ask)
+    judged = asked.hear("ask")
+    assert judged["problem"] == ""
+    assert judged["worst_mm"] < 1e-3
+    assert len(judged["off_mm"]) == 7
+    asked.send(answer="keep")
+    done = asked.hear("done")
+    assert done["measured"] == ["mirror"]
+    assert asked.end() == 0
+    assert Path(done["file"]).is_file()
+    assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == Path(done["file"]).name
+
+
+def converse(rig, *answers, only="mirror", code=0):
+    """Events of a calibration that a program is asked for, and that gives these answers."""
+    file, out = rig.parent / "answers", io.StringIO()
+    file.write_text("".join(json.dumps(answer) + "\n" for answer in answers), encoding="utf-8")
+    with file.open(encoding="utf-8") as typed, pytest.MonkeyPatch.context() as program, redirect_stdout(out):
+        program.setattr(sys, "stdin", typed)
+        assert run(["calibrate", str(rig), "--only", only, "--operator", "lines"]) == code
+    file.unlink()
+    events = [json.loads(line) for line in out.getvalue().splitlines()]
+    return [event for event in events if event["event"] in ("ask", "refused", "done")]
+
+
+WRONG: list[tuple[dict[str, object], str]] = [
+    ({"answer": "yes"}, "allowed: here, by, to, cancel"),
+    ({"answer": ["here"]}, "answer ['here'] is not understood"),
+    ({"answer": "by", "x_mrad": 1}, "answer 'by' lacks y_mrad"),
+    ({"answer": "by", "x_mrad": "1", "y_mrad": 1}, "x_mrad: Expected `float`"),
+    ({"reply": "here"}, "answer None"),
+]
+
+
+def test_answers_that_are_not_understood_then_each_is_sentence_and_question_stays(rig):
+    far = {"answer": "to", "x_mrad": 900, "y_mrad": 0}
+    _, *refused, last = converse(rig, *(answer for answer, _ in WRONG), far, {"answer": "cancel"}, code=130)
+    for event, (_, why) in zip(refused, WRONG, strict=True):
+        assert why in event["sentence"]
+    assert "beyond the limit of 250 mrad" in last["note"]
+
+
+def test_given_a_person_who_leaves_the_map_then_nothing_is_written(rig):
+    here = [{"answer": "here"}] * 7
+    *_, judged, refused, again, done = converse(rig, *here, {"answer": "keep"}, {"answer": "drop"}, code=1)
+    assert (judged["what"], judged["rms_mm"], judged["off_mm"]) == ("map", None, [])
+    assert refused["sentence"] == judged["problem"]  # no mark was moved
+    assert again["what"] == "map"
+    assert done["problems"] == ["mirror: its map was looked at and left"]
+    assert list(rig.parent.iterdir()) == [rig]
+    assert rig.read_text(encoding="utf-8") == RIG
+
+
+def test_given_cables_to_plug_then_the_program_is_asked_for_each(rig):
+    both, vibrometer, done = converse(rig, *[{"answer": "done"}] * 2, only="inputs")
+    assert (both["what"], both["source"], vibrometer["source"]) == ("connect", "both", "vibrometer")
+    assert "plug the loopback into both inputs" in both["sentence"]
+    assert done["measured"] == ["inputs"]

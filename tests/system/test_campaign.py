@@ -7,12 +7,11 @@ import subprocess
 import sys
 import time
 
-import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import capture_process, events_of, held, wavefocus
+from tests.system.captures import capture_process, events_of, held, of_kind, wavefocus
 from tests.system.conftest import with_faults, write_lab
 
 
@@ -24,7 +23,7 @@ def _capture(lab, name="plate.h5"):
 
 def _take_longer(lab):
     """More sweeps a record, so that a signal still meets the campaign on a machine that is busy."""
-    change_text(lab / "run.toml", "averages = 2", "averages = 12")
+    change_text(lab / "run.toml", "averages = 2", "averages = 6")
 
 
 def test_given_a_run_then_every_position_is_valid_and_events_tell_it(lab, capsys):
@@ -36,18 +35,17 @@ def test_given_a_run_then_every_position_is_valid_and_events_tell_it(lab, capsys
     assert events[-1]["counts"] == {
         "not-measured": 0, "valid": 6, "over-range": 0, "poor": 0, "failed": 0, "disabled": 0,
     }  # fmt: skip
-    assert [event["position"] for event in events if event["event"] == "position_committed"] == list(range(6))
-    progress = [event for event in events if event["event"] == "progress"]
+    committed = of_kind(events, "position_committed")
+    assert [event["position"] for event in committed] == list(range(6))
+    progress = of_kind(events, "progress")
     assert [event["done"] for event in progress] == [1, 2, 3, 4, 5, 6]
     # The sentinel is measured last, with the loopback alone.
     position_s = (events[0]["planned_s"] - 2 * 0.64) / 7
     assert progress[-1]["remaining_s"] == pytest.approx(position_s + 0.64, rel=0.05)
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1] * 6
-        assert np.all(file["quality/attempts"][:] == 1)
-        assert np.all(np.abs(file["green"][:]).max(axis=2) > 0)
+    assert held(bank) == held(bank, "quality/attempts") == [1] * 6
+    assert np.all(np.abs(held(bank, "green")).max(axis=2) > 0)
     # Nobody said how the clocks are.
-    for event in (one for one in events if one["event"] == "position_committed"):
+    for event in committed:
         assert event["clock_ppm"] == pytest.approx(30.0, abs=0.5)
         assert event["start_offset_samples"] > 200  # 20 ms of pre-roll and 5-30 ms of latency at 10 kHz
 
@@ -58,17 +56,6 @@ def reference(tmp_path_factory):
     lab = write_lab(tmp_path_factory.mktemp("reference"))
     _take_longer(lab)
     return _capture(lab).read_bytes()
-
-
-def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab, reference):
-    _take_longer(lab)
-    bank = lab / "plate.h5"
-    with capture_process(lab, bank) as child:
-        while child.hear("progress")["done"] < 2:
-            pass
-        child.process.kill()
-    assert wavefocus("resume", bank) == 0
-    assert bank.read_bytes() == reference
 
 
 def test_a_bank_deleted_while_it_is_measured_exits_3_and_its_rescue_is_identical(lab, reference):
@@ -110,42 +97,35 @@ def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(lab, referenc
     assert bank.read_bytes() == reference
 
 
-@pytest.mark.parametrize("kind", ["short_read", "missing_reference", "over_range"])
-def test_given_a_passing_fault_then_the_position_is_repeated_and_valid(lab, kind, capsys):
-    with_faults(lab, f'role = "recorder"\noperation = "read"\nkind = "{kind}"\nposition = 2\nattempt = 1')
+READ = 'role = "recorder"\noperation = "read"\n'
+
+
+def test_given_passing_faults_then_their_positions_are_repeated_and_valid(lab, capsys):
+    passing = {1: "short_read", 2: "missing_reference", 4: "over_range"}
+    with_faults(lab, *(f'{READ}kind = "{kind}"\nposition = {row}\nattempt = 1' for row, kind in passing.items()))
     bank = lab / "plate.h5"
     assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
-    events = events_of(capsys.readouterr().out)
-    repeated = [event for event in events if event["event"] == "position_repeated"]
-    assert [event["position"] for event in repeated] == [2]
-    assert repeated[0]["reason"]
+    repeated = events_of(capsys.readouterr().out, "position_repeated")
+    assert [event["position"] for event in repeated] == [*passing]
+    assert all(event["reason"] for event in repeated)
     assert held(bank) == [1] * 6
-    assert held(bank, "quality/attempts") == [1, 1, 2, 1, 1, 1]
+    assert held(bank, "quality/attempts") == [1, 2, 2, 1, 2, 1]
 
 
-@pytest.mark.parametrize(("kind", "bit"), [("timeout", 8), ("missing_reference", 8), ("over_range", 2)])
-def test_given_a_fault_that_stays_then_the_position_is_not_called_valid(lab, kind, bit):
-    with_faults(lab, f'role = "recorder"\noperation = "read"\nkind = "{kind}"\nposition = 2\ncount = 6')
+def test_given_faults_that_stay_then_positions_are_not_valid_and_a_poor_one_is_cured(lab):
+    staying = {0: "timeout", 2: "dropout", 3: "over_range", 5: "missing_reference"}
+    with_faults(lab, *(f'{READ}kind = "{kind}"\nposition = {row}\ncount = 6' for row, kind in staying.items()))
     bank = _capture(lab)
-    with h5py.File(bank, "r") as file:
-        status = list(file["status"])
-        assert status[2] & bit
-        assert not status[2] & 1
-        assert status[:2] + status[3:] == [1] * 5
-        assert file["quality/attempts"][2] == 6  # three, and three more in the pass at the end
-
-
-def test_given_remeasure_of_what_stayed_poor_then_it_becomes_valid(lab):
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "dropout"\nposition = 2\ncount = 6')
-    bank = _capture(lab)
-    with h5py.File(bank, "r") as file:
-        before = file["green"][:]
+    status, before = held(bank), np.array(held(bank, "green"))
+    assert [status[row] & bit for row, bit in ((0, 8), (2, 4), (3, 2), (5, 8))] == [8, 4, 2, 8]
+    assert [one & 1 for one in status] == [0, 1, 0, 0, 1, 0]
+    # Three, and three more in the pass at the end; the loopback alone, played at position 0, is not tried for ever.
+    assert held(bank, "quality/attempts") == [6, 1, 6, 6, 1, 6]
     assert wavefocus("remeasure", bank, "--status", "poor") == 0
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1] * 6
-        assert file["quality/attempts"][2] == 7
-        changed = np.any(file["green"][:] != before, axis=(1, 2))
-        assert list(np.flatnonzero(changed)) == [2]
+    assert held(bank) == [*status[:2], 1, *status[3:]]
+    assert held(bank, "quality/attempts")[2] == 7
+    changed = np.any(np.array(held(bank, "green")) != before, axis=(1, 2))
+    assert np.flatnonzero(changed).tolist() == [2]
 
 
 def test_given_three_positions_in_a_row_without_a_record_then_exit_3(lab, capsys):

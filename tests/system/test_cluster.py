@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, suppress
 
 import h5py
 import numpy as np
@@ -94,20 +95,22 @@ def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(lab, cap
     assert not (lab / "field.h5").exists()
 
 
-@pytest.mark.parametrize("address", ["local:0", "local:two"])
-def test_a_local_cluster_of_no_sensible_size_then_one_sentence_says_what_is_allowed(lab, capsys, address):
+@pytest.mark.parametrize(
+    ("address", "installed", "told"),
+    [
+        ("local:0", True, "--cluster local:0: local:N starts N processes here, 1 to 256"),
+        ("local:two", True, "--cluster local:two: local:N starts N processes here, 1 to 256"),
+        ("local", False, "pip install 'dask[distributed]'"),
+    ],
+)
+def test_a_cluster_of_no_sensible_size_or_without_dask_then_one_sentence(
+    lab, capsys, monkeypatch, address, installed, told
+):
+    if not installed:
+        monkeypatch.setitem(sys.modules, "distributed", None)
     predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
     assert run([*predict, "--cluster", address]) == 2
-    assert f"--cluster {address}: local:N starts N processes here, 1 to 256" in capsys.readouterr().err
-
-
-def test_given_no_dask_then_a_sentence_says_what_to_install(lab):
-    without = "import sys; sys.modules['distributed'] = None; from wavefocus.__main__ import main; main()"
-    predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
-    command = [sys.executable, "-c", without, *predict, "--cluster", "local"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.strip().endswith("pip install 'dask[distributed]'")
+    assert told in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab):
@@ -120,34 +123,36 @@ def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab)
         field_parts(drive, bank, None, [[3]])
 
 
-LONE_SCHEDULER = SCHEDULER.replace("n_workers=2, threads_per_worker=1", "n_workers=0")
-
-
-@pytest.mark.parametrize("lost", ["scheduler", pytest.param("worker", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("lost", ["scheduler", "worker"])
 def test_given_a_cluster_that_dies_then_one_sentence_says_so(tmp_path, lost, capfd, monkeypatch):
     monkeypatch.setattr(cluster, "GIVES_UP_S", 1.0)  # a constant, so that the test need not wait for a minute
     script = tmp_path / "cluster.py"
-    script.write_text(LONE_SCHEDULER, encoding="utf-8")
+    script.write_text(SCHEDULER.replace("n_workers=2, threads_per_worker=1", "n_workers=0"), encoding="utf-8")
     quiet = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     with subprocess.Popen([sys.executable, str(script)], text=True, **quiet) as scheduler:
         address = scheduler.stdout.readline().strip()
         words = ["-m", "distributed.cli.dask_worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard"]
         with subprocess.Popen([sys.executable, *words], **quiet) as worker:
-            client = None
-            for _ in range(120):
-                try:
-                    with cluster.cluster_client(address) as client:
-                        results = cluster.spread(client, time.sleep, [(0.2,)] * 1000, stopped="estimating plate")
-                        next(results)
-                        (scheduler if lost == "scheduler" else worker).kill()
-                        with pytest.raises(WavefocusError, match=f"estimating plate: .*{lost} of the cluster is"):
-                            list(results)
-                    break
-                except InputError:  # the worker is not there yet
-                    time.sleep(0.5)
-            assert client is not None
+            with _joined(address) as client:
+                results = cluster.spread(client, time.sleep, [(0.2,)] * 1000, stopped="estimating plate")
+                next(results)
+                (scheduler if lost == "scheduler" else worker).kill()
+                with pytest.raises(WavefocusError, match=f"estimating plate: .*{lost} of the cluster is"):
+                    list(results)
             worker.kill()
             scheduler.kill()
     said = capfd.readouterr().err
     assert "Traceback" not in said
     assert "object at 0x" not in said
+
+
+@contextmanager
+def _joined(address):
+    """A client of a cluster, as soon as it has a worker."""
+    for _ in range(120):
+        with suppress(InputError), cluster.cluster_client(address) as client:
+            yield client
+            return
+        time.sleep(0.5)
+    pytest.fail("no worker came")

@@ -11,106 +11,69 @@ RIG = """
 [actuators]
 position_mm = [[110, 0], [0, 60], [-110, 10]]
 """
-KEYS = {"rig", "name", "good", "counts", "findings", "versions"}
+USB = '[[usb]]\nrole = "recorder"\nvendor_id = 0x3923\nproduct_id = 0x7179\nserial_number = "none has this"\n'
 
 
-def doctor(rig, *options, capsys):
-    capsys.readouterr()
-    code = run(["doctor", str(rig), *options])
-    told = capsys.readouterr()
-    if "--json" in options:
-        return code, json.loads(told.out), told.err
-    return code, {}, told.out + told.err
+@pytest.fixture
+def doctor(tmp_path, capsys):
+    """Examine a rig of this text: exit code, standard output and standard error."""
+
+    def examined(text, *options):
+        folder = tmp_path / "lab [red]"
+        folder.mkdir()
+        (folder / "rig.toml").write_text(text.replace("{folder}", str(folder)), encoding="utf-8")
+        code = run(["doctor", str(folder / "rig.toml"), *options])
+        return code, *capsys.readouterr()
+
+    return examined
 
 
-def written(folder, text):
-    (folder / "rig.toml").write_text(text, encoding="utf-8")
-    return folder / "rig.toml"
-
-
-def test_given_a_sound_rig_then_exit_0_and_one_object(tmp_path, capsys):
-    code, told, _ = doctor(written(tmp_path, RIG), "--json", capsys=capsys)
+def test_given_a_sound_rig_then_exit_0_and_one_object(doctor):
+    code, out, _ = doctor(RIG, "--json")
+    told = json.loads(out)
     assert code == 0
-    assert set(told) == KEYS
+    assert set(told) == {"rig", "name", "good", "counts", "findings", "versions"}
     assert told["good"] is True
     assert told["counts"]["fail"] == 0
-    checks = {(one["instrument"], one["check"]) for one in told["findings"]}
-    assert {
-        ("mirror", "corners"),
-        ("player", "clock ratio"),
-        ("vibrometer", "response"),
-        ("disk", "free space"),
-    } <= checks
+    checks = {f"{one['instrument']}: {one['check']}" for one in told["findings"]}
+    assert {"mirror: corners", "player: clock ratio", "vibrometer: response", "disk: free space"} <= checks
     assert {"python", "numpy", "pyserial", "nidaqmx", "sounddevice"} <= set(told["versions"])
 
 
-def test_given_people_then_they_get_a_table_on_standard_output(tmp_path, capsys):
-    folder = tmp_path / "lab [red]"
-    folder.mkdir()
-    code, told, people = doctor(written(folder, RIG), "--no-play", capsys=capsys)
-    assert (code, told) == (0, {})
-    assert "[red]" in people.replace("\n", "")
-    for word in ("instrument", "mirror", "corners", "skipped", "nothing was to be played", "findings"):
-        assert word in people
+def test_given_people_then_they_get_a_table_on_standard_output(doctor):
+    code, out, _ = doctor(RIG, "--no-play")
+    assert code == 0
+    for word in ("[red]", "instrument", "mirror", "corners", "skipped", "nothing was to be played", "findings"):
+        assert word in out.replace("\n", "") if word == "[red]" else word in out
 
 
-@pytest.mark.parametrize(
-    ("flaw", "failing"),
-    [
-        ("noise_v = 0.5", "response"),
-        ("output_gain_spread_db = 20\nseed = 6", "loopback level"),
-        ("dead_actuators = [0, 1, 2]", "response"),
-        ("dead_actuators = [1]", "actuator"),
-    ],
-)
-def test_given_something_not_good_enough_then_exit_1_and_what_to_do(tmp_path, capsys, flaw, failing):
-    code, told, people = doctor(written(tmp_path, f"{RIG}[emulation]\n{flaw}\n"), "--json", capsys=capsys)
-    assert code == 1
-    assert told["good"] is False
+def test_given_something_not_good_enough_then_exit_1_and_what_to_do(doctor):
+    code, out, people = doctor(f"{RIG}[emulation]\ndead_actuators = [1]\n", "--json")
+    told = json.loads(out)
     bad = [one for one in told["findings"] if one["verdict"] == "fail"]
-    assert [one["check"] for one in bad] == [failing]
+    assert (code, told["good"], [one["check"] for one in bad]) == (1, False, ["actuator"])
     assert all(one["remedy"] for one in bad)
     assert "1 not good enough" in people
 
 
-def test_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(tmp_path, capsys):
-    code, told, _ = doctor(written(tmp_path, ABSENT_RIG.format(folder=tmp_path)), "--json", capsys=capsys)
+def test_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(doctor):
+    code, out, _ = doctor(ABSENT_RIG + USB, "--json")
+    findings = json.loads(out)["findings"]
+    bad = {one["instrument"]: one for one in findings if one["verdict"] == "fail"}
     assert code == 1
-    bad = {one["instrument"]: one for one in told["findings"] if one["verdict"] == "fail"}
-    assert set(bad) == {"mirror", "recorder", "player"}
-    for one in bad.values():
-        assert one["check"] == "opening"
-        assert one["remedy"]
-    assert {one["instrument"] for one in told["findings"] if one["verdict"] == "skipped"} >= {"mirror", "player"}
+    assert set(bad) == {"mirror", "recorder", "player", "usb"}
+    assert all(one["check"] == "opening" for name, one in bad.items() if name != "usb")
+    assert all(one["remedy"] for one in bad.values())
+    assert {one["instrument"] for one in findings if one["verdict"] == "skipped"} >= {"mirror", "player"}
 
 
-def test_given_a_usb_device_that_is_not_plugged_in_then_it_is_missed(tmp_path, capsys):
-    usb = '[[usb]]\nrole = "recorder"\nvendor_id = 0x3923\nproduct_id = 0x7179\nserial_number = "none has this"\n'
-    code, told, _ = doctor(written(tmp_path, RIG + usb), "--json", "--no-play", capsys=capsys)
-    assert code == 1
-    (bad,) = [one for one in told["findings"] if one["verdict"] == "fail"]
-    assert bad["instrument"] == "usb"
-    assert bad["remedy"]
-
-
-def test_reset_of_device_that_rig_does_not_expect_then_exit_2_and_what_it_expects(tmp_path, capsys):
-    assert run(["init", str(tmp_path / "lab")]) == 0
-    capsys.readouterr()
-    assert run(["doctor", str(tmp_path / "lab" / "rig.toml"), "--reset-usb", "recorder"]) == 2
-    assert "[[usb]]" in capsys.readouterr().err
-
-
-def test_given_a_reset_of_a_device_that_is_not_plugged_in_then_exit_3_and_what_to_do(tmp_path, capsys):
-    rig = tmp_path / "rig.toml"
-    rig.write_text('[[usb]]\nrole = "recorder"\nvendor_id = 0x3923\nproduct_id = 0x7179\n', encoding="utf-8")
-    assert run(["doctor", str(rig), "--reset-usb", "recorder"]) == 3
-    error = capsys.readouterr().err
-    assert "recorder" in error
+@pytest.mark.parametrize(
+    ("text", "code", "words"),
+    [(RIG, 2, "[[usb]]"), (USB, 3, "recorder"), ("[mirror]\nlimit_deg = 3\n", 2, "mirror.limit_deg = 3: unknown key")],
+    ids=["a reset of a device that the rig does not expect", "of one that is not plugged in", "a wrong rig file"],
+)
+def test_given_what_cannot_be_done_then_one_line_says_so(doctor, text, code, words):
+    found, _, error = doctor(text, "--reset-usb", "recorder")
+    assert found == code
+    assert words in error
     assert error.count("\n") == 1
-
-
-def test_given_a_wrong_rig_file_then_exit_2_and_one_line(tmp_path, capsys):
-    code, _, people = doctor(written(tmp_path, "[mirror]\nlimit_deg = 3\n"), capsys=capsys)
-    assert code == 2
-    assert people.count("\n") == 1
-    assert "mirror.limit_deg = 3: unknown key" in people

@@ -90,13 +90,21 @@ def test_drives_that_are_not_in_volts_then_are_not_played(tmp_path, capsys, unit
     assert wf.render(scene, array).drive_unit == drive_of(unit)
 
 
-@pytest.mark.parametrize("kind", ["sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf"])
-@pytest.mark.parametrize("unit", ["m/s per mV", "mm/s²/kN"])
+@pytest.mark.parametrize(
+    ("kind", "unit"),
+    [
+        *(
+            (kind, "m/s per mV")
+            for kind in ("sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf")
+        ),
+        *((kind, "mm/s²/kN") for kind in ("sofa", "uff", "wav", "netcdf")),
+    ],
+)
 def test_an_export_then_names_units_that_the_import_reads_back(tmp_path, kind, unit):
     bank, out, back = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "out", tmp_path / "back.h5"
     assert run(["export", str(bank), str(out), "--to", *kind.split()]) == 0
     assert run(["import", str(out), "--bank", str(back)]) == 0
-    wanted = {"m/s per mV": "m/s/mV", "m s-1 V-1": "m/s/V", "mm/s²/kN": "mm/s^2/kN"}.get(unit, unit)
+    wanted = {"m/s per mV": "m/s/mV", "mm/s²/kN": "mm/s^2/kN"}[unit]
     with wf.open_bank(back) as found:
         assert (found.response_unit, found.drive_unit) == (wanted, wanted.rpartition("/")[2])
         assert np.array_equal([found.green(row) for row in range(POSITIONS)], GREEN)

@@ -64,13 +64,6 @@ def test_given_one_worker_or_two_then_the_bank_is_the_same_to_the_byte(tmp_path)
     assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()
 
 
-def test_given_a_file_that_is_no_recording_then_exit_2_and_one_line(tmp_path, capsys):
-    (tmp_path / "a.raw.h5").write_bytes(b"nothing of the kind")
-    assert run(["estimate", str(tmp_path / "a.raw.h5"), "--bank", str(tmp_path / "bank.h5")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert not (tmp_path / "bank.h5").exists()
-
-
 @pytest.mark.parametrize(("gain", "status"), [(1.0, [1, 1]), (10 ** (-0.3 / 20), [1, 4])], ids=["level", "fainter"])
 def test_a_recording_with_a_fainter_reference_makes_its_position_poor(tmp_path, gain, status):
     raw, _ = sequential(tmp_path / "a.raw.h5", snr_db=60.0, positions=2)
@@ -81,24 +74,26 @@ def test_a_recording_with_a_fainter_reference_makes_its_position_poor(tmp_path, 
         assert file["status"][:].tolist() == status
 
 
-@pytest.mark.parametrize("gain", [0.5, 2.0])
-def test_reference_of_another_gain_by_another_program_then_rows_are_valid_all_same(tmp_path, gain):
-    raw, _ = sequential(tmp_path / "a.raw.h5", snr_db=60.0, said={"reference_gain": gain})
+def test_reference_of_another_gain_by_another_program_then_rows_are_valid_all_same(tmp_path):
+    raw, _ = sequential(tmp_path / "a.raw.h5", snr_db=60.0, said={"reference_gain": 0.5})
     with h5py.File(raw, "r+") as file:
-        file["reference"][...] = gain * file["reference"][...]
+        file["reference"][...] = 0.5 * file["reference"][...]
     estimated(raw, tmp_path / "bank.h5")
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "band_hz", "duration_s", "law", "taps"),
-    [(44_100.0, (50.0, 22_050.0), 2.5, "linear", 300), (48_000.0, (20.0, 20_000.0), 3.0, "linear", 12_000)],
+    ("rate_hz", "band_hz", "duration_s", "taps"),
+    [
+        (44_100.0, (50.0, 22_050.0), 1.5, 300),
+        pytest.param(48_000.0, (20.0, 20_000.0), 3.0, 12_000, marks=pytest.mark.nightly),
+    ],
     ids=["44.1 kHz, 300 taps", "48 kHz, 12000 taps"],
 )
 def test_given_a_sweep_of_which_nothing_is_said_then_the_noise_is_the_limit(
-    tmp_path, rate_hz, band_hz, duration_s, law, taps
+    tmp_path, rate_hz, band_hz, duration_s, taps
 ):
     truth = echoes(2, taps)
-    sweep = Sweep(band_hz, duration_s, law)
+    sweep = Sweep(band_hz, duration_s)
     records = [swept(sweep, row[None], rate_hz, 37.0, tail_s=taps / rate_hz + 0.03) for row in truth]
     raw = write(tmp_path / "a.raw.h5", records, taps, rate_hz, band_hz)
     error = error_db(estimated(raw, tmp_path / "bank.h5"), truth, rate_hz, band_hz)
@@ -114,10 +109,10 @@ def test_given_an_exponential_sweep_of_a_stated_law_then_it_is_estimated(tmp_pat
 
 
 def test_given_actuators_that_play_together_at_audio_rates_then_they_come_apart(tmp_path):
-    taps, band_hz, delays_s = 12_000, (50.0, 18_000.0), [0.0, 0.3, 0.6]
-    truth = echoes(3, taps)
-    record = swept(Sweep(band_hz, 1.0), truth, 48_000.0, 31.0, delays_s=delays_s, tail_s=0.27)
-    raw = write(tmp_path / "a.raw.h5", [record], taps, 48_000.0, band_hz, slots=[([0, 1, 2], delays_s)])
+    taps, band_hz, delays_s = 6_000, (50.0, 18_000.0), [0.0, 0.3]
+    truth = echoes(2, taps)
+    record = swept(Sweep(band_hz, 1.0), truth, 48_000.0, 31.0, delays_s=delays_s, tail_s=0.15)
+    raw = write(tmp_path / "a.raw.h5", [record], taps, 48_000.0, band_hz, slots=[([0, 1], delays_s)])
     assert error_db(estimated(raw, tmp_path / "bank.h5"), truth, 48_000.0, band_hz).max() < -40
 
 
@@ -193,10 +188,15 @@ def test_given_one_clock_and_a_periodic_noise_then_staggered_actuators_come_apar
     assert error_db(estimated(raw, tmp_path / "bank.h5"), truth, rate_hz, band_hz).max() < -45
 
 
-@pytest.mark.parametrize("said", [{"same_clock": 2}, {"same_clock": "yes"}, {"sweep_law": "quadratic"}])
-def test_given_an_attribute_of_no_meaning_then_exit_2(tmp_path, said):
-    raw = write(tmp_path / "a.raw.h5", [(np.ones(100), np.ones(100))], 10, 1000.0, (50.0, 400.0), said=said)
+@pytest.mark.parametrize("said", [{"same_clock": 2}, {"same_clock": "yes"}, {"sweep_law": "quadratic"}, None])
+def test_an_attribute_of_no_meaning_or_no_recording_then_exit_2_and_one_line(tmp_path, said, capsys):
+    raw = tmp_path / "a.raw.h5"
+    raw.write_bytes(b"nothing of the kind")
+    if said is not None:
+        write(raw, [(np.ones(100), np.ones(100))], 10, 1000.0, (50.0, 400.0), said=said)
     assert run(["estimate", str(raw), "--bank", str(tmp_path / "bank.h5")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "bank.h5").exists()
 
 
 def test_given_more_than_memory_holds_then_it_is_refused_before_a_sample_is_read(tmp_path):

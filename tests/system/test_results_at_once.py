@@ -86,6 +86,7 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
 
 def test_a_capture_with_recordings_that_is_killed_then_goes_on_by_the_same_command(lab):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
+    write_positions(lab, POSITIONS_MM[:2])
     for renaming in range(1, 5):  # bank and recordings are each made whole; later ones are of the heartbeat
         command = ["capture", str(lab / "run.toml"), "--bank", str(lab / f"{renaming}.h5")]
         assert killed_at(renaming, RUNS, *command)

@@ -2,12 +2,11 @@
 
 import json
 
-import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import wavefocus
+from tests.system.captures import held, wavefocus
 from tests.system.conftest import with_faults
 
 
@@ -20,37 +19,21 @@ def far(lab):
     return lab
 
 
-def _measured(bank):
-    with h5py.File(bank) as file:
-        return [int(row) for row in np.flatnonzero(file["status"][:])]
-
-
-def test_given_a_scene_then_only_its_positions_are_measured_and_it_can_be_verified(far, capsys):
-    bank = far / "plate.h5"
-    assert wavefocus("capture", far / "run.toml", "--bank", bank, "--scene", far / "scene.toml") == 0
-    assert _measured(bank) == [0, 1, 2, 3, 4, 5]
-    assert "the other 2 are left" in capsys.readouterr().err
-    assert wavefocus("render", far / "scene.toml", "--bank", bank, "--out", far / "drive.h5") == 0
-    arguments = ("--bank", bank, "--rig", far / "rig.toml", "--out", far / "verify")
-    assert wavefocus("verify", far / "scene.toml", *arguments) in (0, 1)
-    assert (far / "verify" / "report.html").exists()
-
-
-def test_given_the_rest_of_the_night_then_the_bank_ends_as_one_measured_at_once(far):
-    parts, whole = far / "parts.h5", far / "whole.h5"
-    assert wavefocus("capture", far / "run.toml", "--bank", parts, "--scene", far / "scene.toml") == 0
-    assert wavefocus("resume", parts) == 0
-    assert wavefocus("capture", far / "run.toml", "--bank", whole) == 0
-    assert parts.read_bytes() == whole.read_bytes()
-
-
-def test_given_a_scene_that_is_measured_already_then_nothing_is_played(far, capsys):
-    bank = far / "plate.h5"
+def test_a_scene_then_its_positions_are_measured_once_and_the_rest_as_in_one_night(far, capsys):
+    bank, whole, scene = far / "plate.h5", far / "whole.h5", far / "scene.toml"
     for _ in range(2):
-        assert wavefocus("capture", far / "run.toml", "--bank", bank, "--scene", far / "scene.toml") == 0
+        assert wavefocus("capture", far / "run.toml", "--bank", bank, "--scene", scene) == 0
+    assert held(bank) == [1] * 6 + [0] * 2
     told = capsys.readouterr().err
+    assert "the other 2 are left" in told
     assert told.count("all 6 positions that are needed are in the bank") == 2
     assert told.count("finished:") == 1
+    assert wavefocus("render", scene, "--bank", bank, "--out", far / "drive.h5") == 0
+    assert wavefocus("verify", scene, "--bank", bank, "--rig", far / "rig.toml", "--out", far / "verify") in (0, 1)
+    assert (far / "verify" / "report.html").exists()
+    assert wavefocus("resume", bank) == 0
+    assert wavefocus("capture", far / "run.toml", "--bank", whole) == 0
+    assert bank.read_bytes() == whole.read_bytes()
 
 
 def test_given_a_scene_off_the_grid_then_no_bank_is_made(far, capsys):
@@ -62,69 +45,62 @@ def test_given_a_scene_off_the_grid_then_no_bank_is_made(far, capsys):
     assert not (far / "plate.h5").exists()
 
 
-READ = 'role = "recorder"\noperation = "read"\nposition = 2\n'
+READ = 'role = "recorder"\noperation = "read"\n'
 
 
 def _captured(lab, *faults, schedule="sequential"):
     change_text(lab / "run.toml", "[capture]\n", f'[capture]\nexcitation = "{schedule}"\n')
-    with_faults(lab, *faults)
+    with_faults(lab, *(READ + fault for fault in faults))
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     return lab / "plate.h5"
 
 
-def _remeasured(bank, capsys, *options):
-    """The events of measuring position 2 again, and what status says then."""
+def _remeasured(bank, position, capsys, *options):
+    """Kinds of events and defects of measuring a position again, and the positions kept by `status` then."""
     capsys.readouterr()
-    assert wavefocus("remeasure", bank, "--positions", "2", "--json", *options) == 0
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert wavefocus("remeasure", bank, "--positions", position, "--json", *options) == 0
+    events = [
+        event for event in map(json.loads, capsys.readouterr().out.splitlines())
+        if event["event"] in ("position_repeated", "position_committed", "position_kept")
+    ]  # fmt: skip
     assert wavefocus("status", bank, "--json") == 0
-    return events, json.loads(capsys.readouterr().out)
-
-
-def _kinds(events):
-    kinds = ("position_repeated", "position_committed", "position_kept")
-    return [event["event"] for event in events if event["event"] in kinds]
+    kept = [one["position"] for one in json.loads(capsys.readouterr().out)["kept_positions"]]
+    return [event["event"] for event in events], events[-1]["defects"], kept
 
 
 @pytest.mark.parametrize(
-    ("schedule", "kind", "level_db", "name"),
-    [
-        ("sequential", "faint_reference", -0.3, "reference level"),
-        ("staggered", "faint_reference", 6.0, "reference level"),
-        ("staggered", "drift", -0.3, "neighbours"),
-        ("sequential", "drift", -20.0, "neighbours"),
-    ],
+    ("schedule", "reference_db", "drift_db"), [("sequential", -0.3, -20.0), ("staggered", 6.0, -0.3)]
 )
-def test_given_a_fault_that_stays_then_the_valid_row_is_kept_and_named(lab, capsys, schedule, kind, level_db, name):
-    fault = f'{READ}kind = "{kind}"\nlevel_db = {level_db}\nattempt = 2\ncount = 99\nrecord = 0'
-    bank = _captured(lab, fault, schedule=schedule)
+def test_given_faults_that_stay_then_valid_rows_are_kept_and_named(lab, capsys, schedule, reference_db, drift_db):
+    stays = "attempt = 2\ncount = 99\nrecord = 0\n"
+    faults = (
+        f'{stays}position = 2\nkind = "faint_reference"\nlevel_db = {reference_db}',
+        f'{stays}position = 4\nkind = "drift"\nlevel_db = {drift_db}',
+    )
+    bank = _captured(lab, *faults, schedule=schedule)
     before = bank.read_bytes()
-    events, status = _remeasured(bank, capsys)
-    assert _kinds(events) == ["position_repeated", "position_repeated", "position_kept"]
-    assert next(one for one in events if one["event"] == "position_kept")["defects"] == [name]
-    assert [one["position"] for one in status["kept_positions"]] == [2]
+    kinds = ["position_repeated", "position_repeated", "position_kept"]
+    assert _remeasured(bank, 2, capsys) == (kinds, ["reference level"], [2])
+    assert _remeasured(bank, 4, capsys)[:2] == (kinds, ["neighbours"])
     assert bank.read_bytes() == before
 
 
+def _green(bank):
+    return np.array(held(bank, "green"))[2]
+
+
 def test_given_a_fault_that_passes_then_the_next_try_agrees_and_replaces_the_row(lab, capsys):
-    bank = _captured(lab, f'{READ}kind = "drift"\nlevel_db = -0.3\nattempt = 2\nrecord = 1')
-    with h5py.File(bank, "r") as file:
-        before = file["green"][2]
-    events, status = _remeasured(bank, capsys)
-    assert _kinds(events) == ["position_repeated", "position_committed"]
-    assert status["kept_positions"] == []
-    with h5py.File(bank, "r") as file:
-        assert np.any(file["green"][2] != before)
-        assert file["status"][2] == 1
+    bank = _captured(lab, 'position = 2\nkind = "drift"\nlevel_db = -0.3\nattempt = 2\nrecord = 1')
+    before = _green(bank)
+    assert _remeasured(bank, 2, capsys) == (["position_repeated", "position_committed"], [], [])
+    assert np.any(_green(bank) != before)
+    assert held(bank)[2] == 1
 
 
 def test_a_wrong_valid_row_is_replaced_where_asked_for_and_two_attempts_agree(lab, capsys):
-    bank = _captured(lab, f'{READ}kind = "drift"\nlevel_db = -0.5\nrecord = 1')
-    with h5py.File(bank, "r") as file:
-        wrong = file["green"][2]
-    assert "position_committed" not in _kinds(_remeasured(bank, capsys)[0])
-    events, _ = _remeasured(bank, capsys, "--replace")
-    assert _kinds(events) == ["position_repeated", "position_committed"]
-    with h5py.File(bank, "r") as file:
-        level_db = 20 * np.log10(np.linalg.norm(file["green"][2, 1]) / np.linalg.norm(wrong[1]))
+    bank = _captured(lab, 'position = 2\nkind = "drift"\nlevel_db = -0.5\nrecord = 1')
+    wrong = _green(bank)
+    assert "position_committed" not in _remeasured(bank, 2, capsys)[0]
+    assert _remeasured(bank, 2, capsys, "--replace")[0] == ["position_repeated", "position_committed"]
+    level_db = 20 * np.log10(np.linalg.norm(_green(bank)[1]) / np.linalg.norm(wrong[1]))
     assert level_db == pytest.approx(0.5, abs=0.1)

@@ -63,31 +63,24 @@ def until(true, within_s=20.0):
         time.sleep(0.01)
 
 
-def test_given_a_file_and_an_address_then_both_receive_signs_of_life_until_the_end(watch, tmp_path):
+@pytest.mark.parametrize("hangs", [False, True])
+def test_file_and_address_receive_signs_of_life_and_no_server_holds_up_the_end(watch, tmp_path, hangs):
     file = tmp_path / "alive"
-    section = MessagesSection(alive_url=watch.url, alive_file=str(file))
-    with AliveSignal(section, every_s=0.05):
-        until(lambda: len(watch.asked) >= 3 and file.exists())
-        os.utime(file, (0, 0))
-        until(lambda: file.stat().st_mtime > 1e9)
-    assert set(watch.asked) == {"/secret-check"}
-    time.sleep(0.2)
-    count = len(watch.asked)
-    time.sleep(0.2)
-    assert len(watch.asked) == count
-
-
-def test_server_that_hangs_then_file_is_still_touched_and_end_is_not_held_up(watch, tmp_path):
-    watch.hangs.set()
-    file = tmp_path / "alive"
+    if hangs:
+        watch.hangs.set()
     with AliveSignal(MessagesSection(alive_url=watch.url, alive_file=str(file)), every_s=0.05):
-        until(lambda: len(watch.asked) == 1 and file.exists())
+        until(lambda: len(watch.asked) >= (1 if hangs else 3) and file.exists())
         for _ in range(3):
             os.utime(file, (0, 0))
             until(lambda: file.stat().st_mtime > 1e9)
         began_s = time.monotonic()
     assert time.monotonic() - began_s < 5.0
+    assert set(watch.asked) == {"/secret-check"}
     watch.hangs.clear()
+    time.sleep(0.2)
+    count = len(watch.asked)
+    time.sleep(0.2)
+    assert len(watch.asked) == count
 
 
 def test_given_no_server_or_folder_then_it_is_said_once_and_without_the_address(watch, tmp_path, capsys):

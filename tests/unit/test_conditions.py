@@ -49,28 +49,19 @@ def _recording(reference_gain, noise_v):
     return Recording(volts, (1e-4, 1e-4), (False, False))
 
 
-@pytest.mark.parametrize(("gain", "level_db"), [(0.5, 0.0), (0.25, -6.02), (1.0, 6.02)])
+@pytest.mark.parametrize(("gain", "level_db"), [(0.5, 0.0), (0.25, -6.02), (1.0, 6.02), (0.0, -np.inf)])
 def test_a_record_then_the_reference_level_is_told_against_what_the_drive_makes(gain, level_db):
     conditions = _conditions(reference=AllowedRange("reference level", "dB"))
-    values = conditions.values([PLAY], [_recording(gain, 0.0)])
-    assert values == {"reference": pytest.approx(level_db, abs=0.01)}
+    found_db = conditions.values([PLAY], [_recording(gain, 0.0)])["reference"]
+    assert found_db == pytest.approx(level_db, abs=0.01) if gain else found_db < -100.0
 
 
-def test_given_a_reference_that_is_silent_then_its_level_is_very_low():
-    conditions = _conditions(reference=AllowedRange("reference level", "dB"))
-    assert conditions.values([PLAY], [_recording(0.0, 0.0)])["reference"] < -100.0
-
-
-@pytest.mark.parametrize("noise_v", [1e-3, 0.05, 1.0])
-def test_given_noise_under_a_loud_response_then_its_rms_is_found(noise_v):
+@pytest.mark.parametrize("noises_v", [[1e-3], [0.05], [1.0], [1e-3] * 4 + [1.0]])
+def test_given_noise_under_a_loud_response_then_its_rms_in_most_records_is_found(noises_v):
     conditions = _conditions(noise=AllowedRange("noise", "V"))
-    assert conditions.values([PLAY], [_recording(0.5, noise_v)])["noise"] == pytest.approx(noise_v, rel=0.1)
-
-
-def test_given_speckle_in_one_of_many_records_then_the_noise_is_that_of_the_others():
-    conditions = _conditions(noise=AllowedRange("noise", "V"))
-    recordings = [_recording(0.5, 1e-3)] * 4 + [_recording(0.5, 1.0)]
-    assert conditions.values([PLAY] * 5, recordings)["noise"] == pytest.approx(1e-3, rel=0.1)
+    recordings = [_recording(0.5, noise_v) for noise_v in noises_v]
+    found_v = conditions.values([PLAY] * len(recordings), recordings)["noise"]
+    assert found_v == pytest.approx(noises_v[0], rel=0.1)
 
 
 def test_given_a_band_then_it_is_left_on_one_threshold_and_entered_on_another():
@@ -105,18 +96,15 @@ def watch_of(rig):
 
 def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path):
     rig = _rig(tmp_path, "[watch.reference]\nleaves_below = -3\nleaves_above = 2.0\nsettle_s = 5")
-    band = band_of(rig.watch.reference, "reference level", "dB") if rig.watch.reference else None
-    assert band is not None
+    assert rig.watch.reference is not None
+    band = band_of(rig.watch.reference, "reference level", "dB")
     assert (band.leaves_below, band.returns_above) == (-3.0, pytest.approx(-2.7))
     assert (band.leaves_above, band.returns_below) == (2.0, pytest.approx(1.8))
     assert band.settle_s == 5.0
-
-
-def test_given_no_lower_limit_then_any_low_value_is_well(tmp_path):
-    rig = _rig(tmp_path, "[watch.noise]\nleaves_above = 0.01")
-    watch = watch_of(rig)
-    assert (watch.bands["noise"].leaves_below, watch.bands["noise"].returns_above) == (-math.inf, -math.inf)
-    assert watch.bands["noise"].is_back(0.0)
+    # Without a lower limit any low value is well.
+    noise = watch_of(_rig(tmp_path, "[watch.noise]\nleaves_above = 0.01")).bands["noise"]
+    assert (noise.leaves_below, noise.returns_above) == (-math.inf, -math.inf)
+    assert noise.is_back(0.0)
 
 
 def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path):

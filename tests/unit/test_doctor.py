@@ -1,4 +1,4 @@
-"""The doctor: every instrument is examined, whatever the others do."""
+"""The doctor: every instrument is examined, whatever the others do; and which delay of the inputs counts."""
 
 import threading
 from dataclasses import replace
@@ -6,13 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.unit.test_config_calibration import AT, measured
 from wavefocus.acquisition.doctor import RigFindings, examine
-from wavefocus.acquisition.setup import Openers
+from wavefocus.acquisition.setup import Openers, wired
+from wavefocus.config.calibration import InputsMeasured
 from wavefocus.config.messages.rig_checks import Finding
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.rig.setup import setup_in_use
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.errors import InputError
 
 
 def examined(bench, rig=None, *, play=True, **openers):
@@ -144,31 +151,40 @@ def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told(
     assert told[0].what.startswith("only at the second try")
 
 
+CLOCK, LATENCY, LEVEL = (("player", check) for check in ("clock ratio", "latency", "loopback level"))
+PURITY, OUTPUTS, CORNERS = ("player", "loopback purity"), ("player", "outputs"), ("mirror", "corners")
+RESPONSE, ACTUATOR = ("vibrometer", "response"), ("vibrometer", "actuator")
+CROSSTALK, QUIET = ("recorder", "crosstalk"), ("recorder", "reference noise")
+NARROW = {"mirror": {"limit_mrad": 50.0, "park_mrad": [0, 0]}}
+FEW = {"player": {"channels": list(range(1, 21)), "loopback_channel": 29}}
+
+
+def loopback_gain(gain):
+    return {"output_gain": (*[1.0] * 20, gain)}
+
+
 @pytest.mark.parametrize(
-    ("settings", "rig", "check", "verdict"),
+    ("settings", "rig", "told"),
     [
-        ({"clock_ppm": 300.0}, {}, ("player", "clock ratio"), "warn"),
-        ({"latency_s": (0.09, 0.09)}, {}, ("player", "latency"), "warn"),
-        ({"latency_s": (0.3, 0.3)}, {}, ("player", "loopback level"), "fail"),
-        ({"reference_noise_v": 0.05}, {}, ("player", "loopback purity"), "warn"),
-        ({"output_gain": (*[1.0] * 20, 10 ** (-0.54 / 20))}, {}, ("player", "loopback level"), "fail"),
-        ({"output_gain": (*[1.0] * 20, -1.0)}, {}, ("player", "loopback level"), "warn"),
-        ({"output_gain": (*[1.0] * 20, 0.0)}, {}, ("player", "loopback level"), "fail"),
-        ({"noise_v": 0.5}, {}, ("vibrometer", "response"), "fail"),
-        ({"crosstalk": 1e-4}, {}, ("recorder", "crosstalk"), "fail"),
-        ({"crosstalk": -1e-3, "crosstalk_delay_s": 5e-4}, {}, ("recorder", "crosstalk"), "fail"),
-        ({"noise_v": 0.5}, {}, ("recorder", "crosstalk"), "warn"),
-        ({"noise_v": 1e-2}, {}, ("vibrometer", "response"), "warn"),
-        ({"actuator_strength": (0.0, *[1.0] * 19)}, {}, ("vibrometer", "actuator"), "fail"),
-        ({"sensitivity_m_s_per_v": 1e-4}, {}, ("vibrometer", "response"), "fail"),
-        ({}, {"mirror": {"limit_mrad": 50.0, "park_mrad": [0, 0]}}, ("mirror", "corners"), "fail"),
-        ({}, {"player": {"channels": list(range(1, 21)), "loopback_channel": 29}}, ("player", "outputs"), "fail"),
-        ({"noise_v": 0.0, "reference_noise_v": 0.0}, {}, ("recorder", "reference noise"), "warn"),
+        ({"clock_ppm": 300.0, "latency_s": (0.09, 0.09)}, {}, {CLOCK: "warn", LATENCY: "warn"}),
+        ({"latency_s": (0.3, 0.3)}, {}, {LEVEL: "fail"}),
+        ({"reference_noise_v": 0.05}, {}, {PURITY: "warn"}),
+        (loopback_gain(10 ** (-0.54 / 20)), {}, {LEVEL: "fail"}),
+        (loopback_gain(-1.0), {}, {LEVEL: "warn"}),
+        (loopback_gain(0.0), {}, {LEVEL: "fail"}),
+        ({"noise_v": 0.5}, {}, {RESPONSE: "fail", CROSSTALK: "warn"}),
+        ({"noise_v": 1e-2}, {}, {RESPONSE: "warn"}),
+        ({"crosstalk": 1e-4, "actuator_strength": (0.0, *[1.0] * 19)}, {}, {CROSSTALK: "fail", ACTUATOR: "fail"}),
+        ({"crosstalk": -1e-3, "crosstalk_delay_s": 5e-4}, {}, {CROSSTALK: "fail"}),
+        ({"actuator_strength": (0.0,) * 20}, {}, {RESPONSE: "fail"}),
+        ({"sensitivity_m_s_per_v": 1e-4}, {}, {RESPONSE: "fail"}),
+        ({}, NARROW | FEW, {CORNERS: "fail", OUTPUTS: "fail"}),
+        ({"noise_v": 0.0, "reference_noise_v": 0.0}, {}, {QUIET: "warn"}),
     ],
 )
-def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(settings, rig, check, verdict):
+def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(settings, rig, told):
     findings = examined(VirtualRig(replace(SOUND, **settings)), rig)
-    assert verdicts(findings)[check] == verdict
+    assert verdicts(findings) | told == verdicts(findings)
     assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
 
 
@@ -241,3 +257,66 @@ def test_given_a_defect_of_a_driver_then_it_is_a_finding_too():
     assert RigFindings(findings.append).ask("recorder", "record", lambda: np.zeros(1)[3], 60.0) is None
     assert findings[0].what.startswith("IndexError: ")
     assert "report" in findings[0].remedy
+
+
+RATE_HZ = 10_000.0
+
+
+def opened(device_s, calibrated_s=None):
+    """A rig whose file states 5 us, or a calibration another delay, and whose recorder states `device_s`."""
+    section: dict[str, object] = {"actuators": {"position_mm": [[0, 0], [10, 0]]}}
+    if calibrated_s is not None:
+        inputs = InputsMeasured(at=AT, device="r", identity=None, inter_channel_delay_s=calibrated_s)
+        record = measured().model_copy(update={"inputs": inputs}).model_dump()
+        section["calibration"] = {"file": "cal.toml", "measured": record}
+        section["recorder"] = {"inter_channel_delay_s": calibrated_s}
+    rig, roles = RigConfig.model_validate(section), VirtualRig(SOUND).instruments
+    roles = replace(roles, recorder=KnowsItsConverter(roles.recorder, device_s))
+    return wired(rig, roles, VibrometerReading(0.1, "", None, None, "typed in")), rig
+
+
+@pytest.mark.parametrize(
+    ("device_s", "calibrated_s", "used_s"),
+    [(14e-6, None, 14e-6), (5.2e-6, None, 5e-6), (None, None, 5e-6), (14e-6, 13e-6, 13e-6), (0.0, None, 0.0)],
+)
+def test_given_no_bank_then_the_calibrated_delay_counts_else_the_devices_own(device_s, calibrated_s, used_s, capsys):
+    with setup_in_use(*opened(device_s, calibrated_s), RATE_HZ) as setup:
+        assert setup.inter_channel_delay_s == pytest.approx(used_s)
+    assert bool(capsys.readouterr().err) == (device_s is not None and abs(device_s - (calibrated_s or 5e-6)) > 0.5e-6)
+
+
+@pytest.mark.parametrize(
+    ("begun_s", "device_s", "calibrated_s", "used_s", "is_said"),
+    [
+        # Begun where the recorder stated nothing: what the rig file stated is used to the end.
+        (None, None, None, 5e-6, False),
+        (None, 5.2e-6, None, 5e-6, False),
+        (None, 14e-6, None, 5e-6, True),
+        # Begun where it did.
+        (14e-6, 14.2e-6, None, 14e-6, True),
+        (14e-6, None, None, 14e-6, True),
+        (5e-6, 5e-6, None, 5e-6, False),
+        # Another recorder, whose rows would be corrected by the wrong delay.
+        (14e-6, 5e-6, None, None, False),
+        (5e-6, 14e-6, None, None, False),
+        # A calibration is part of the plan, which is compared elsewhere.
+        (None, 14e-6, 13e-6, 13e-6, True),
+    ],
+)
+def test_bank_that_is_begun_then_its_rest_is_measured_with_its_own_delay_or_refused(
+    begun_s, device_s, calibrated_s, used_s, is_said, tmp_path, capsys
+):
+    path = tmp_path / "plate.h5"
+    places = (np.zeros((2, 2)), np.zeros((2, 2)))
+    header = BankHeader(RATE_HZ, 8, (20.0, 500.0), *places, "{}", "{}", "0" * 64, "", inter_channel_delay_s=begun_s)
+    create_bank(path, header)
+    with open_bank(path, contents=True) as bank:
+        assert bank.inter_channel_delay_s == begun_s
+    with BankWriter.open(path) as writer:
+        if used_s is None:
+            with pytest.raises(InputError, match=r"plate\.h5: was begun with a recorder"):
+                setup_in_use(*opened(device_s, calibrated_s), RATE_HZ, writer).__enter__()
+            return
+        with setup_in_use(*opened(device_s, calibrated_s), RATE_HZ, writer) as setup:
+            assert setup.inter_channel_delay_s == used_s
+    assert bool(capsys.readouterr().err) == is_said

@@ -58,43 +58,40 @@ def test_given_a_finish_beyond_all_dates_then_there_is_a_time_all_the_same():
     assert finish_clock(1e300)
 
 
-def _measured(pace, start_s, attempt_s):
-    for seconds in attempt_s:
-        start_s += seconds
-        pace.done("attempt", start_s)
-        pace.position_settled(1)
+def _measured(pace, *attempts_s, start_s=0.0):
+    """Measure positions whose attempts take so many seconds; the time then."""
+    for seconds in attempts_s:
+        for attempt_s in seconds if isinstance(seconds, list) else [seconds]:
+            start_s += attempt_s
+            pace.done("attempt", start_s)
+        pace.position_settled(len(seconds) if isinstance(seconds, list) else 1)
     return start_s
 
 
-def test_given_one_position_that_stumbled_then_the_finish_does_not_move():
+@pytest.mark.parametrize(
+    ("attempts_s", "positions", "since_s", "left_s"),
+    [
+        # One position that stumbled does not move the finish.
+        ([10.0] * 5 + [500.0] + [10.0] * 3, 100, None, 1000.0),
+        # Repeats are expected of the others too.
+        ([10.0, 10.0, [10.0] * 3, 10.0], 4, None, 60.0),
+        # What a position under way still takes counts.
+        ([10.0] * 3, 2, 4.0, 26.0),
+        ([10.0] * 3, 2, 40.0, 20.0),
+    ],
+)
+def test_given_positions_then_the_time_that_is_left_is_that_of_their_like(attempts_s, positions, since_s, left_s):
     pace = CampaignPace(0.0)
-    _measured(pace, 0.0, [10.0] * 5 + [500.0] + [10.0] * 3)
-    assert pace.remaining_s(100, 0) == 1000.0
-
-
-def test_given_repeats_then_their_time_is_expected_of_the_others_too():
-    pace = CampaignPace(0.0)
-    now_s = 0.0
-    for attempts in (1, 1, 3, 1):
-        for _ in range(attempts):
-            now_s += 10.0
-            pace.done("attempt", now_s)
-        pace.position_settled(attempts)
-    assert pace.remaining_s(4, 0) == pytest.approx(60.0)
+    now_s = _measured(pace, *attempts_s)
+    when = [] if since_s is None else [now_s + since_s]
+    assert pace.remaining_s(positions, 0, *when) == pytest.approx(left_s)
 
 
 def test_sentinel_measurements_are_no_positions_and_those_to_come_are_counted():
     pace = CampaignPace(0.0)
-    now_s = _measured(pace, 0.0, [10.0] * 4)
+    now_s = _measured(pace, *[10.0] * 4)
     assert pace.remaining_s(10, 2) == 120.0  # as long as a position, as far as is known
     pace.done("sentinel", now_s + 4.0)
-    _measured(pace, now_s + 4.0, [10.0] * 4)
+    _measured(pace, *[10.0] * 4, start_s=now_s + 4.0)
     assert pace.position_s == 10.0
     assert pace.remaining_s(10, 2) == 108.0
-
-
-def test_given_a_position_under_way_then_what_it_still_takes_counts():
-    pace = CampaignPace(0.0)
-    now_s = _measured(pace, 0.0, [10.0] * 3)
-    assert pace.remaining_s(2, 0, now_s + 4.0) == 26.0
-    assert pace.remaining_s(2, 0, now_s + 40.0) == 20.0

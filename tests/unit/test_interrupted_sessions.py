@@ -67,12 +67,13 @@ tries = 1
 """
 
 
-@pytest.fixture
-def blueprint(tmp_path):
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    (tmp_path / "run.toml").write_text(RUN + FAULTS, encoding="utf-8")
-    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n8,0\n", encoding="utf-8")
-    return blueprint_from_files(tmp_path / "run.toml")
+@pytest.fixture(scope="module")
+def blueprint(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    (folder / "run.toml").write_text(RUN + FAULTS, encoding="utf-8")
+    (folder / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n8,0\n", encoding="utf-8")
+    return blueprint_from_files(folder / "run.toml")
 
 
 class TrialSession:
@@ -126,11 +127,17 @@ ACTS: dict[str, tuple[Callable[[TrialSession], object], int]] = {
 }
 
 
-def moments(events):
-    """Where events are that differ from all before them in their kind or state; the last two tell of the end."""
+@pytest.fixture(scope="module")
+def moments(blueprint, tmp_path_factory):
+    """Where events of an undisturbed session differ from all before in kind or state; the last two tell of the end."""
+    whole = TrialSession(blueprint, tmp_path_factory.mktemp("whole") / "whole.h5", -1, at_once)
+    states = [one.state for one in whole.events if isinstance(one, StateChanged)]
+    assert states[-1] is State.FINISHED
+    assert {State.RECOVERING, State.SUSPENDED} <= set(states)
+    assert any(isinstance(one, Fault | ReconnectTried) for one in whole.events)
     seen: dict[tuple[object, ...], int] = {}
     course = State.IDLE
-    for at, event in enumerate(events[:-2]):
+    for at, event in enumerate(whole.events[:-2]):
         course = event.state if isinstance(event, StateChanged) else course
         seen.setdefault((type(event), course), at)
     return sorted(seen.values())
@@ -147,13 +154,8 @@ def moments(events):
     ],
     ids=[*ACTS, *(f"{name}, each" for name in ACTS)],
 )
-def test_a_request_at_any_event_changes_states_by_the_table_and_ends(blueprint, tmp_path, act, every):
-    whole = TrialSession(blueprint, tmp_path / "whole.h5", -1, act)
-    states = [one.state for one in whole.events if isinstance(one, StateChanged)]
-    assert states[-1] is State.FINISHED
-    assert {State.RECOVERING, State.SUSPENDED} <= set(states)
-    assert any(isinstance(one, Fault | ReconnectTried) for one in whole.events)
-    for at in moments(whole.events)[::every]:
+def test_a_request_at_any_event_changes_states_by_the_table_and_ends(blueprint, moments, tmp_path, act, every):
+    for at in moments[::every]:
         session = TrialSession(blueprint, tmp_path / f"{at}.h5", at, act)
         course = [State.IDLE, *(one.state for one in session.events if isinstance(one, StateChanged))]
         assert all(after in Session.FOLLOWS[before] for before, after in pairwise(course))

@@ -1,8 +1,6 @@
 """Waiting for lost instruments: how long, how often, and who may end it."""
 
 import dataclasses
-import signal
-import threading
 
 import pytest
 
@@ -12,17 +10,14 @@ from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import point_at
 from wavefocus.config.messages.campaign import Event, ReconnectTried, State, StateChanged
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
-from wavefocus.drivers.protocols import Instruments, WallClock
-from wavefocus.ending import stop_on_signals
+from wavefocus.drivers.protocols import Instruments
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 LOST = RigFault("mirror", "move_to", "lost", at_call=1)
 
 
-def setup_of(*faults, clock=None, recovery_s=600.0):
-    rig = VirtualRig(VirtualSettings(fault_plan=faults))
-    instruments = rig.instruments if clock is None else dataclasses.replace(rig.instruments, clock=clock)
-    return lab_files.setup_of(rig, instruments=instruments, recovery_s=recovery_s)
+def setup_of(*faults, recovery_s=600.0):
+    return lab_files.setup_of(VirtualRig(VirtualSettings(fault_plan=faults)), recovery_s=recovery_s)
 
 
 def lost(role="mirror"):
@@ -34,17 +29,11 @@ def lost(role="mirror"):
 class Watched:
     """A recovery with all that it tells."""
 
-    def __init__(self, setup, on_event=lambda event: None):
+    def __init__(self, setup):
         self.events: list[Event] = []
-        self.stop = StopRequest()
-        self._on_event = on_event
-        self.life = Session(setup.instruments.clock, self._listen, self.stop)
+        self.life = Session(setup.instruments.clock, self.events.append, StopRequest())
         self.recovery = Recovery(setup, self.life)
         self.life.enter(State.RUNNING, "for the test")
-
-    def _listen(self, event):
-        self.events.append(event)
-        self._on_event(event)
 
     @property
     def tries(self):
@@ -163,19 +152,6 @@ def test_given_another_device_in_its_place_then_nobody_waits_for_it():
     with pytest.raises(InstrumentError, match="it says it is a printer"):
         watched.recovery.retry_after_reconnect(measure)
     assert [(one.connected, one.next_try_s) for one in watched.tries] == [(False, None)]
-
-
-def test_a_signal_to_end_while_an_instrument_is_waited_for_then_it_is_heard_at_once():
-    setup = setup_of(LOST, clock=WallClock(), recovery_s=1e9)
-
-    def end_soon(event):
-        if isinstance(event, ReconnectTried) and event.number == 2:
-            threading.Thread(target=signal.raise_signal, args=(signal.SIGTERM,)).start()
-
-    watched = Watched(setup, end_soon)
-    with stop_on_signals(watched.stop), pytest.raises(KeyboardInterrupt):
-        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
-    assert len(watched.tries) == 2
 
 
 def test_ctrl_c_on_the_way_out_then_one_step_is_cut_short_and_the_others_are_tried():

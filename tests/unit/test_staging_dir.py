@@ -31,11 +31,27 @@ def test_another_process_that_removes_empty_folder_first_then_what_was_made_stan
     assert names(tmp_path) == ["bank.h5"]
 
 
-@pytest.mark.parametrize("files", [{}, {"owner": b""}, {"owner": b"", "made": b"half"}, {"made": b"half"}])
-def test_given_what_a_killed_maker_left_then_it_is_removed(tmp_path, files):
-    leftover(tmp_path / "bank.h5", **files)
-    clear_leftovers(tmp_path, "bank.h5")
-    assert names(tmp_path) == []
+@pytest.mark.parametrize(
+    ("there", "files", "after"),
+    [
+        (None, {}, {}),
+        (None, {"owner": b""}, {}),
+        (None, {"owner": b"", "made": b"half"}, {}),
+        (None, {"made": b"half"}, {}),
+        # A name that was claimed and not filled: the complete file takes it, and no other.
+        (b"", {"owner": b"complete", "made": b"whole"}, {"bank.h5": b"whole"}),
+        (b"", {"owner": b"", "made": b"ha"}, {"bank.h5": b""}),
+        (b"", {"owner": b"complet", "made": b"ha"}, {"bank.h5": b""}),
+        (b"precious", {"owner": b"complete", "made": b"whole"}, {"bank.h5": b"precious"}),
+    ],
+)
+def test_what_a_killed_maker_left_is_removed_or_takes_the_name_that_it_claimed(tmp_path, there, files, after):
+    path = tmp_path / "bank.h5"
+    if there is not None:
+        path.write_bytes(there)
+    leftover(path, **files)
+    clear_leftovers(tmp_path, path.name)
+    assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == after
 
 
 def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path):
@@ -62,33 +78,6 @@ def test_given_a_link_to_elsewhere_then_it_is_not_followed(tmp_path):
     (tmp_path / ".bank.h5.link.partial").symlink_to(tmp_path / "elsewhere")
     clear_leftovers(tmp_path, "bank.h5")
     assert names(tmp_path / "elsewhere") == ["bank.h5"]
-
-
-def test_a_name_that_was_claimed_and_not_filled_then_the_complete_file_takes_it(tmp_path):
-    path = tmp_path / "bank.h5"
-    path.write_bytes(b"")
-    leftover(path, owner=b"complete", made=b"whole")
-    clear_leftovers(tmp_path, path.name)
-    assert path.read_bytes() == b"whole"
-    assert names(tmp_path) == ["bank.h5"]
-
-
-@pytest.mark.parametrize("note", [b"", b"complet"])
-def test_claimed_name_and_no_word_that_file_is_complete_then_it_does_not_take_it(tmp_path, note):
-    path = tmp_path / "bank.h5"
-    path.write_bytes(b"")
-    leftover(path, owner=note, made=b"ha")
-    clear_leftovers(tmp_path, path.name)
-    assert path.read_bytes() == b""
-    assert names(tmp_path) == ["bank.h5"]
-
-
-def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(tmp_path):
-    path = tmp_path / "bank.h5"
-    path.write_bytes(b"precious")
-    leftover(path, owner=b"complete", made=b"whole")
-    clear_leftovers(tmp_path, path.name)
-    assert path.read_bytes() == b"precious"
 
 
 def test_a_folder_killed_between_two_renames_gets_the_new_one_under_its_name(tmp_path):

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import threading
 from types import SimpleNamespace
@@ -22,26 +21,6 @@ def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed():
         signal.raise_signal(signal.SIGINT)
 
 
-def test_given_a_process_that_waits_then_sigterm_ends_it_through_its_cleanup():
-    program = (
-        "import time\n"
-        "from wavefocus.acquisition.engine.session import StopRequest\nfrom wavefocus.ending import stop_on_signals\n"
-        "with stop_on_signals(StopRequest()):\n"
-        "    try:\n"
-        "        print('ready', flush=True)\n"
-        "        time.sleep(30)\n"
-        "    finally:\n"
-        "        print('muted', flush=True)\n"
-    )
-    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    assert child.stdout is not None
-    with child.stdout as lines:
-        assert lines.readline().strip() == b"ready"
-        child.terminate()
-        assert lines.readline().strip() == b"muted"
-    assert child.wait(timeout=10) != 0
-
-
 def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing():
     windows = SimpleNamespace(SIGINT=2, SIGTERM=15, SIGBREAK=21)
     signals = EndingSignals.here(windows)
@@ -54,38 +33,21 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
 
 @POSIX
 @pytest.mark.may_skip("Windows has no SIGHUP")
-def test_terminal_that_is_gone_then_position_is_finished_and_twice_changes_nothing():
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup the tests inherit that it is ignored
+@pytest.mark.parametrize("nohup", [False, True])
+def test_terminal_that_is_gone_finishes_the_position_and_under_nohup_changes_nothing(nohup):
+    # Under nohup the tests inherit that it is ignored.
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if nohup else signal.SIG_DFL)
     try:
         stop = StopRequest()
         with stop_on_signals(stop):
             signal.raise_signal(signal.SIGHUP)
             signal.raise_signal(signal.SIGHUP)
-            assert stop.requested
-        assert stop.reason == TERMINAL_GONE
+            assert stop.requested is not nohup
+            stop.finish_position()  # whoever stops it first is named
+        assert (stop.reason == TERMINAL_GONE) is not nohup
+        assert not nohup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-@POSIX
-@pytest.mark.may_skip("Windows has no SIGHUP")
-def test_given_nohup_then_a_terminal_that_is_gone_stays_ignored():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        stop = StopRequest()
-        with stop_on_signals(stop):
-            signal.raise_signal(signal.SIGHUP)
-        assert not stop.requested
-        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-def test_given_two_who_stop_it_then_the_first_is_named():
-    stop = StopRequest()
-    stop.finish_position(TERMINAL_GONE)
-    stop.finish_position()
-    assert stop.reason == TERMINAL_GONE
 
 
 LONG_S = 60.0

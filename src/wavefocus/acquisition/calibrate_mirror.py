@@ -10,7 +10,7 @@ import numpy as np
 from wavefocus.acquisition.grid import read_rows
 from wavefocus.acquisition.setup import Setup, naming_role
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, MirrorMapFit, fit_mirror_map
-from wavefocus.config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
+from wavefocus.config.messages.rig_checks import Answer, MapView
 from wavefocus.storage.errors import InputError, WavefocusError
 
 
@@ -45,10 +45,6 @@ class JogView:
     moved: bool = False
 
 
-Jog = By | To | Here
-Judged = Keep | Redo | Drop
-
-
 class Operator(Protocol):
     """A person with two hands; every method returns when it is done."""
 
@@ -64,12 +60,12 @@ class Operator(Protocol):
         """
         ...
 
-    def jog(self, view: JogView) -> Jog:
-        """Say how the beam is to move next, or that it is there."""
+    def jog(self, view: JogView) -> Answer:
+        """Say how the beam is to move next (``by`` or ``to``), or that it is ``here``."""
         ...
 
-    def judge(self, view: MapView) -> Judged:
-        """Look at the residuals of a mirror map, and say what becomes of it."""
+    def judge(self, view: MapView) -> Answer:
+        """Look at the residuals of a mirror map: ``keep`` it, ``redo`` a mark, or ``drop`` it."""
         ...
 
     def again(self, problem: str) -> bool:
@@ -154,15 +150,15 @@ def measure_mirror(
                 f"Move the beam onto at least {MIN_MARKS} marks. It was moved at {len(moved)} of {len(marks_mm)}; if "
                 "the spot was on every mark as it stood, the present map is right"
             )
-        match operator.judge(_view(marks_mm, fitted, limit_mm)):
-            case Redo(number) if 1 <= number <= len(found):
-                found[number - 1] = meet(number - 1, found[number - 1])
-            case Drop():
-                raise NotMeasuredError("its map was looked at and left")
-            case Keep():
-                if isinstance(fitted, Exception):
-                    raise fitted
-                return fitted
+        judged = operator.judge(_view(marks_mm, fitted, limit_mm))
+        if judged.answer == "drop":
+            raise NotMeasuredError("its map was looked at and left")
+        if judged.answer == "redo":
+            found[judged.mark - 1] = meet(judged.mark - 1, found[judged.mark - 1])
+        elif isinstance(fitted, Exception):
+            raise fitted
+        else:
+            return fitted
 
 
 def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> JogView:
@@ -172,18 +168,16 @@ def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> 
     _point(setup, view.at_mrad)
     while True:
         step = operator.jog(view)
-        match step:
-            case Here():
-                return view
-            case By():
-                wanted = (view.at_mrad[0] + step.x_mrad, view.at_mrad[1] + step.y_mrad)
-            case To():
-                wanted = (step.x_mrad, step.y_mrad)
+        if step.answer == "here":
+            return view
+        wanted = (step.x_mrad, step.y_mrad)
+        if step.answer == "by":
+            wanted = (view.at_mrad[0] + step.x_mrad, view.at_mrad[1] + step.y_mrad)
         if max(map(abs, wanted)) > limit_mrad:
             note = f"({wanted[0]:.3f}, {wanted[1]:.3f}) mrad is beyond the limit of {limit_mrad:g} mrad: not moved"
             view = replace(view, note=note)
             continue
-        view = replace(view, at_mrad=wanted, note="", moved=view.moved or step != By(0.0, 0.0))
+        view = replace(view, at_mrad=wanted, note="", moved=view.moved or step != Answer("by"))
         _point(setup, wanted)
 
 

@@ -119,6 +119,7 @@ class LeakWatch:
     unvouched: Rows that an earlier session measured after its last look.
 
     found: The leak of the latest look, where it makes 1 % of the median row; else None.
+    due: Positions were committed since the latest look, whatever came of that.
     """
 
     def __init__(
@@ -134,14 +135,10 @@ class LeakWatch:
         self._plan, self._setup, self._bank, self._raw = plan, setup, bank, raw
         self._session, self._recovery = session, recovery
         self._since = list(unvouched)
+        self.due = bool(unvouched)
         self._unjudged: list[Crosstalk] = []
         self._latest: Crosstalk | None = None
         self.found: Crosstalk | None = None
-
-    @property
-    def due(self) -> bool:
-        """Whether positions were committed since the latest look that was clean or marked them."""
-        return bool(self._since)
 
     @property
     def level_db(self) -> float:
@@ -152,6 +149,7 @@ class LeakWatch:
     def committed(self, position: int) -> None:
         """Note a position that was committed: the next look vouches for it, or does not."""
         self._since.append(position)
+        self.due = True
 
     def look(self, worker: ThreadPoolExecutor) -> tuple[int, ...]:
         """Play the loopback alone, the beam on the first position of the plan; mark what a leak has spoilt.
@@ -161,6 +159,7 @@ class LeakWatch:
         Returns the positions that were marked. Raises InstrumentError: an instrument failed for good; a passing fault
         that stays only leaves the leak unmeasured.
         """
+        self.due = False
         plan = self._plan
         place_mm, sweep = plan.position_mm[plan.order[0]].tolist(), plan.excitation
         level = sweep.amplitude_v, sweep.sample_rate_hz, sweep.band_hz

@@ -9,30 +9,23 @@ from contextlib import suppress
 from datetime import date
 from pathlib import Path
 
-from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, VIBROMETER, Jog, JogView, Judged, Operator
+from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, VIBROMETER, JogView, Operator
 from wavefocus.acquisition.manual import ManualMeasurements
 from wavefocus.acquisition.setup import Setup
 from wavefocus.config.calibration import CalibrationRecord, name_calibration, write_calibration
-from wavefocus.config.messages import Message, MessageError, Refused, message_of, tag, to_record
+from wavefocus.config.messages import MessageError, Refused, from_record, to_record
 from wavefocus.config.messages.operate import InputLevels, Numbers
 from wavefocus.config.messages.rig_checks import (
-    Again,
+    ANSWERS,
+    CANCEL,
+    Answer,
     AskAgain,
     AskConnect,
     AskJog,
     Begin,
-    By,
     CalibrationDone,
-    Cancel,
-    Drop,
-    Here,
-    Keep,
     MapView,
-    Plugged,
-    Redo,
-    Skip,
     Tell,
-    To,
 )
 from wavefocus.configuration import load_rig
 from wavefocus.console import Exit, one_line, say
@@ -77,7 +70,7 @@ class TerminalOperator:
             say(f"{cable(source)}, then press Enter")
             line = self._answer("a cable was plugged").strip()
 
-    def jog(self, view: JogView) -> Jog:
+    def jog(self, view: JogView) -> Answer:
         """Read how the beam is to move; what is not understood is asked again."""
         if view.note:
             say(view.note)
@@ -89,16 +82,16 @@ class TerminalOperator:
             say(f"  type: {HELP}")
             line = self._answer(f"mark {view.number} of {view.of} was met").strip()
             if not line:
-                return Here()
+                return Answer("here")
             absolute = line.startswith("=")
             numbers = _two_numbers(line.removeprefix("="))
             if numbers is not None:
-                return To(*numbers) if absolute else By(*numbers)
+                return Answer("to" if absolute else "by", *numbers)
             say(f"{line!r} is not understood: {HELP}")
 
-    def judge(self, view: MapView) -> Judged:
+    def judge(self, view: MapView) -> Answer:
         """Take the map that was jogged; one that misses a mark is refused afterwards."""
-        return Keep()
+        return Answer("keep")
 
     def again(self, problem: str) -> bool:
         """Look for what is wrong; Enter tries once more, s leaves it out."""
@@ -141,49 +134,47 @@ class _LinesOperator:
     def connect(self, source: str) -> None:
         """Plug something into the response input."""
         self._publish(AskConnect(source, cable(source)))
-        self._answer("a cable was plugged", Plugged)
+        self._answer("a cable was plugged", "connect")
 
-    def jog(self, view: JogView) -> Jog:
+    def jog(self, view: JogView) -> Answer:
         """Say how the beam is to move."""
         at_mm = self._place_mm(*view.at_mrad)
         self._publish(AskJog(view.number, view.of, view.place_mm, view.at_mrad, at_mm, view.note))
-        step = self._answer(f"mark {view.number} of {view.of} was met", Here, By, To, listens=True)
-        assert isinstance(step, Here | By | To)
-        return step
+        return self._answer(f"mark {view.number} of {view.of} was met", "jog", listens=True)
 
-    def judge(self, view: MapView) -> Judged:
+    def judge(self, view: MapView) -> Answer:
         """Say what becomes of a map."""
         while True:
             self._publish(view)
-            judged = self._answer("the map was judged", Keep, Redo, Drop)
-            match judged:
-                case Keep() if view.problem:
-                    self._publish(Refused(view.problem))
-                case Redo(mark) if not 1 <= mark <= len(view.place_mm):
-                    self._publish(Refused(f"mark {mark} is not there; allowed: 1 to {len(view.place_mm)}"))
-                case Keep() | Redo() | Drop():
-                    return judged
+            judged = self._answer("the map was judged", "map")
+            if judged.answer == "keep" and view.problem:
+                self._publish(Refused(view.problem))
+            elif judged.answer == "redo" and not 1 <= judged.mark <= len(view.place_mm):
+                self._publish(Refused(f"mark {judged.mark} is not there; allowed: 1 to {len(view.place_mm)}"))
+            else:
+                return judged
 
     def again(self, problem: str) -> bool:
         """Look for what is wrong, and try once more or leave it out."""
         self._publish(AskAgain(problem))
-        return isinstance(self._answer("this was decided", Again, Skip), Again)
+        return self._answer("this was decided", "again").answer == "again"
 
-    def _answer(self, before: str, *kinds: type[Message], listens: bool = False) -> Message:
-        """Wait for an answer of one of some kinds; meanwhile report levels if `listens`."""
+    def _answer(self, before: str, question: str, *, listens: bool = False) -> Answer:
+        """Wait for an answer to a kind of question; meanwhile report levels if `listens`."""
+        allowed = ANSWERS[question]
         while True:
             try:
                 content = self._answers.next(0.25 if listens and self._listens else None)
                 if content is None:
                     raise _EndedError(f"standard input: ended before {before}")
                 word = content.get("answer")
-                if word == tag(Cancel):
+                if word == CANCEL:
                     raise KeyboardInterrupt
-                answer = message_of(content, kinds)
-                if answer is None:
-                    allowed = ", ".join([*(tag(kind) for kind in kinds), tag(Cancel)])
-                    raise MessageError(f"answer {word!r} is not understood; allowed: {allowed}")
-                return answer
+                if not isinstance(word, str) or word not in allowed:
+                    raise MessageError(f"answer {word!r} is not understood; allowed: {', '.join([*allowed, CANCEL])}")
+                if missing := [key for key in allowed[word] if key not in content]:
+                    raise MessageError(f"answer {word!r} lacks {' and '.join(missing)}")
+                return from_record(Answer, content)
             except TimeoutError:
                 self._publish_level()
             except _EndedError:

@@ -22,9 +22,7 @@ from wavefocus.acquisition.calibrate_channels import (
 )
 from wavefocus.acquisition.calibrate_mirror import (
     VIBROMETER,
-    Jog,
     JogView,
-    Judged,
     NotMeasuredError,
     Operator,
     Place,
@@ -51,7 +49,7 @@ from wavefocus.config.calibration import (
 )
 from wavefocus.config.fields import Table
 from wavefocus.config.messages.operate import Role
-from wavefocus.config.messages.rig_checks import MapView
+from wavefocus.config.messages.rig_checks import Answer, MapView
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
@@ -314,10 +312,10 @@ class Cables:
         if self.source != VIBROMETER:
             self.connect(VIBROMETER)
 
-    def jog(self, view: JogView) -> Jog:
+    def jog(self, view: JogView) -> Answer:
         return self._operator.jog(view)
 
-    def judge(self, view: MapView) -> Judged:
+    def judge(self, view: MapView) -> Answer:
         return self._operator.judge(view)
 
     def again(self, problem: str) -> bool:

@@ -94,56 +94,28 @@ CALIBRATE_EVENTS = (
 )  # fmt: skip
 
 
-class _AnswerMessage(Message, frozen=True, tag_field="answer"):
-    """Base class of a person's answers; the class keyword `tag` is the value of their key ``answer``."""
+# Words that answer each question, by its key ``what``, and the keys that a word takes with it.
+ANSWERS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "connect": {"done": ()},
+    "jog": {"here": (), "by": ("x_mrad", "y_mrad"), "to": ("x_mrad", "y_mrad")},
+    "map": {"keep": (), "redo": ("mark",), "drop": ()},
+    "again": {"again": (), "skip": ()},
+}
+# Answers any question: the calibration ends, muted and parked.
+CANCEL = "cancel"
 
 
-class Plugged(_AnswerMessage, frozen=True, tag="done"):
-    """The cable is plugged."""
+class Answer(Message, frozen=True):
+    """A person's answer to a question, one of `ANSWERS`.
 
+    The beam moves ``by`` so many milliradians from where it stands, or ``to`` such angles; a `mark`, from 1, is met
+    once more.
+    """
 
-class By(_AnswerMessage, frozen=True, tag="by"):
-    """Move the beam by so much from where it stands."""
-
-    x_mrad: float
-    y_mrad: float
-
-
-class To(_AnswerMessage, frozen=True, tag="to"):
-    """Move the beam to these angles."""
-
-    x_mrad: float
-    y_mrad: float
-
-
-class Here(_AnswerMessage, frozen=True, tag="here"):
-    """The spot is on the mark."""
-
-
-class Keep(_AnswerMessage, frozen=True, tag="keep"):
-    """Take the map, if it can be taken."""
-
-
-class Redo(_AnswerMessage, frozen=True, tag="redo"):
-    """Bring the beam onto one mark, from 1, once more."""
-
-    mark: int
-
-
-class Drop(_AnswerMessage, frozen=True, tag="drop"):
-    """Leave the map."""
-
-
-class Again(_AnswerMessage, frozen=True, tag="again"):
-    """Try once more."""
-
-
-class Skip(_AnswerMessage, frozen=True, tag="skip"):
-    """Leave it out."""
-
-
-class Cancel(_AnswerMessage, frozen=True, tag="cancel"):
-    """End the calibration; muted and parked."""
+    answer: str
+    x_mrad: float = 0.0
+    y_mrad: float = 0.0
+    mark: int = 0
 
 
 Verdict = Literal["ok", "warn", "fail", "skipped"]

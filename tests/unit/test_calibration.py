@@ -1,14 +1,17 @@
-"""The procedures with a person at the bench: cables forgotten, outputs given up, marks that stick out."""
+"""Calibrations with a person at the bench: cables forgotten, marks that stick out, actuators against each other."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.lab_files import setup_of
 from wavefocus.acquisition.calibrate_channels import (
     NotMeasuredError,
     Probe,
+    compare_actuators,
     listening_places,
     measure_actuators,
     measure_inputs,
@@ -16,7 +19,7 @@ from wavefocus.acquisition.calibrate_channels import (
 )
 from wavefocus.acquisition.calibrate_mirror import read_fiducials, suspect_mark
 from wavefocus.calibration.mirror_map import MirrorMap, fit_mirror_map
-from wavefocus.config.messages.rig_checks import Here
+from wavefocus.config.messages.rig_checks import Answer
 from wavefocus.config.outline import Outline, default_marks_mm
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.storage.errors import InputError
@@ -44,7 +47,7 @@ class Hands:
         self._bay.connect(source)
 
     def jog(self, view):
-        return Here()
+        return Answer("here")
 
     def again(self, problem):
         self.problems.append(problem)
@@ -92,12 +95,11 @@ def test_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refu
         measure_inputs(probe, Hands(rig))
 
 
-def test_given_no_loopback_then_nothing_is_measured_and_it_says_why():
+@pytest.mark.parametrize("measure", [measure_inputs, outputs])
+def test_given_no_loopback_then_nothing_is_measured_and_it_says_why(measure):
     rig, _, probe = bench(output_gain=(1.0, 1.0, 1.0, 0.0))
     with pytest.raises(NotMeasuredError, match="no signal from the loopback at the reference input"):
-        measure_inputs(probe, Hands(rig, patience=1))
-    with pytest.raises(NotMeasuredError, match="no signal from the loopback at the reference input"):
-        outputs(probe, Hands(rig, patience=1))
+        measure(probe, Hands(rig, patience=1))
 
 
 def test_given_an_output_given_up_then_the_others_are_measured():
@@ -170,3 +172,120 @@ def test_given_a_spoilt_file_of_marks_then_it_is_one_line_with_file_and_line(tmp
         read_fiducials(file)
     assert str(refused.value).startswith(f"{file}: ")
     assert told in str(refused.value)
+
+
+MARKS = np.array([[0, 0], [80, 45], [-80, 45], [-80, -45], [80, -45], [100, 0], [-100, 0], [0, 60.0]])
+MAP = MirrorMap(((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0)))
+
+small = st.floats(-1, 1)
+
+
+def angles(mirror_map, marks):
+    return np.column_stack(mirror_map.angles_mrad(*marks.T))
+
+
+def error_mm(found, true, marks=MARKS):
+    """Where the beam falls that the found map sends to each mark, from the mark."""
+    return np.hypot(*(np.column_stack(true.surface_mm(*found.angles_mrad(*marks.T))) - marks).T)
+
+
+@given(st.tuples(*[small] * 8), st.booleans())
+def test_given_marks_without_error_then_the_map_is_found_whatever_it_is(entries, flipped):
+    a, b, c, d, e, f, g, h = entries
+    sign = -1 if flipped else 1
+    true = MirrorMap(
+        (
+            (sign * (1e-3 + 3e-4 * a), 3e-4 * b, 0.05 * c),
+            (3e-4 * d, 1e-3 + 3e-4 * e, 0.05 * f),
+            (5e-4 * g, 5e-4 * h, 1.0),
+        )
+    )
+    fit = fit_mirror_map(MARKS, angles(true, MARKS))
+    assert fit.residual_mm.max() < 1e-6
+    assert error_mm(fit.mirror_map, true).max() < 1e-6
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5))
+def test_given_marks_met_with_an_error_then_the_map_errs_no_more_than_they_do(seed, sigma_mm):
+    rng = np.random.default_rng(seed)
+    met = MARKS + rng.normal(0, sigma_mm, MARKS.shape)
+    fit = fit_mirror_map(MARKS, angles(MAP, met))
+    # 16 equations for 8 unknowns: half of the errors' energy is left over, and half goes into the map.
+    assert fit.rms_mm < 3 * sigma_mm
+    assert np.sqrt(np.mean(error_mm(fit.mirror_map, MAP) ** 2)) < 4 * sigma_mm
+
+
+@pytest.mark.parametrize(
+    ("marks", "told"),
+    [
+        (MARKS[:3], "needs at least 4"),
+        (np.array([[-80, 0], [-30, 0], [30, 0], [80, 0.0]]), "on a line"),
+        (np.array([[-80, 0], [0, 0], [80, 0], [0, 50.0]]), "on a line, or all but one"),
+        (np.array([[-80, 20], [-40, 20.3], [0, 19.8], [40, 20.1], [80, 20.0]]), "on a line"),
+        (np.zeros((4, 3)), "shapes"),
+        (np.where(MARKS == 45, np.nan, MARKS), "not finite"),
+    ],
+)
+def test_given_marks_that_decide_nothing_then_they_are_refused(marks, told):
+    with pytest.raises(InputError, match=told):
+        fit_mirror_map(marks, angles(MAP, np.nan_to_num(marks)) if marks.shape[1] == 2 else marks)
+
+
+def test_given_two_marks_confused_then_they_are_refused_or_stick_out():
+    met = angles(MAP, MARKS)
+    met[[1, 3]] = met[[3, 1]]
+    try:
+        worst_mm = fit_mirror_map(MARKS, met).residual_mm.max()
+    except InputError:
+        return
+    assert worst_mm > 20
+
+
+def responses(factors, seed=0):
+    """Bursts alike, each a little different, as at one distance on a plate with an edge."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(1500) / RATE_HZ
+    common = np.exp(-60 * time_s) * np.sin(2 * np.pi * 180 * time_s)
+    own = rng.normal(0, 0.05, (len(factors), 1500)) * np.exp(-60 * time_s)
+    return np.array(factors)[:, None] * (common + own)
+
+
+@given(st.lists(st.sampled_from([0.8, 1.0, 1.2, -1.0, 0.3, 0.0]), min_size=3, max_size=24), st.integers(0, 99))
+def test_given_sound_ones_in_the_majority_then_each_gets_its_word(factors, seed):
+    factors = factors + [1.0] * (len(factors) + 1)
+    snr_db = np.where(np.array(factors) == 0, -10.0, 40.0)
+    found = compare_actuators(responses(factors, seed), snr_db, RATE_HZ)
+    words = {0.8: "good", 1.0: "good", 1.2: "good", -1.0: "reversed", 0.3: "weak", 0.0: "dead"}
+    assert found.verdict == tuple(words[factor] for factor in factors)
+    assert found.polarity == tuple(-1 if factor < 0 else 1 for factor in factors)
+    assert np.isfinite(found.level_db).all()
+
+
+def test_given_levels_then_they_are_told_against_the_median():
+    found = compare_actuators(responses([1, 1, 2, 1, 0.5]), np.full(5, 50.0), RATE_HZ)
+    assert found.level_db == pytest.approx([0, 0, 6.02, 0, -6.02], abs=0.3)
+
+
+SHAPE = np.random.default_rng(3).normal(0, 0.15, 1500)
+
+
+@pytest.mark.parametrize(
+    ("green", "third"),
+    [
+        (responses([-1, -1, -1]), "good"),
+        (np.vstack([responses([1, 1]), SHAPE, responses([1, 1], 1)]), "unlike"),
+        # A magnet a few millimetres off.
+        (np.vstack([responses([1, 1]), np.roll(-responses([1], 2), 9), responses([1, 1], 1)]), "reversed"),
+    ],
+    ids=["all reversed", "another shape", "another place"],
+)
+def test_given_another_sign_or_shape_then_it_is_told_by_the_majority(green, third):
+    verdict = list(compare_actuators(green, np.full(len(green), 50.0), RATE_HZ).verdict)
+    assert verdict.pop(2) == third
+    assert set(verdict) == {"good"}
+
+
+def test_given_nothing_heard_at_all_then_all_are_dead():
+    found = compare_actuators(np.zeros((3, 100)), np.full(3, -300.0), RATE_HZ)
+    assert found.verdict == ("dead",) * 3
+    assert np.isfinite(found.level_db).all()
