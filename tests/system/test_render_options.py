@@ -1,14 +1,19 @@
-"""What ``render`` and ``movie`` do besides drives: limits, figures, pictures."""
+"""What ``render`` and ``movie`` do besides drives: limits, sounds, figures, pictures; and the page's scene."""
 
 import json
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+import soundfile
 from PIL import Image
 
 from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.storage.drive_file import read_drive
 
 RATE_HZ = 2000.0
@@ -36,8 +41,6 @@ RIG = """
 position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
 
 [player]
-limit_v = 2.0
-limit_rms_v = 1e-3
 """
 
 
@@ -45,7 +48,7 @@ limit_rms_v = 1e-3
 def lab(tmp_path):
     write_foreign(tmp_path / "bank.h5", gain=[[[1.0], [2.0], [8.0]]])
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(f"{RIG}limit_v = 2.0\nlimit_rms_v = 1e-3\n", encoding="utf-8")
     return tmp_path
 
 
@@ -57,6 +60,16 @@ def render(lab, *options):
 def figures(lab, capsys, *options):
     assert render(lab, *options) == 0
     return dict(json.loads(capsys.readouterr().out))
+
+
+def predict(lab, out, *options):
+    assert (
+        run(["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / out), *options]) == 0
+    )
+
+
+def movie(lab, field, *options):
+    return run(["movie", str(lab / field), "--bank", str(lab / "bank.h5"), *options])
 
 
 def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(lab, capsys):
@@ -74,78 +87,102 @@ def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_na
     assert told["scale"] == pytest.approx(drive.scale / 2, rel=1e-9)
 
 
-def test_given_a_field_then_the_movie_command_draws_it(lab, capsys):
-    told = figures(lab, capsys)
-    bank = ["--bank", str(lab / "bank.h5")]
-    assert run(["predict", str(lab / "drive.h5"), *bank, "--out", str(lab / "field.h5")]) == 0
-    draw = ["movie", str(lab / "field.h5"), *bank, "--drive", str(lab / "drive.h5"), "--json"]
+def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab, capsys):
+    """A waveform is larger between the samples of its drive than at them: both are kept within full scale."""
+    (lab / "scene.toml").write_text(SCENE.replace("150.0", "800.0"), encoding="utf-8")
+    rig = f"{RIG}interface_rate_hz = 48000\nfull_scale_v = 1e-4\nlimit_v = 1e-4\n"
+    (lab / "rig.toml").write_text(rig, encoding="utf-8")
+    assert render(lab, "--rig", str(lab / "rig.toml"), "--wav", str(lab / "drive.wav")) == 0
+    told = capsys.readouterr()
+    heard, rate_hz = soundfile.read(lab / "drive.wav")
+    assert rate_hz == 48_000
+    assert np.abs(heard).max() == pytest.approx(1.0, abs=1e-6)
+    drive = read_drive(lab / "drive.h5")
+    assert np.abs(drive.drive_v).max() <= 1e-4
+    found = json.loads(told.out)
+    assert found["peak_v"] == pytest.approx(np.abs(drive.drive_v).max(), rel=1e-9)
+    assert "between samples" in found["limited_by"]
+    assert found["scale"] == drive.scale < 1
+    assert "between samples = 0.0001 V; actuator" in told.err
+
+
+def test_given_a_field_then_movie_draws_it_and_tells_which_waves_are_shown(lab, capsys):
+    figures(lab, capsys)
+    predict(lab, "field.h5")
     files = ["--out", str(lab / "field.gif"), "--snapshots", str(lab / "foci.png")]
-    assert run([*draw, *files, "--slow", "5"]) == 0
+    assert (
+        movie(
+            lab,
+            "field.h5",
+            "--drive",
+            str(lab / "drive.h5"),
+            "--json",
+            *files,
+            "--slow",
+            "10",
+            "--from-s",
+            "0",
+            "--to-s",
+            "0.022",
+        )
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     with Image.open(lab / "field.gif") as gif, Image.open(lab / "foci.png") as picture:
         assert gif.n_frames == told["frames"] > 5
         assert gif.width == 720
         assert picture.width > 1000
-    assert told["slowed"] == pytest.approx(5.0)
+    assert told["slowed"] == pytest.approx(10.0)
+    predict(lab, "low.h5", "--rate", str(RATE_HZ / 2))
+    assert movie(lab, "low.h5", "--out", str(lab / "low.gif"), "--from-s", "0", "--to-s", "0.01") == 0
+    said = f"predicted at {RATE_HZ / 2:g} Hz: it shows waves up to {0.2 * RATE_HZ:g} Hz alone"
+    assert said in capsys.readouterr().err
 
 
-def test_given_a_field_at_a_lower_rate_then_the_movie_tells_which_waves_it_shows(lab, capsys):
-    figures(lab, capsys)
-    bank = ["--bank", str(lab / "bank.h5")]
-    assert run(["predict", str(lab / "drive.h5"), *bank, "--out", str(lab / "low.h5"), "--rate", str(RATE_HZ / 2)]) == 0
-    draw = ["--out", str(lab / "low.gif"), "--from-s", "0", "--to-s", "0.01"]
-    assert run(["movie", str(lab / "low.h5"), *bank, *draw]) == 0
-    told = capsys.readouterr().err
-    assert f"predicted at {RATE_HZ / 2:g} Hz: it shows waves up to {0.2 * RATE_HZ:g} Hz alone" in told
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
+def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys, monkeypatch):
+    monkeypatch.chdir(lab)
+    assert render(lab) == 0
+    predict(lab, "field.h5")
+    for options, named in (
         ((), "--out"),
         (("--snapshots", "foci.png"), "--drive"),
         (("--out", "nowhere/field.gif"), "there is no folder"),
         (("--out", "field.gif", "--from-s", "9"), "nothing to show"),
-    ],
-)
-def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys, monkeypatch, options, named):
-    monkeypatch.chdir(lab)
-    assert render(lab) == 0
-    assert run(["predict", "drive.h5", "--bank", "bank.h5", "--out", "field.h5"]) == 0
-    assert run(["movie", "field.h5", "--bank", "bank.h5", *options]) == 2
-    assert named in capsys.readouterr().err.splitlines()[-1]
-    assert not list(lab.glob("*.gif"))
-
-
-POINT = """
-[[source]]
-amplitude = {amplitude}
-path = {{ kind = "point", at_mm = [4, 8] }}
-signal = {signal}
-
-[regularisation]
-normalise = true
-
-[output]
-{limit}
-"""
-
-
-def write_point(lab, signal, amplitude, limit=""):
-    text = POINT.format(signal=signal, amplitude=amplitude, limit=limit)
-    (lab / "scene.toml").write_text(text, encoding="utf-8")
+    ):
+        assert movie(lab, "field.h5", *options) == 2
+        assert named in capsys.readouterr().err.splitlines()[-1]
+        assert not list(lab.glob("*.gif"))
 
 
 @pytest.mark.parametrize(
-    "signal", ['{ kind = "impulse" }', '{ kind = "sine", frequency_hz = 150.0, duration_s = 0.1 }']
+    ("signal", "limit"),
+    [
+        ('{ kind = "impulse" }', ""),
+        ('{ kind = "impulse" }', "limit_v = 1e-4"),
+        ('{ kind = "sine", frequency_hz = 150.0, duration_s = 0.1 }', "limit_v = 1e-4"),
+    ],
 )
-@pytest.mark.parametrize("limit", ["", "limit_v = 1e-4"], ids=["unlimited", "limited"])
 def test_given_a_focus_then_its_reported_peak_is_what_predict_finds_there(lab, capsys, signal, limit):
-    write_point(lab, signal, 0.001, limit)
+    source = f'[[source]]\namplitude = 0.001\npath = {{ kind = "point", at_mm = [4, 8] }}\nsignal = {signal}\n'
+    (lab / "scene.toml").write_text(f"{source}[output]\n{limit}\n", encoding="utf-8")
     found = figures(lab, capsys)
-    row = 5 * 2 + 1  # (4, 8) mm
-    drive, bank, field = (str(lab / name) for name in ("drive.h5", "bank.h5", "field.h5"))
-    assert run(["predict", drive, "--bank", bank, "--out", field, "--positions", str(row)]) == 0
-    with h5py.File(field) as file:
+    predict(lab, "field.h5", "--positions", str(5 * 2 + 1))  # (4, 8) mm
+    with h5py.File(lab / "field.h5") as file:
         assert found["focus_peak"] == pytest.approx(np.abs(file["field"][:]).max(), rel=1e-5)
     assert found["response_unit"] == "m/s"
+
+
+def test_given_the_bar_of_the_page_then_its_points_move_abreast_and_say_the_same(tmp_path):
+    page = Path(__file__).parents[2] / "docs/how-to/render-and-play.md"
+    text = page.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    bar = Scene("bar", load_scene(tmp_path / "scene.toml").sources[:3])
+    position_mm = np.array([(x, y) for y in np.arange(-12.0, 45.0, 4.0) for x in np.arange(-44.0, 45.0, 4.0)])
+    green = np.random.default_rng(5).standard_normal((len(position_mm), 3, 80)) * np.exp(-np.arange(80) / 20)
+    drive = render_with_report(bar, GreenArray(green, position_mm, 2000.0))[0]
+    sample, place = drive.focus_sample.reshape(3, 21), position_mm[drive.focus_position].reshape(3, 21, 2)
+    assert (sample == sample[0]).all()
+    assert (place[:, :, 0] == place[0, :, 0]).all()
+    np.testing.assert_array_equal(np.diff(place[:, :, 1], axis=0), 8.0)
+    signals = [source.signal.samples(2000.0) for source in bar.sources]
+    assert all(np.array_equal(one, signals[0]) for one in signals)

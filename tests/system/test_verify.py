@@ -32,6 +32,7 @@ def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_say
     assert figures["normalised error"] < 2.0
     assert figures["correlation"] > 0.999
     report = (lab / "verify" / "report.html").read_text(encoding="utf-8")
+    assert "✓ Passed" in report
     assert "<script" not in report
     assert "https://" not in report
     assert "http://" not in report.replace("http://www.w3.org", "")

@@ -1,13 +1,22 @@
-"""Predicted fields against plain convolution, eqs. (4) and (17)."""
+"""Predicted fields against plain convolution, eqs. (4) and (17), on any device; and the figures of a drive's foci."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.unit.plate_banks import SPACING_MM, plate_bank
+from tests.unit.test_drive import STRICT
+from wavefocus.config.scene import Output
+from wavefocus.drives import render
+from wavefocus.rendering.device import host_device
 from wavefocus.rendering.field.convolution import BankSpectra
+from wavefocus.rendering.field.foci import focus_figures, predicted_at
 from wavefocus.rendering.field.prediction import Prediction, measured_positions, predict, share_above
 from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line
+from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import LowPass
@@ -47,16 +56,21 @@ def relative_error(found, expected):
     scale=st.sampled_from([1.0, 2.0**-50, 2.0**50]),
     silent=st.booleans(),
 )
-def test_a_field_is_the_full_convolution_in_any_unit(seed, positions, actuators, taps, samples, scale, silent):
+def test_a_field_is_the_full_convolution_in_any_unit_and_order_on_any_device(
+    seed, positions, actuators, taps, samples, scale, silent
+):
     rng = np.random.default_rng(seed)
     bank = make_bank(rng.standard_normal((positions, actuators, taps)) * scale)
     volts = rng.standard_normal((actuators, samples)) / scale
     if silent and actuators > 1:
         volts[0] = 0.0
-    drive = make_drive(volts)
-    expected = convolved(bank, drive, range(positions))
-    assert relative_error(predict(drive, bank).field, expected) < 1e-12
-    single = predict(drive, bank, dtype=np.float32)
+    drive, asked = make_drive(volts), [*range(positions), 0]
+    expected = convolved(bank, drive, asked)
+    for device in (host_device(), STRICT):
+        field = predict(drive, bank, asked, device=device)
+        assert relative_error(field.field, expected) < 1e-12
+        assert field.position_index.tolist() == asked
+    single = predict(drive, bank, asked, dtype=np.float32)
     assert single.field.dtype == np.float32
     assert relative_error(single.field, expected) < 2e-6
 
@@ -66,15 +80,6 @@ def test_a_field_starts_with_its_drive_and_has_the_banks_unit():
     field = predict(make_drive([[1.0, 2.0]], start_s=-0.002), bank)
     np.testing.assert_allclose(field.field, [[1, 3, 3, 2]])
     assert (field.start_s, field.sample_rate_hz, field.response_unit) == (-0.002, 1000.0, "m/s")
-
-
-def test_positions_are_predicted_in_the_order_asked_for():
-    rng = np.random.default_rng(0)
-    bank = make_bank(rng.standard_normal((4, 2, 30)))
-    drive = make_drive(rng.standard_normal((2, 50)))
-    field = predict(drive, bank, [3, 0, 3])
-    assert field.position_index.tolist() == [3, 0, 3]
-    assert relative_error(field.field, convolved(bank, drive, [3, 0, 3])) < 1e-12
 
 
 def test_unmeasured_positions_are_left_out_and_refused_where_they_are_asked_for():
@@ -136,3 +141,29 @@ def test_the_share_above_a_frequency_is_that_of_the_whole_field():
     shares = [power[:, frequency_hz > highest_hz].sum(axis=1) / power.sum(axis=1) for highest_hz in (60.0, 100.0)]
     by_spectra = [share_above(drive, bank, np.arange(4), highest_hz) for highest_hz in (60.0, 100.0)]
     assert by_spectra == pytest.approx([share.max() for share in shares], rel=0.01, abs=1e-7)
+
+
+STROKE = Source(Line((-8.0, 0.0), (8.0, 0.0)), Impulse(), 0.0, 400.0, 4.0, emission="per_point")
+
+
+def test_given_a_stroke_then_each_focus_is_on_its_path_point_and_a_wavelength_wide():
+    bank = plate_bank()
+    drive = render(Scene("stroke", (STROKE,), output=Output(interpolation="nearest")), bank)
+    field = predict(drive, bank)
+    first = round(drive.start_s * drive.sample_rate_hz)
+    sample = np.array([first, 0, 20, first + field.field.shape[1] - 1, first + field.field.shape[1] + 5, first - 3])
+    rows = np.array([3, 100, 84])
+    values = predicted_at(drive, bank, rows, sample)
+    expected = field.field[np.ix_(rows, sample[:4] - first)].T
+    np.testing.assert_allclose(values[:4], expected, rtol=0, atol=1e-12 * np.abs(values).max())
+    assert not values[4:].any()
+    found = focus_figures(drive, bank)
+    assert len(found) == 5
+    assert found.time_s == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04])
+    assert found.intended_mm[:, 0].tolist() == [-8.0, -4.0, 0.0, 4.0, 8.0]
+    assert (found.off_mm < SPACING_MM).all()
+    assert found.peak == pytest.approx(np.ones(5), rel=0.1)
+    assert np.nanmedian(found.width_mm) == pytest.approx(9.0, abs=3.0)
+    assert (found.artefact_db < 0).all()
+    with pytest.raises(InputError, match="1000 Hz"):
+        focus_figures(drive, bank, predict(drive, bank, rate_hz=1000.0))

@@ -1,4 +1,4 @@
-"""Scenes with quiet places, over small banks: levels, against the equations, and stiff cases."""
+"""Quiet places: filters of least energy against other solvers, drives, levels, files and stiff cases."""
 
 import json
 from dataclasses import replace
@@ -7,9 +7,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS, plate_bank, plate_greens
 from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.quiet_filters import Focus, Moment, find_multipliers, least_energy
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.field.quiet_levels import quiet_levels
@@ -125,20 +127,20 @@ def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, 
     assert np.linalg.norm(drive.drive_v - expected) < 1e-9 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize("seeds", [(1, 2, 3), (1, 1, 1)], ids=["different noise", "the same noise"])
-def test_independent_sources_are_quiet_at_each_other(bank, seeds):
+@pytest.mark.parametrize(
+    ("seeds", "seconds", "apart_s"),
+    [((1, 2, 3), 0.5, 0.0), ((1, 1, 1), 0.5, 0.0), ((0, 1, 2), 0.2, 0.15)],
+    ids=["different noise", "the same noise", "following each other"],
+)
+def test_independent_sources_are_quiet_at_each_other_while_both_sound(bank, seeds, seconds, apart_s):
     at = [(-16.0, 0.0), (8.0, 12.0), (12.0, -16.0)]
-    sources = tuple(Source(Point(one), Noise((60.0, 450.0), 0.5, seed)) for one, seed in zip(at, seeds, strict=True))
+    sources = tuple(
+        Source(Point(one), Noise((60.0, 450.0), seconds, seed), apart_s * number)
+        for number, (one, seed) in enumerate(zip(at, seeds, strict=True))
+    )
     drive, report = render_with_report(Scene("three", sources, Regularisation(independent=True)), bank)
     assert max(one.reached_db for one in quiet_levels(drive, bank)) == pytest.approx(-30, abs=0.5)
     assert [one.source for one in report.quiet_tracks] == [0, 1, 2]
-
-
-def test_sources_that_follow_each_other_are_independent_while_both_sound(bank):
-    at = [(-12.0, 0.0), (0.0, 12.0), (12.0, -8.0)]
-    sources = tuple(Source(Point(one), Noise((60.0, 450.0), 0.2, seed), 0.15 * seed) for seed, one in enumerate(at))
-    drive, _ = render_with_report(Scene("taps", sources, Regularisation(independent=True)), bank)
-    assert [level.reached_db for level in quiet_levels(drive, bank)] == pytest.approx([-30, -30, -30], abs=0.5)
 
 
 def test_a_disc_between_positions_is_quiet_in_truth(bank):
@@ -192,58 +194,48 @@ def test_a_drive_file_keeps_its_quiet_places(bank, tmp_path):
     write_drive(tmp_path / "plain.h5", replace(drive, quiet=()))
     assert read_drive(tmp_path / "plain.h5").quiet == ()
     good = drive.quiet[0].plain()
-    for wrong in (
-        {},
-        [1],
-        [{**good, "radius_mm": -1}],
-        [{**good, "at_mm": [[float("nan"), 0]]}],
-        [{**good, "sample": []}],
-    ):
+    wrong = ({"radius_mm": -1}, {"at_mm": [[float("nan"), 0]]}, {"sample": []})
+    for content in ({}, [1], *([{**good, **one}] for one in wrong)):
         with h5py.File(tmp_path / "drive.h5", "r+") as file:
-            file.attrs["quiet"] = json.dumps(wrong)
+            file.attrs["quiet"] = json.dumps(content)
         with pytest.raises(InputError, match=r"attribute quiet|is damaged"):
             read_drive(tmp_path / "drive.h5")
 
 
 def test_a_verification_states_the_levels_of_prediction_and_scan(bank):
     drive, _ = render_with_report(scene_of((16.0, 8.0), (8.0, -16.0), radius_mm=4.5, level_db=-20.0), bank)
-    prediction = predict(drive, bank)
-    louder = replace(prediction, field=prediction.field + 0.1 * prediction.field[row_at(bank, FOCUS)])
+    rows = control_rows(drive, bank.position_mm)
+    prediction = predict(drive, bank, rows)
+    louder = replace(
+        prediction, field=prediction.field + 0.1 * prediction.field[rows.tolist().index(row_at(bank, FOCUS))]
+    )
     verification = compare(prediction, louder, drive, bank)
     levels = [one for one in verification.figures if one.name.startswith("level at quiet")]
     assert [one.name for one in levels] == ["level at quiet[0]", "level at quiet[1]"]
     assert [one.predicted for one in levels] == pytest.approx([-20, -20], abs=1.5)
     assert all(-20 < one.scanned < -14 for one in levels)
-    rows = control_rows(drive, bank.position_mm)
     apart_mm = np.hypot(*(bank.position_mm[rows] - (16.0, 8.0)).T)
     assert set(rows) >= set(drive.focus_position)
     assert (apart_mm < 4.5).sum() == 5
 
 
-def test_a_scene_needs_the_positions_around_its_quiet_places(bank):
-    with_place, without = (scene_rows(one, bank.position_mm).path for one in (scene_of((16.5, 8.5)), scene_of()))
-    added = set(with_place) - set(without)
+def test_a_scene_needs_the_positions_around_its_quiet_places_and_independent_sources(bank):
+    def needed(scene, position_mm=bank.position_mm, *, coarse=False):
+        return set(scene_rows(scene, position_mm, coarse=coarse).path)
+
+    added = needed(scene_of((16.5, 8.5))) - needed(scene_of())
     assert row_at(bank, (16.5, 8.5)) in added
     assert len(added) >= 36
-
-
-def test_a_scene_needs_the_positions_around_its_independent_sources(bank):
     sources = tuple(Source(Point(at_mm), NOISE) for at_mm in ((-14.5, 0.5), (16.5, 8.5)))
     alone, independent = (
-        scene_rows(Scene("two", sources, Regularisation(independent=one), NEAREST), bank.position_mm).path
-        for one in (False, True)
+        needed(Scene("two", sources, Regularisation(independent=one), NEAREST)) for one in (False, True)
     )
     assert len(alone) < 10
-    assert len(set(independent) - set(alone)) >= 2 * 36 - 10
-
-
-def test_a_quiet_place_off_a_coarse_grid_needs_all_positions_and_one_on_it_not():
-    coarse_mm = 4.0 * SQUARE_MM
+    assert len(independent - alone) >= 2 * 36 - 10
     between, at_position = (
-        scene_rows(scene_of(one, output=NEAREST), coarse_mm, coarse=True).path for one in ((24.0, 24.0), (32.0, 32.0))
+        needed(scene_of(one, output=NEAREST), 4.0 * SQUARE_MM, coarse=True) for one in ((24.0, 24.0), (32.0, 32.0))
     )
-    assert len(between) == len(coarse_mm)
-    assert len(at_position) < len(coarse_mm)
+    assert len(at_position) < len(between) == len(SQUARE_MM)
 
 
 def test_on_a_coarse_grid_it_is_said_how_quiet_a_place_between_positions_is_in_truth():
@@ -275,11 +267,12 @@ def test_a_place_that_cannot_be_quiet_is_refused_by_name(bank, case):
     assert str(refused.value).startswith(name)
 
 
+SHORT = replace(NOISE, duration_s=0.2)
 STIFF = {
-    "within half a millimetre of the focus": scene_of((-7.6, 0.3)),
-    "two at one place": scene_of((16.0, 8.0), (16.0, 8.0)),
-    "fifty": scene_of(*[(x, y) for x in range(0, 22, 2) for y in range(-20, 20, 8)][:50]),
-    "a source that runs through it": scene_of((4.0, 0.0), path=Line((-12.0, 0.0), (12.0, 0.0)), speed=40.0),
+    "within half a millimetre of the focus": scene_of((-7.6, 0.3), signal=SHORT),
+    "two at one place": scene_of((16.0, 8.0), (16.0, 8.0), signal=SHORT),
+    "fifty": scene_of(*[(x, y) for x in range(0, 22, 2) for y in range(-20, 20, 8)][:50], signal=SHORT),
+    "a source that runs through it": scene_of((4.0, 0.0), path=Line((-12.0, 0.0), (12.0, 0.0)), speed=80.0),
     "a sine": scene_of((16.0, 8.0), signal=Sine(250.0, 0.2)),
 }
 
@@ -301,13 +294,12 @@ def test_stiff_scenes_are_finite_within_the_energy_and_say_what_is_not_reached(b
         assert any("source 0 is at quiet[0]" in text for text in report.warnings)
 
 
+LINE_MM = SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1)
 BANKS = {
     "one actuator": lambda: GreenArray(plate_bank().values[:, :1], plate_bank().position_mm, RATE_HZ, band_hz=BAND_HZ),
-    "one line": lambda: GreenArray(
-        plate_greens(SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1)),
-        SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1), RATE_HZ, band_hz=BAND_HZ),
+    "one line": lambda: GreenArray(plate_greens(LINE_MM), LINE_MM, RATE_HZ, band_hz=BAND_HZ),
     "no band": lambda: GreenArray(plate_bank().values, plate_bank().position_mm, RATE_HZ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BANKS)
@@ -323,21 +315,100 @@ def test_banks_of_any_kind(case):
 
 
 WRONG = {
-    "level_db = 3": "level_db",
-    "level_db = 0": "level_db",
-    "radius_mm = -1": "radius_mm",
-    'path = { kind = "point", at_mm = [0, 0] }': "path",
-    "at = 3": "at",
+    "at_mm = [24, 0]\nlevel_db = 3": "level_db",
+    "at_mm = [24, 0]\nlevel_db = 0": "level_db",
+    "at_mm = [24, 0]\nradius_mm = -1": "radius_mm",
+    'at_mm = [24, 0]\npath = { kind = "point", at_mm = [0, 0] }': "path",
+    "at_mm = [24, 0]\nat = 3": "at",
+    "": "at_mm",
+    'path = { kind = "line", start_mm = [0, 0], end_mm = [9, 0] }': "speed_mm_s",
 }
 
 
-@pytest.mark.parametrize("line", WRONG)
-def test_a_wrong_table_is_refused_by_its_key(line):
+@pytest.mark.parametrize("lines", WRONG, ids=WRONG.values())
+def test_a_wrong_table_is_refused_by_its_key(lines):
     text = '[[source]]\npath = { kind = "point", at_mm = [0, 0] }\nsignal = { kind = "impulse" }\n'
-    with pytest.raises(InputError, match=rf"quiet\[0\]\.{WRONG[line]}\b"):
-        read_scene(f"{text}[[quiet]]\nat_mm = [24, 0]\n{line}\n", Path("scene.toml"))
-    with pytest.raises(InputError, match=r"quiet\[0\]\.at_mm"):
-        read_scene(f"{text}[[quiet]]\n", Path("scene.toml"))
-    path = '{ kind = "line", start_mm = [0, 0], end_mm = [9, 0] }'
-    with pytest.raises(InputError, match=r"quiet\[0\]\.speed_mm_s"):
-        read_scene(f"{text}[[quiet]]\npath = {path}\n", Path("scene.toml"))
+    with pytest.raises(InputError, match=rf"quiet\[0\]\.{WRONG[lines]}\b"):
+        read_scene(f"{text}[[quiet]]\n{lines}\n", Path("scene.toml"))
+
+
+# --- filters
+
+
+BINS, ACTUATORS = 12, 6
+
+
+def rows(count, seed=0, *, actuators=ACTUATORS, scale=1.0):
+    parts = np.random.default_rng(seed).standard_normal((2, BINS, count, actuators))
+    return scale * (parts[0] + 1j * parts[1])
+
+
+def solved(row, quiet, place, level, *, power=None, **limits):
+    """Multipliers, and the filters of one focus."""
+    power = np.ones(BINS) if power is None else power
+    focus = Focus(row, quiet, place)
+    moment = Moment([focus], power[None, None].astype(complex), quiet, place, np.ones((1, place.max() + 1), bool))
+    found = find_multipliers([moment], level, **limits)
+    return found, least_energy([focus], found.of_place)[0]
+
+
+def test_given_a_small_case_then_a_general_solver_finds_no_less_energy():
+    """SciPy's SLSQP knows nothing of multipliers: it has the filters themselves, the energy and the bounds."""
+    bins, actuators, level = 4, 5, np.array([1e-3, 3e-3])
+    h, q = rows(1, actuators=actuators)[:bins, 0], rows(3, 1, actuators=actuators)[:bins]
+    power, place, a = np.linspace(0.5, 2.0, bins), np.array([0, 1, 1]), np.square(np.abs(h)).sum(axis=1)
+    _, w = solved(h, q, place, level, power=power)
+    bound = level * (power @ np.square(np.abs((h * w).sum(axis=1))))
+
+    def responses(x):
+        filters = x.view(complex).reshape(bins, actuators)
+        there = power @ np.square(np.abs((q @ filters[..., None])[..., 0]))
+        return (h * filters).sum(axis=1), np.array([there[0], there[1:].mean()])
+
+    def energy(x):
+        return float(power @ np.square(x).reshape(bins, -1).sum(axis=1))
+
+    constraints = [
+        {"type": "ineq", "fun": lambda x: 1.0 - responses(x)[1] / bound},
+        {"type": "eq", "fun": lambda x: (responses(x)[0] - a).view(float)},
+    ]
+    found = minimize(
+        energy, h.conj().ravel().view(float), jac=lambda x: 2.0 * np.repeat(power, 2 * actuators) * x,
+        constraints=constraints, method="SLSQP", options={"maxiter": 500, "ftol": 1e-10},
+    )  # fmt: skip
+    assert found.success
+    assert energy(np.ascontiguousarray(w).ravel().view(float)) == pytest.approx(found.fun, rel=3e-3)
+    np.testing.assert_allclose(w, found.x.view(complex).reshape(w.shape), rtol=0, atol=0.02 * np.abs(w).max())
+
+
+STIFF_ROWS = {
+    "one place twice": (lambda: np.repeat(rows(1, 1), 2, axis=1), 1e-3, True),
+    "two places that are nearly one": (lambda: rows(1, 1) * (1.0 + 1e-9 * np.arange(2))[:, None], 1e-3, True),
+    "more places than actuators": (lambda: rows(24, 1), 1e-3, False),
+    "fifty places": (lambda: rows(50, 1), 1e-3, False),
+    "nearly the focus": (lambda: rows(1) * (1 + 1e-7) + 1e-7 * rows(1, 1), 1e-3, False),
+    "no energy there": (lambda: 0.0 * rows(2, 1), 1e-3, True),
+    "a level beyond reach": (lambda: rows(2, 1), 1e-30, False),
+    "tiny rows": (lambda: 1e-60 * rows(2, 1), 1e-3, True),
+}
+
+
+@pytest.mark.parametrize("name", STIFF_ROWS)
+def test_given_a_stiff_case_then_the_filters_are_finite_and_keep_to_the_energy(name):
+    make, level, reachable = STIFF_ROWS[name]
+    h, q = rows(1)[:, 0], make()
+    place = np.arange(q.shape[1])
+    found, w = solved(h, q, place, np.full(len(place), level), most_energy=10.0)
+    assert np.isfinite(found.level).all()
+    assert np.isfinite(found.of_place).all()
+    assert found.energy <= 10.0 * (1 + 1e-9)
+    assert bool((found.level <= level * 1.01).all()) == reachable
+    np.testing.assert_allclose((h * w).sum(axis=1), np.square(np.abs(h)).sum(axis=1), rtol=1e-6)
+
+
+def test_given_an_infeasible_place_then_the_others_are_still_quiet():
+    h = rows(1)[:, 0]
+    q = np.concatenate([h[:, None] * (1 + 1e-9), rows(2, 1)], axis=1)
+    found, _ = solved(h, q, np.arange(3), np.full(3, 1e-3), most_energy=10.0)
+    assert found.level[0] > 0.9
+    np.testing.assert_allclose(found.level[1:], 1e-3, rtol=0.05)

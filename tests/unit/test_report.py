@@ -1,22 +1,38 @@
-"""The report holds all that it shows, and its text says what was found; names of users are escaped."""
+"""Reports and movies: they hold all that they show, their text says what was found, names of users are escaped."""
 
 import base64
 import dataclasses
 import io
+import itertools
 import math
 import re
+import time
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from PIL import Image
+from matplotlib.figure import Figure
+from PIL import Image, ImageSequence
 
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
 from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.number_text import number
+from wavefocus.rendering.report.figures import _label_clock
+from wavefocus.rendering.report.movie import (
+    Foci,
+    colour_limit,
+    plan_frames,
+    read_frames,
+    snapshots,
+    surface_of,
+    write_movie,
+)
 from wavefocus.rendering.report.page import build_report, remarks
 from wavefocus.rendering.verify.verdict import compare
-from wavefocus.storage.field_file import Field
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, FieldRowReader, write_field
 
 NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
 
@@ -28,35 +44,11 @@ def louder_scan(gain=1.0, noise=0.001):
     return scan_of(field, prediction.start_s, RATE_HZ, noise_rms, playback_gain=np.full(len(field), gain))
 
 
-def report_of(out_dir, scan, source, name, foci=None, **options):
-    drive, prediction = rendered()
-    kept = {key: getattr(drive, key)[:foci] for key in ("focus_sample", "focus_position", "focus_source")}
-    places = None if drive.focus_mm is None else drive.focus_mm[:foci]
-    drive = dataclasses.replace(drive, **kept, focus_mm=places)
-    return build_report(
-        out_dir,
-        verification=compare(prediction, scan, drive, source),
-        scene=scene_of(name),
-        drive=drive,
-        prediction=prediction,
-        scan=scan,
-        bank=source,
-        **options,
-    )
-
-
-@pytest.fixture(scope="module")
-def good_report(tmp_path_factory):
-    outline = np.array([(-50.0, -45.0), (50.0, -45.0), (50.0, 45.0), (-50.0, 45.0), (-50.0, -45.0)])
-    return report_of(
-        tmp_path_factory.mktemp("good") / "made",
-        louder_scan(),
-        bank(),
-        NASTY,
-        campaign={"hours simulated": 30.0, NASTY: NASTY},
-        outline_mm=outline,
-        save_pictures=True,
-    )
+def few_foci(count=2):
+    """The drive, of whose foci only the first are looked at: each takes time to be judged and drawn."""
+    drive, _ = rendered()
+    keys = ("focus_sample", "focus_position", "focus_source", "focus_mm")
+    return dataclasses.replace(drive, **{key: getattr(drive, key)[:count] for key in keys})
 
 
 def images_of(html):
@@ -64,34 +56,7 @@ def images_of(html):
     return [Image.open(io.BytesIO(base64.b64decode(one))) for one in coded]
 
 
-def test_given_a_good_scan_then_the_report_passes_and_holds_all_its_pictures(good_report):
-    html = good_report.read_text(encoding="utf-8")
-    assert good_report.name == "report.html"
-    assert "✓ Passed" in html
-    assert "✗" not in html
-    assert "hours simulated" in html
-    pictures = images_of(html)
-    assert len(pictures) == html.count("<img ") == 7
-    for picture, width in zip(pictures, re.findall(r'<img [^>]*width="(\d+)"', html), strict=True):
-        assert picture.width == 2 * int(width)
-        assert np.count_nonzero(picture.convert("L").histogram()) > 3
-    assert good_report.stat().st_size < 3_000_000
-    drawn = ("path", "snapshots", "waveforms", "error", "gain", "drive", "waves")
-    assert {path.stem for path in good_report.parent.glob("*.png")} == set(drawn)
-    assert "<h2>Drift</h2>" not in html
-
-
-def test_names_that_are_markup_then_they_are_text_and_nothing_outside_is_loaded(good_report):
-    html = good_report.read_text(encoding="utf-8")
-    assert "default-src 'none'" in html
-    assert not re.search(r"<script|<link|<iframe|@import|url\(", html)
-    assert set(re.findall(r'\bsrc="([^,]{0,22})', html)) == {"data:image/png;base64"}
-    assert "evil.example/x.png&#34;" in html
-    assert html.count("</title>") == 1
-
-
-@pytest.fixture(scope="module")
-def flawed_report(tmp_path_factory):
+def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(tmp_path):
     """Of a bank with flawed rows, a plain field and a sentinel that drifted."""
     status = np.ones(len(GRID_MM), np.uint8)
     status[[3, 5, 7, 9]] = 2, 4, 8, 16
@@ -101,19 +66,34 @@ def flawed_report(tmp_path_factory):
     first = datetime(2026, 1, 5, 18, tzinfo=UTC)
     points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
     points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
-    folder = tmp_path_factory.mktemp("flawed")
-    return report_of(folder, scan, flawed, "flawed", foci=1, campaign={}, drift=points, save_pictures=True)
-
-
-@pytest.mark.long
-def test_given_flawed_rows_and_a_plain_field_then_the_report_names_and_crosses_them(flawed_report):
-    html = flawed_report.read_text(encoding="utf-8")
-    assert "✗ Failed" in html
-    assert "all frequencies" in html
-    assert "Crosses: the 4 scanned position(s)" in html
-    assert "wavefocus remeasure" in html
-    assert "<h2>Drift</h2>" in html
-    assert flawed_report.with_name("drift.png").read_bytes().startswith(b"\x89PNG")
+    outline = np.array([(-50.0, -45.0), (50.0, -45.0), (50.0, 45.0), (-50.0, 45.0), (-50.0, -45.0)])
+    drive = few_foci(1)
+    report = build_report(
+        tmp_path / "made", verification=compare(prediction, scan, drive, flawed), scene=scene_of(NASTY), drive=drive,
+        prediction=prediction, scan=scan, bank=flawed, campaign={"hours simulated": 30.0, NASTY: NASTY}, drift=points,
+        outline_mm=outline, save_pictures=True,
+    )  # fmt: skip
+    html = report.read_text(encoding="utf-8")
+    assert report.name == "report.html"
+    for text in (
+        "✗ Failed", "all frequencies", "Crosses: the 4 scanned position(s)", "wavefocus remeasure", "<h2>Drift</h2>",
+        "hours simulated",
+    ):  # fmt: skip
+        assert text in html
+    pictures = images_of(html)
+    assert len(pictures) == html.count("<img ") == 8
+    for picture, width in zip(pictures, re.findall(r'<img [^>]*width="(\d+)"', html), strict=True):
+        assert picture.width == 2 * int(width)
+        assert np.count_nonzero(picture.convert("L").histogram()) > 3
+    assert report.stat().st_size < 3_000_000
+    drawn = ("path", "snapshots", "waveforms", "error", "gain", "drive", "waves", "drift")
+    assert {path.stem for path in report.parent.glob("*.png")} == set(drawn)
+    # Nothing outside is loaded.
+    assert "default-src 'none'" in html
+    assert not re.search(r"<script|<link|<iframe|@import|url\(", html)
+    assert set(re.findall(r'\bsrc="([^,]{0,22})', html)) == {"data:image/png;base64"}
+    assert "evil.example/x.png&#34;" in html
+    assert html.count("</title>") == 1
 
 
 def few_positions():
@@ -131,7 +111,7 @@ def few_positions():
     ],
 )
 def test_given_a_scan_then_the_remarks_say_what_to_check(scan, remark, not_remark):
-    drive, prediction = rendered()
+    drive, (_, prediction) = few_foci(), rendered()
     text = " ".join(remarks(compare(prediction, scan(), drive, bank()), drive, scan()))
     assert remark in text
     assert not_remark not in text
@@ -151,3 +131,123 @@ def test_given_a_scan_then_the_remarks_say_what_to_check(scan, remark, not_remar
 )
 def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves(value, unit, text):
     assert number(value, unit) == text
+
+
+@pytest.mark.may_skip("Windows has no tzset")
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="Windows has no tzset")
+@pytest.mark.parametrize(
+    ("zone", "start"),
+    [
+        ("CET-1CEST,M3.5.0,M10.5.0/3", "2026-10-24T18:00"),
+        ("CET-1CEST,M3.5.0,M10.5.0/3", "2026-03-28T18:00"),
+        ("AEST-10AEDT,M10.1.0,M4.1.0/3", "2026-10-03T08:00"),
+        ("UTC0", "2026-10-24T18:00"),
+    ],
+)
+def test_a_night_across_a_change_of_summer_time_then_each_label_has_its_own_offset(monkeypatch, zone, start):
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        first = datetime.fromisoformat(start).replace(tzinfo=UTC).timestamp() / 86_400
+        axes = Figure().add_subplot()
+        axes.set_xlim(first, first + 0.6)
+        _label_clock(axes, with_labels=True)
+        places = axes.xaxis.get_majorticklocs()
+        labels = axes.xaxis.get_major_formatter().format_ticks(places)
+        clocks = {
+            place: label for place, label in zip(places, labels, strict=True) if re.fullmatch(r"\d\d:\d\d", label)
+        }
+        assert len(clocks) >= 3
+        for place, label in clocks.items():
+            assert label == time.strftime("%H:%M", time.localtime(round(place * 86_400)))
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
+# --- movies
+
+
+MOVIE_HZ, START_S, SAMPLES = 1000.0, -0.05, 400
+PLACES_MM = np.array([[x, y] for y in (0.0, 4.0, 8.0) for x in (0.0, 4.0, 8.0, 12.0)])
+
+
+GREEN = GreenArray(np.ones((12, 2, 51)), PLACES_MM, MOVIE_HZ, actuator_mm=np.array([[20.0, 4.0], [np.nan, np.nan]]))
+
+
+def drive():
+    """Two sources: one moves over rows 4, 5, 6 every 40 ms, the other focuses once on row 11 at 0.15 s."""
+    return Drive(
+        drive_v=np.zeros((2, 300)), sample_rate_hz=MOVIE_HZ, start_s=START_S, method="sampled", scale=1.0,
+        omitted_bound=0.0, focus_sample=np.array([60, 100, 140, 150]), focus_position=np.array([4, 5, 6, 11]),
+        focus_source=np.array([0, 0, 0, 1]),
+    )  # fmt: skip
+
+
+def values():
+    """Row k is k + 1 all the time, but peaks of 100 where the foci of rows 4 and 6 are, somewhat late."""
+    field = np.tile(np.arange(1.0, 13.0, dtype=np.float32)[:, None], (1, SAMPLES))
+    field[4, 60 + 50 + 7] = -100.0
+    field[6, 140 + 50 + 3] = 100.0
+    return field
+
+
+@pytest.fixture
+def field_file(tmp_path):
+    write_field(tmp_path / "field.h5", Field(values(), np.arange(12), MOVIE_HZ, START_S, "m/s"))
+    return tmp_path / "field.h5"
+
+
+def test_given_foci_then_the_movie_is_of_them_and_of_what_was_asked_for_else(field_file):
+    with FieldRowReader(field_file) as field:
+        plan = plan_frames(field, drive())
+        assert plan.sample[0] == 60 + 50 - 20
+        assert plan.sample[-1] == 150 + 50 + 20
+        assert plan.slowed == pytest.approx(MOVIE_HZ / 25)
+        whole = plan_frames(field, None, frame_rate_hz=10.0)
+        assert (whole.sample[0], whole.sample[-1]) == (0, SAMPLES - 2)
+        some = plan_frames(field, drive(), from_s=0.0, to_s=0.1, slow=10.0, frame_rate_hz=20.0)
+        assert some.sample.tolist() == list(range(50, 151, 5))
+        assert some.slowed == pytest.approx(10.0)
+        with pytest.raises(InputError, match="nothing to show"):
+            plan_frames(field, None, from_s=5.0)
+        with pytest.raises(InputError, match="lower --slow"):
+            plan_frames(field, None, slow=1e5)
+
+
+def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_focus(field_file):
+    sample = np.array([0, 117, 193])
+    with FieldRowReader(field_file) as field:
+        frames = read_frames(field, sample)
+        focus, at, peak = Foci.of(drive()).seen(field)
+    assert np.array_equal(frames, values()[:, sample].T)
+    found = {focus: (at, peak) for focus, at, peak in zip(focus.tolist(), at.tolist(), peak.tolist(), strict=True)}
+    assert sorted(found) == [0, 1, 2, 3]
+    assert (np.diff(at) >= 0).all()
+    assert (found[0][0], found[2][0]) == (117, 193)
+    assert [found[index][1] for index in range(4)] == [100.0, 6.0, 100.0, 12.0]
+    assert colour_limit(frames, peak) == 100.0
+    assert colour_limit(frames, None) <= 100.0
+    assert colour_limit(np.zeros((2, 3), np.float32), None) == 1.0
+
+
+def test_given_a_movie_then_the_gif_has_its_frames(field_file, tmp_path):
+    out = tmp_path / "field.gif"
+    with FieldRowReader(field_file) as field:
+        plan = plan_frames(field, drive(), from_s=0.0, to_s=0.02, slow=10.0, frame_rate_hz=20.0)
+        limit = write_movie(out, field, surface_of(GREEN, drive(), None), drive(), plan, width_px=400)
+    assert limit == 100.0
+    with Image.open(out) as gif:
+        assert (gif.n_frames, gif.width, gif.info["duration"], gif.info["loop"]) == (5, 400, 50, 0)
+        frames = [np.asarray(frame.convert("RGB"), dtype=int) for frame in ImageSequence.Iterator(gif)]
+    assert all(np.any(one != other) for one, other in itertools.pairwise(frames))  # the time in the title
+
+
+def test_snapshots_then_the_picture_is_drawn_and_a_field_without_foci_is_refused(field_file, tmp_path):
+    with FieldRowReader(field_file) as field:
+        picture = snapshots(field, surface_of(GREEN, drive(), None), drive())
+    assert picture.png.startswith(b"\x89PNG")
+    assert (picture.width_px, picture.height_px) > (1000, 200)
+    write_field(tmp_path / "other.h5", Field(values()[:2], np.arange(2), MOVIE_HZ, START_S, "m/s"))
+    with FieldRowReader(tmp_path / "other.h5") as field, pytest.raises(InputError, match="holds no focus"):
+        snapshots(field, surface_of(GREEN, drive(), None), drive())

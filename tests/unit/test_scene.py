@@ -1,115 +1,308 @@
-"""Values that a scene may hold, and the positions that it needs: with them alone it renders as with all."""
-
-import dataclasses
+"""Scenes: the values that a source may hold, its signals and trajectories, and the positions that a scene needs."""
 
 import numpy as np
 import pytest
+import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavefocus.config.scene import Output
-from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene, Source
+from tests.unit.plate_banks import NOISE_MM, noise_bank, plate_bank
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
+from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.scene.model import Scene, Source, load_scene
 from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
+from wavefocus.rendering.scene.sampling import sample_scene, scene_size
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine, SoundFile
+from wavefocus.rendering.scene.trajectory import Trajectory, TrajectoryPath
 from wavefocus.storage.errors import InputError
 
 NAN, INF = float("nan"), float("inf")
-RATE_HZ = 10_000.0
+RATE_HZ = 1000.0
+#: Off the samples, resting for a while, and along y = 2 mm, where two rows of positions are equally near.
+TIME_S = (0.0104, 0.05, 0.1, 0.1022, 0.2, 0.31)
+PLACES_MM = ((-14.0, -10.0), (0.0, 3.3), (6.0, 2.0), (6.0, 2.0), (15.0, 2.0), (3.1, -9.0))
+AMPLITUDE = (0.0, 1.0, 2.0, 2.0, -1.0, 0.5)
+NOISE = Noise((50.0, 400.0), 0.07, 3)
+FINGER = Source(TrajectoryPath(TIME_S, PLACES_MM, AMPLITUDE), NOISE, 0.02, amplitude=3.0, repeat=True)
+
+
+def scene_of(*sources, interpolation="nearest"):
+    return Scene("t", sources, Regularisation(normalise=False), Output(interpolation=interpolation))
+
+
+def bank_of(rows):
+    """Some rows of the bank; the others were not measured."""
+    return noise_bank(status=np.isin(np.arange(len(NOISE_MM)), rows).astype(np.uint8) * 4)
+
+
+def drive_v(scene, bank=None, **options):
+    return render_with_report(scene, bank or noise_bank(), **options)[0].drive_v
 
 
 def test_a_point_needs_neither_speed_nor_step():
     source = Source(Point((1.0, 2.0)), Impulse(), speed_mm_s=-5.0, step_mm=NAN)
-    assert source.emission == "continuous"
-    assert source.amplitude == 1.0
+    assert (source.emission, source.amplitude) == ("continuous", 1.0)
 
 
-@pytest.mark.parametrize(
-    ("figure", "value"),
-    [
-        ("start_s", -0.1),
-        ("start_s", NAN),
-        ("amplitude", INF),
-        ("emission", "once"),
-        ("speed_mm_s", -1.0),
-        ("speed_mm_s", NAN),
-        ("step_mm", -4.0),
-        ("step_mm", INF),
-    ],
-)
-def test_a_source_with_a_figure_out_of_range_is_refused_by_name(figure, value):
-    figures = {"speed_mm_s": 80.0, "step_mm": 4.0, figure: value}
-    with pytest.raises(InputError, match=f"{figure} is "):
-        Source(Line((0, 0), (10, 0)), Impulse(), **figures)
+def line(**figures):
+    return Source(Line((0, 0), (10, 0)), Impulse(), **{"speed_mm_s": 80.0, "step_mm": 4.0, **figures})
 
 
-def test_a_scene_without_a_source_is_refused():
-    with pytest.raises(InputError, match="no source"):
-        Scene("empty", ())
+TWO = ((0.0, 0.0), (1.0, 0.0))
+OUT_OF_RANGE = {
+    "start_s is -0.1": lambda: line(start_s=-0.1),
+    "start_s is nan": lambda: line(start_s=NAN),
+    "amplitude is inf": lambda: line(amplitude=INF),
+    "emission is 'once'": lambda: line(emission="once"),
+    "speed_mm_s is -1": lambda: line(speed_mm_s=-1.0),
+    "speed_mm_s is nan": lambda: line(speed_mm_s=NAN),
+    "step_mm is -4": lambda: line(step_mm=-4.0),
+    "step_mm is inf": lambda: line(step_mm=INF),
+    "no source": lambda: Scene("empty", ()),
+    "emission is 'per_point'": lambda: Source(FINGER.path, NOISE, emission="per_point"),
+    "repeat is true; .* a path that": lambda: Source(Point((0.0, 0.0)), NOISE, repeat=True),
+    "repeat is true; it needs emission": lambda: line(emission="per_point", repeat=True),
+    "at least two": lambda: TrajectoryPath((0.0,), ((0.0, 0.0),)),
+    "2 instants, places of shape .3": lambda: TrajectoryPath((0.0, 1.0), (*TWO, (2.0, 0.0))),
+    "row 1 .* later than in the row before": lambda: TrajectoryPath((0.0, 0.0), TWO),
+    "row 0 .* -0.1 s": lambda: TrajectoryPath((-0.1, 0.0), TWO),
+    "nan. mm": lambda: TrajectoryPath((0.0, 1.0), ((0.0, 0.0), (1.0, NAN))),
+    "amplitude inf": lambda: TrajectoryPath((0.0, 1.0), TWO, (1.0, INF)),
+}
 
 
-SPACING_MM = 4.0
-GRID_MM = np.array([(x, y) for y in np.arange(-24.0, 25.0, SPACING_MM) for x in np.arange(-40.0, 41.0, SPACING_MM)])
-RATE_HZ = 2000.0
+@pytest.mark.parametrize("message", OUT_OF_RANGE)
+def test_a_scene_source_or_trajectory_out_of_range_is_refused_by_name(message):
+    with pytest.raises(InputError, match=message):
+        OUT_OF_RANGE[message]()
 
-places = st.tuples(st.floats(-38.0, 38.0), st.floats(-22.0, 22.0))
+
+# --- positions that a scene needs
+
+
+places = st.tuples(st.floats(-15.0, 15.0), st.floats(-11.0, 11.0))
 paths = st.one_of(
     st.builds(Point, places),
     st.builds(Line, places, places),
-    st.builds(Circle, st.just((0.0, 0.0)), st.floats(1.0, 20.0), st.floats(0.1, 2.0), st.floats(0.0, 360.0)),
+    st.builds(Circle, st.just((0.0, 0.0)), st.floats(1.0, 11.0), st.floats(0.1, 2.0), st.floats(0.0, 360.0)),
     st.builds(Polyline, st.lists(places, min_size=2, max_size=4)),
 )
 
 
-def bank(rows=slice(None)):
-    """Some rows of a bank; all are doubtful: to judge what lies between them takes longer than a render."""
-    status = np.zeros(len(GRID_MM), dtype=np.uint8)
-    status[rows] = 4
-    values = np.random.default_rng(3).standard_normal((len(GRID_MM), 2, 12))
-    return GreenArray(values, GRID_MM, RATE_HZ, status=status)
-
-
-def scene_of(*sources, kind="nearest"):
-    return Scene("one", sources, output=Output(interpolation=kind))
-
-
-def moving(path, **changes):
-    return Source(path, Sine(100.0, 0.2), speed_mm_s=150.0, step_mm=3.3, **changes)
+def moving(path):
+    return Source(path, Sine(100.0, 0.2), speed_mm_s=150.0, step_mm=3.3)
 
 
 @settings(max_examples=8)
 @given(path=paths, kind=st.sampled_from(["nearest", "bilinear"]), method=st.sampled_from(["sampled", "exact"]))
 def test_a_bank_of_the_path_s_rows_alone_renders_as_the_whole_bank_does(path, kind, method):
-    scene = scene_of(moving(path), kind=kind)
-    rows = scene_rows(scene, GRID_MM)
-    whole, _ = render_with_report(scene, bank(), method=method)
-    partial, _ = render_with_report(scene, bank(rows.path), method=method)
-    np.testing.assert_array_equal(partial.drive_v, whole.drive_v)
+    scene = scene_of(moving(path), interpolation=kind)
+    partial = bank_of(scene_rows(scene, NOISE_MM).path)
+    np.testing.assert_array_equal(drive_v(scene, partial, method=method), drive_v(scene, method=method))
+
+
+GRID_MM = np.array([(x, y) for y in np.arange(-24.0, 25.0, 4.0) for x in np.arange(-40.0, 41.0, 4.0)])
 
 
 def test_kernel_interpolation_needs_its_neighbours_too():
     path = Line((-10.0, 1.0), (12.0, 3.0))
-    nearest, kernel = (scene_rows(scene_of(moving(path), kind=kind), GRID_MM) for kind in ("nearest", "kernel"))
-    assert set(nearest.path) < set(kernel.path)
-    distance = np.min(
-        np.hypot(*(GRID_MM[:, None] - path.point_at(np.linspace(0, path.length_mm, 99))).transpose(2, 0, 1)), 1
+    nearest, kernel = (
+        scene_rows(scene_of(moving(path), interpolation=kind), GRID_MM) for kind in ("nearest", "kernel")
     )
-    assert set(np.flatnonzero(distance < 2.5 * SPACING_MM)) <= set(kernel.path)
+    assert set(nearest.path) < set(kernel.path)
+    along_mm = path.point_at(np.linspace(0, path.length_mm, 99))
+    distance = np.min(np.hypot(*(GRID_MM[:, None] - along_mm).transpose(2, 0, 1)), 1)
+    assert set(np.flatnonzero(distance < 10.0)) <= set(kernel.path)
 
 
 def test_the_checks_look_at_all_that_is_near_the_path_and_at_no_more():
     rows = scene_rows(scene_of(moving(Point((1.0, 1.0))), moving(Point((31.0, -20.0)))), GRID_MM)
     distance = np.min([np.hypot(*(GRID_MM - at).T) for at in ((1.0, 1.0), (31.0, -20.0))], axis=0)
     assert set(np.flatnonzero(distance < 15.0)) <= set(rows.checks)
-    assert distance[rows.checks].max() <= 15.0 + SPACING_MM + 1e-6
+    assert distance[rows.checks].max() <= 19.0 + 1e-6
     np.testing.assert_array_equal(rows.all, np.union1d(rows.path, rows.checks))
     assert len(rows.path) == 2
     assert len(rows.all) < len(GRID_MM) / 2
+    assert list(scene_rows(scene_of(moving(Point((0.0, 0.0)))), np.zeros((1, 2))).path) == [0]
 
 
-def test_one_position_is_enough_for_a_point():
-    scene = scene_of(dataclasses.replace(moving(Point((0.0, 0.0))), signal=Noise((50.0, 450.0), 0.05, 1)))
-    rows = scene_rows(scene, np.array([[0.0, 0.0]]))
-    assert list(rows.path) == [0]
+# --- trajectories
+
+
+@pytest.mark.parametrize(("interpolation", "repeat"), [("nearest", True), ("bilinear", False)])
+def test_given_a_trajectory_then_its_drive_is_equation_9_summed_directly(interpolation, repeat):
+    source = Source(FINGER.path, NOISE, 0.02, amplitude=3.0, repeat=repeat)
+    bank = noise_bank()
+    drive, _ = render_with_report(scene_of(source, interpolation=interpolation), bank)
+    knots = np.rint((0.02 + np.array(TIME_S)) * RATE_HZ)
+    sample = np.arange(int(knots[0]), int(knots[-1]))
+    emitted = np.append(NOISE.samples(RATE_HZ), [] if repeat else np.zeros(len(sample)))
+    emitted = np.resize(emitted, len(sample)) * 3.0 * np.interp(sample, knots, AMPLITUDE)
+    places_mm = np.stack([np.interp(sample, knots, axis_mm) for axis_mm in np.transpose(PLACES_MM)], axis=1)
+    nodes = interpolation_method(interpolation).over(bank, places_mm).nodes(places_mm)
+    meant = np.zeros((3, sample[-1] + bank.taps))
+    for s, value, rows, weights in zip(sample, emitted, nodes.rows, nodes.weights, strict=True):
+        meant[:, s : s + bank.taps] += value * np.tensordot(weights, bank.values[rows], 1)[:, ::-1]
+    np.testing.assert_allclose(drive.drive_v, meant, rtol=0, atol=1e-12 * np.abs(meant).max())
+    assert drive.focus_sample.tolist() == [70, 120, 220]
+    assert NOISE_MM[drive.focus_position].tolist() == [[0.0, 4.0], [4.0, 0.0], [16.0, 0.0]]
+
+
+def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
+    scene = scene_of(FINGER, Source(Point((0.0, 0.0)), Sine(70.0, 0.1)))
+    whole, _ = render_with_report(scene, noise_bank())
+    blocks = list(SceneRenderer(scene, noise_bank()).unlimited_blocks())
+    size = scene_size(scene, sample_rate_hz=RATE_HZ, taps=60, actuators=3)
+    assert size.samples == pytest.approx(whole.drive_v.shape[1], abs=1)
+    assert size.path_points == len(whole.focus_sample)
+    for other in (drive_v(scene, method="sampled"), np.concatenate(blocks, axis=1)):
+        np.testing.assert_allclose(other, whole.drive_v, rtol=0, atol=1e-12 * np.abs(whole.drive_v).max())
+    needed = scene_rows(scene, NOISE_MM)
+    assert len(needed.path) < len(NOISE_MM) / 2
+    np.testing.assert_array_equal(drive_v(scene, bank_of(needed.all)), whole.drive_v)
+
+
+def test_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_circle():
+    circle = Source(Circle((1.3, -0.7), 13.0, 0.4), Noise((80.0, 420.0), 0.1, 3), 0.0, 180.0, 3.0)
+    along_mm = np.arange(0.0, circle.path.length_mm, 0.9)
+    course = Source(TrajectoryPath(along_mm / 180.0, circle.path.point_at(along_mm)), circle.signal)
+    bank = plate_bank(noise_db=-60.0)
+    drives = [drive_v(scene_of(one, interpolation="kernel"), bank)[:, :560] for one in (circle, course)]
+    np.testing.assert_allclose(drives[1], drives[0], rtol=0, atol=0.02 * np.abs(drives[0]).max())
+
+
+def test_given_a_line_and_repeat_then_the_signal_begins_anew_until_its_end():
+    source = Source(Line((-10.0, 0.0), (10.0, 0.0)), NOISE, 0.0, 100.0, 4.0, repeat=True)
+    (sampled,) = sample_scene(scene_of(source), noise_bank()).sources
+    assert sampled.signal.tolist() == np.resize(NOISE.samples(RATE_HZ), 240).tolist()
+    assert scene_size(scene_of(source), sample_rate_hz=RATE_HZ, taps=60, actuators=3).signal_samples == 240
+
+
+def test_rows_close_in_time_or_silent_are_no_foci_and_a_resting_finger_is_a_point():
+    places_mm = [(4.0 * (row // 4), 0.0) for row in range(9)]
+    path = TrajectoryPath(np.arange(9) * 0.004, places_mm, (1, 1, 1, 0, 0, 1, 1, 1, 1))
+    assert path.focus_rows.tolist() == [0, 5]
+    assert path.length_mm == 4.0
+    assert path.point_at([0.0, 3.0]).tolist() == [[4.0, 0.0], [7.0, 0.0]]
+    resting = Source(TrajectoryPath((0.0, 0.07), ((4.0, 4.0), (4.0, 4.0))), NOISE)
+    there, at_rest = (drive_v(scene_of(one)) for one in (Source(Point((4.0, 4.0)), NOISE), resting))
+    np.testing.assert_allclose(at_rest, there, rtol=0, atol=1e-13 * np.abs(there).max())
+
+
+HEADER = "time_s,x_mm,y_mm,amplitude\n"
+HOSTILE = {
+    "empty": "", "header alone": HEADER, "one row": HEADER + "0,0,0,1\n", "other columns": "t,x,y\n0,0,0\n1,1,1\n",
+    "text": HEADER + "0,0,0,1\n1,zero,0,1\n", "nan": HEADER + "0,0,0,1\n1,nan,0,1\n",
+    "short": HEADER + "0,0,0,1\n1,0\n", "backwards": HEADER + "1,0,0,1\n0,0,0,1\n",
+    "twice": HEADER + "0,0,0,1\n0,4,0,1\n", "far": HEADER + "0,0,0,1\n1,1e200,0,1\n",
+    "off the grid": HEADER + "0,0,0,1\n1,500,0,1\n", "for ever": HEADER + "0,0,0,1\n1e300,0,0,1\n",
+    "between samples": HEADER + "0,0,0,1\n1e-9,4,0,1\n", "loud": HEADER + "0,0,0,1e308\n1,0,0,1e308\n",
+    "quotes": HEADER + '"0","0","0","1"\n', "bytes": HEADER + "\x00\x00\n",
+}  # fmt: skip
+
+
+def scene_file(folder, csv, keys):
+    (folder / "finger.csv").write_text(csv, encoding="utf-8")
+    path = 'path = { kind = "trajectory", file = "finger.csv" }'
+    (folder / "scene.toml").write_text(f"[[source]]\n{path}\n{keys}\n", encoding="utf-8")
+    return folder / "scene.toml"
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_given_a_hostile_csv_file_then_one_sentence_refuses_it(name, tmp_path):
+    keys = 'repeat = true\namplitude = 9.0\nsignal = { kind = "sine", frequency_hz = 70.0, duration_s = 0.1 }'
+    with pytest.raises(InputError) as refused:
+        drive_v(load_scene(scene_file(tmp_path, HOSTILE[name], keys)))
+    assert "\n" not in str(refused.value)
+
+
+def test_given_a_csv_file_then_its_rows_are_the_trajectory(tmp_path):
+    csv = "# a finger\ntime_s,x_mm,y_mm\n0,0,0\n\n0.5,4,-4\n"
+    scene = load_scene(scene_file(tmp_path, csv, 'signal = { kind = "impulse" }'))
+    assert scene.sources == (Source(TrajectoryPath((0.0, 0.5), ((0.0, 0.0), (4.0, -4.0))), Impulse()),)
+
+
+PLACES = st.floats(-1e3, 1e3)
+KNOTS = st.lists(st.tuples(st.integers(1, 400), PLACES, PLACES, PLACES), min_size=2, max_size=8)
+
+
+@given(KNOTS)
+def test_places_are_linear_between_knots_and_the_same_bits_where_others_are_dropped(knots):
+    table = np.array(knots, dtype=np.float64)
+    whole = Trajectory(np.cumsum(table[:, 0]).astype(np.int64), table[:, 1:3], table[:, 3])
+    first, last = int(whole.sample[0]), int(whole.sample[-1])
+    sample = np.arange(first - 5, last + 6)
+    at_mm, amplitude = whole.at(sample)
+    for found, wanted in ((at_mm[:, 0], whole.at_mm[:, 0]), (amplitude, whole.amplitude)):
+        np.testing.assert_allclose(found, np.interp(sample, whole.sample, wanted), rtol=0, atol=1e-9)
+        assert (found[whole.sample - first + 5] == wanted).all()
+    rest = Trajectory(whole.sample[1:], whole.at_mm[1:], whole.amplitude[1:])
+    sample = np.arange(int(rest.sample[0]), last + 1)
+    for some, other in zip(whole.at(sample), rest.at(sample), strict=True):
+        assert some.tobytes() == other.tobytes()
+
+
+# --- signals
+
+
+@given(seed=st.integers(0, 2**63), low=st.floats(0, 2000), width=st.floats(100, 3000), duration_s=st.floats(0.02, 0.3))
+def test_noise_has_peak_one_and_nothing_outside_its_band(seed, low, width, duration_s):
+    found = Noise((low, low + width), duration_s, seed).samples(10_000.0)
+    assert np.abs(found).max() == 1.0
+    np.testing.assert_array_equal(found, Noise((low, low + width), duration_s, seed).samples(10_000.0))
+    power, frequency = np.abs(np.fft.rfft(found)) ** 2, np.fft.rfftfreq(len(found), 1e-4)
+    outside = (frequency < low - 1e-9) | (frequency > low + width + 1e-9)
+    assert power[outside].sum() < 1e-24 * power.sum()
+
+
+@pytest.mark.parametrize("rate_hz", [44_100, 10_000, 8_000])
+def test_a_sound_file_gives_its_first_channel_at_peak_one_and_its_tone_unchanged(tmp_path, rate_hz):
+    time = np.arange(rate_hz) / rate_hz
+    frames = np.stack([0.25 * np.sin(2 * np.pi * 230 * time), np.ones(rate_hz)], axis=1)
+    soundfile.write(tmp_path / "a.wav", frames, rate_hz, subtype="DOUBLE")
+    found = SoundFile(tmp_path / "a.wav").samples(10_000.0)
+    assert len(found) == pytest.approx(10_000, abs=1)
+    assert np.abs(found).max() == pytest.approx(1.0, abs=1e-12)
+    expected, middle = np.sin(2 * np.pi * 230 * np.arange(len(found)) / 10_000), slice(1000, 9000)
+    np.testing.assert_allclose(found[middle] / np.abs(found[middle]).max(), expected[middle], atol=1e-3)
+
+
+def test_a_tone_above_the_banks_nyquist_does_not_fold_back(tmp_path):
+    time = np.arange(44_100) / 44_100
+    wave = np.sin(2 * np.pi * 7000 * time) + 1e-3 * np.sin(2 * np.pi * 200 * time)
+    soundfile.write(tmp_path / "a.wav", wave / 2, 44_100, subtype="DOUBLE")
+    found = SoundFile(tmp_path / "a.wav").samples(10_000.0)[1000:9000]
+    power = np.abs(np.fft.rfft(found * np.hanning(len(found)))) ** 2
+    assert power.argmax() == pytest.approx(200 * len(found) / 10_000, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("signal", "message"),
+    [
+        (Sine(0.0, 1.0), "frequency_hz is 0.0"),
+        (Sine(5000.0, 1.0), "below 5000"),
+        (Sine(100.0, 0.0), "duration_s is 0.0"),
+        (Sine(100.0, NAN), "duration_s is nan"),
+        (Sine(100.0, 1e-5), "no sample to emit"),
+        (Sine(100.0, 1e-4), "empty or silent"),
+        (Sine(100.0, 1e9), "more than"),
+        (Noise((400, 50), 1.0), "band_hz"),
+        (Noise((50, 6000), 1.0), "band_hz"),
+        (Noise((50, 60), 0.01), "empty or silent"),
+        (Noise((50, 60), 1.0, -1), "seed is -1"),
+    ],
+)
+def test_a_signal_that_cannot_be_emitted_is_refused(signal, message):
+    with pytest.raises(InputError, match=message):
+        signal.samples(10_000.0)
+
+
+def test_a_sound_file_that_is_missing_broken_or_silent_is_refused(tmp_path):
+    (tmp_path / "broken.wav").write_bytes(b"no sound")
+    soundfile.write(tmp_path / "silent.wav", np.zeros(100), 8000)
+    soundfile.write(tmp_path / "empty.wav", np.zeros(0), 8000)
+    for name in ("missing", "broken", "silent", "empty"):
+        with pytest.raises(InputError, match=f"{name}.wav"):
+            SoundFile(tmp_path / f"{name}.wav").samples(10_000.0)

@@ -4,10 +4,12 @@ import time
 import numpy as np
 import pytest
 
+from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel, RecordRequest
 from wavefocus.mocks.virtual import PatchBay
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.rendering.greens.source import GreenArray
 
 RATE_HZ = 10_000.0
 PRE_ROLL_S = 0.02
@@ -187,3 +189,14 @@ def test_given_a_cable_then_the_response_is_the_voltage_of_what_is_plugged_in(wo
     reference_v, response_v = record(rig, LOW, channels=played, range_v=(10.0, 10.0)).volts.astype(np.float64)
     assert np.abs(reference_v).max() > 0.9
     assert np.abs(response_v - times * reference_v).max() < (1 + times) * 10 / 32768
+
+
+def test_the_demo_states_the_known_error_of_some_places():
+    rig, places_mm = VirtualRig(VirtualSettings()), np.array([[3.0, 4.0], [-21.0, 7.5], [40.0, -12.0]])
+    true = np.stack([rig.truth(x_mm, y_mm, 2000) for x_mm, y_mm in places_mm])
+    green = true * np.array([1.0, 1.1, 0.99])[:, None, None]
+    bank = GreenArray(green, places_mm, RATE_HZ, status=np.ones(3, np.uint8), band_hz=(20.0, 500.0))
+    first, *others = compare_with_truth(bank, rig)
+    assert first.shape == (20,)
+    assert (first < -100.0).all()
+    assert [one.tolist() for one in others] == [pytest.approx([one] * 20, abs=0.01) for one in (-20.0, -40.0)]
