@@ -143,8 +143,8 @@ def import_bank(
     from wavefocus.calibration.imports import bank as imports
 
     chosen = options_from(ImportOptions, options)
-    made = imports.import_bank(Path(source), Path(bank), chosen, kind, on_progress, force=force)
-    for warning in made.facts["warnings"]:
+    facts, _ = imports.import_bank(Path(source), Path(bank), chosen, kind, on_progress, force=force)
+    for warning in facts["warnings"]:
         LOG.warning("%s: %s", source, warning)
     return open_bank(bank)
 

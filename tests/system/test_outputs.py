@@ -63,12 +63,13 @@ def make():
 
 
 RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out"]
+MOVIE = ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5"]
 COMMANDS = {
     "render": RENDER,
     "wav": [*RENDER, "new.h5", "--wav"],
     "predict": ["predict", "drive.h5", "--bank", "bank.h5", "--out"],
-    "movie": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--to-s", "0.01", "--out"],
-    "snapshots": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--snapshots"],
+    "movie": [*MOVIE, "--to-s", "0.01", "--slow", "9", "--out"],
+    "snapshots": [*MOVIE, "--snapshots"],
     "sofa": ["export", "bank.h5", "--to", "sofa"],
     "uff": ["export", "bank.h5", "--to", "uff"],
     "mat": ["export", "bank.h5", "--to", "mat"],

@@ -82,14 +82,6 @@ def test_a_power_cut_within_the_last_row_cuts_it_off_and_the_next_follows(tmp_pa
         assert [row.trial for row in read_answers(tmp_path)] == [1, 2, 4]
 
 
-def test_last_row_with_zero_inside_sector_then_it_is_damage_and_not_power_cut(tmp_path):
-    content = bytearray(stored(tmp_path, ROW, NEXT))
-    content[-20] = 0
-    (tmp_path / ANSWERS).write_bytes(content)
-    with pytest.raises(InputError, match="line 3"):
-        read_answers(tmp_path)
-
-
 def resaved(folder, change, **options):
     """Write the table anew, as another program does."""
     path = folder / ANSWERS
@@ -136,6 +128,7 @@ def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path):
         (b"a" * 64, b"a" * 63),
         (b"burst,40", b"b\xffrst,40"),
         (b"burst,40", b"b\x00rst,40"),
+        (b",touch,", b",t\x00uch,"),  # in the last row: no power cut leaves a zero inside a sector
     ],
 )
 def test_given_answers_that_another_program_changed_then_they_are_refused_and_stay(tmp_path, find, put):

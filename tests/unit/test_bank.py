@@ -41,15 +41,6 @@ def overwrite(path, offset, content):
         file.write(content)
 
 
-@pytest.mark.parametrize("position", [-1, 3])
-def test_a_position_outside_the_bank_then_is_refused(tmp_path, position):
-    with (
-        open_bank(measured(tmp_path / "bank.h5")) as bank,
-        pytest.raises(InputError, match=rf"bank\.h5: position is {position}; allowed are 0 to 2"),
-    ):
-        bank.green(position)
-
-
 def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with h5py.File(path, "r") as file:
@@ -64,6 +55,9 @@ def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_pa
         assert np.array_equal(bank.green(1), green_of(1, 2))
         assert bank.quality["attempts"].tolist() == [1, 2, 1]
         assert bank.verify() == ()
+        for position in (-1, 3):
+            with pytest.raises(InputError, match=rf"bank\.h5: position is {position}; allowed are 0 to 2"):
+                bank.green(position)
     with BankWriter.open(path) as writer:
         assert np.array_equal(writer.green(1), green_of(1, 2))
         assert writer.attempts.tolist() == [1, 2, 1]
@@ -96,10 +90,16 @@ def test_a_foreign_bank_of_any_number_type_and_layout_then_reads_its_values(tmp_
             assert np.array_equal(green, values[position].astype(np.float64))
 
 
-def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_path):
+@pytest.mark.parametrize("empty", [(), ("response_unit", "drive_unit", "band_hz", "software")])
+def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_path, empty):
     green = np.ones((3, 2, 4))
     green[1] = 0
-    with open_bank(foreign(tmp_path / "foreign.h5", green)) as bank:
+    path = foreign(tmp_path / "foreign.h5", green)
+    with h5py.File(path, "r+") as file:
+        file["green"].attrs["_FillValue"] = h5py.Empty("f8")
+        for name in empty:
+            file.attrs[name] = h5py.Empty("S1")
+    with open_bank(path) as bank:
         assert bank.sample_rate_hz == 8000.0
         assert bank.status.tolist() == [1, 0, 1]
         assert np.isnan(bank.actuator_mm).all()

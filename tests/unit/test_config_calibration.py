@@ -7,19 +7,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from wavefocus.config.calibration import (
-    ActuatorMeasured,
-    ActuatorsMeasured,
-    CalibrationRecord,
-    Fiducial,
-    InputsMeasured,
-    MirrorMeasured,
-    OutputMeasured,
-    OutputsMeasured,
-    load_calibration,
-    name_calibration,
-    write_calibration,
-)
+from wavefocus.config import calibration as cal
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import default_run
 from wavefocus.configuration import load_rig, plan_sha256
@@ -42,33 +30,33 @@ file = "cal.toml"
 
 
 def outputs_measured(*channel):
-    return OutputsMeasured(at=AT, device="p", identity=DeviceIdentity("", "p"), loopback_channel=2, channel=channel)
+    return cal.OutputsMeasured(at=AT, device="p", identity=DeviceIdentity("", "p"), loopback_channel=2, channel=channel)
 
 
 def measured(**changes):
-    marks = [Fiducial(place_mm=(x, y), angles_mrad=(x, y), residual_mm=0.1) for x, y in np.eye(4, 2).tolist()]
+    marks = [cal.Fiducial(place_mm=(x, y), angles_mrad=(x, y), residual_mm=0.1) for x, y in np.eye(4, 2).tolist()]
     parts: dict[str, object] = {
-        "mirror": MirrorMeasured(
+        "mirror": cal.MirrorMeasured(
             at=AT, device="m", identity=DeviceIdentity("", "m"), map=MAP, residual_rms_mm=0.1, fiducial=tuple(marks)
         ),
-        "inputs": InputsMeasured(at=AT, device="r", identity=DeviceIdentity("", "r"), inter_channel_delay_s=7.5e-6),
+        "inputs": cal.InputsMeasured(at=AT, device="r", identity=DeviceIdentity("", "r"), inter_channel_delay_s=7.5e-6),
         "outputs": outputs_measured(
-            OutputMeasured(channel=2, latency_s=0.0, full_scale_v=4.9, polarity=1),
-            OutputMeasured(channel=0, latency_s=1e-6, full_scale_v=5.1, polarity=-1),
-            OutputMeasured(channel=1, latency_s=-1e-6, polarity=1),
+            cal.OutputMeasured(channel=2, latency_s=0.0, full_scale_v=4.9, polarity=1),
+            cal.OutputMeasured(channel=0, latency_s=1e-6, full_scale_v=5.1, polarity=-1),
+            cal.OutputMeasured(channel=1, latency_s=-1e-6, polarity=1),
         ),
-        "actuators": ActuatorsMeasured(
+        "actuators": cal.ActuatorsMeasured(
             at=AT, device="p", identity=DeviceIdentity("", "p"), distance_mm=30.0, actuator=tuple(
-                ActuatorMeasured(actuator=one, channel=one, polarity=1, level_db=0.5, verdict="good") for one in (0, 1)
+                cal.ActuatorMeasured(actuator=n, channel=n, polarity=1, level_db=0.5, verdict="good") for n in (0, 1)
             ),
         ), **changes,
     }  # fmt: skip
     head = {"format": "wavefocus-calibration", "format_version": 1, "made": AT, "software": "wavefocus 0.1.0"}
-    return CalibrationRecord.model_validate({**head, "rig": "two coils", **parts})
+    return cal.CalibrationRecord.model_validate({**head, "rig": "two coils", **parts})
 
 
 def lab(tmp_path, record, rig=RIG):
-    write_calibration(tmp_path / "cal.toml", record)
+    cal.write_calibration(tmp_path / "cal.toml", record)
     (tmp_path / "rig.toml").write_text(rig)
     return tmp_path / "rig.toml"
 
@@ -78,9 +66,9 @@ def lab(tmp_path, record, rig=RIG):
 )
 def test_given_any_device_name_then_its_file_reads_back_equal(tmp_path, name):
     identity = None if name == "Dev1" else DeviceIdentity("", name, name)
-    inputs = InputsMeasured(at=AT, device=name, identity=identity, inter_channel_delay_s=-1.25e-7)
-    write_calibration(tmp_path / "cal.toml", measured(inputs=inputs))
-    assert load_calibration(tmp_path / "cal.toml") == measured(inputs=inputs)
+    inputs = cal.InputsMeasured(at=AT, device=name, identity=identity, inter_channel_delay_s=-1.25e-7)
+    cal.write_calibration(tmp_path / "cal.toml", measured(inputs=inputs))
+    assert cal.load_calibration(tmp_path / "cal.toml") == measured(inputs=inputs)
     text = (tmp_path / "cal.toml").read_text(encoding="utf-8")
     assert ("identity" in tomllib.loads(text)["inputs"]) == (identity is not None)
 
@@ -88,7 +76,7 @@ def test_given_any_device_name_then_its_file_reads_back_equal(tmp_path, name):
 def test_given_a_file_that_is_there_then_it_is_never_overwritten(tmp_path):
     (tmp_path / "cal.toml").write_text("mine")
     with pytest.raises(InputError, match=r"cal\.toml: is there already and is not overwritten"):
-        write_calibration(tmp_path / "cal.toml", measured())
+        cal.write_calibration(tmp_path / "cal.toml", measured())
     assert (tmp_path / "cal.toml").read_text() == "mine"
 
 
@@ -143,7 +131,7 @@ def test_given_a_contradiction_then_it_is_refused_in_one_line(tmp_path, table, l
     ],
 )
 def test_given_a_spoilt_calibration_file_then_it_is_told_in_one_line(tmp_path, old, new, told):
-    write_calibration(tmp_path / "good.toml", measured())
+    cal.write_calibration(tmp_path / "good.toml", measured())
     text = (tmp_path / "good.toml").read_text()
     assert old in text
     (tmp_path / "cal.toml").write_text(text.replace(old, new, 1))
@@ -163,7 +151,7 @@ def test_what_was_measured_is_in_the_plans_hash_dates_latencies_and_levels_are_n
     record = json.loads(measured().model_dump_json())
     for name, changes in (("a", {}), ("b", {"made": "2027-01-01T00:00:00Z"}), ("c", {"actuators": None})):
         (tmp_path / name).mkdir()
-        changed = CalibrationRecord.model_validate({**record, **changes})
+        changed = cal.CalibrationRecord.model_validate({**record, **changes})
         hashes.add(sha256(load_rig(lab(tmp_path / name, changed))))
     (tmp_path / "rig.toml").write_text(RIG.replace('file = "cal.toml"', ""))
     assert len(hashes) == 1
@@ -179,11 +167,11 @@ def test_given_a_calibrated_virtual_rig_then_what_calibration_found_is_gone(tmp_
     true_v = [5.0 * abs(gain) for gain in before.output_gain]
     outputs = outputs_measured(
         *(
-            OutputMeasured(channel=one, latency_s=0.0, full_scale_v=volts, polarity=1)
+            cal.OutputMeasured(channel=one, latency_s=0.0, full_scale_v=volts, polarity=1)
             for one, volts in enumerate(true_v)
         )
     )
-    write_calibration(tmp_path / "cal.toml", measured(outputs=outputs))
+    cal.write_calibration(tmp_path / "cal.toml", measured(outputs=outputs))
     (tmp_path / "rig.toml").write_text(RIG + emulation)
     after = virtual_settings(load_rig(tmp_path / "rig.toml"))
     assert after.output_gain == pytest.approx([1.0, -1.0, 1.0])
@@ -258,7 +246,7 @@ def test_given_a_rig_file_then_only_the_name_of_the_calibration_changes(tmp_path
     file = tmp_path / "rig.toml"
     file.write_bytes(text.encode())
     file.chmod(0o640)
-    name_calibration(file, NEW)
+    cal.name_calibration(file, NEW)
     assert file.read_bytes().decode() == expected
     assert tomllib.loads(expected)["calibration"]["file"] == NEW
     assert file.stat().st_mode & 0o777 == 0o640
@@ -271,7 +259,7 @@ def test_given_a_rig_file_then_only_the_name_of_the_calibration_changes(tmp_path
 def test_given_a_name_with_any_letter_then_it_is_read_back(tmp_path, name):
     file = tmp_path / "rig.toml"
     file.write_text("[calibration]\nfile = 'x'\n", encoding="utf-8")
-    name_calibration(file, name)
+    cal.name_calibration(file, name)
     assert tomllib.loads(file.read_text(encoding="utf-8"))["calibration"]["file"] == name
 
 
@@ -283,5 +271,5 @@ def test_given_a_file_that_has_no_such_table_then_it_is_left_alone(tmp_path, tex
     file = tmp_path / "rig.toml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=r"rig\.toml: "):
-        name_calibration(file, NEW)
+        cal.name_calibration(file, NEW)
     assert file.read_text(encoding="utf-8") == text

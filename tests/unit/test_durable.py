@@ -6,7 +6,7 @@ import stat
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.storage.durable import (
@@ -24,6 +24,7 @@ KINDS = [PositionedFile] if os.name == "nt" else [PosixFile, PositionedFile]
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=10)
 @given(writes=st.lists(st.tuples(st.integers(0, 5000), st.binary(min_size=1, max_size=6000)), max_size=6))
 def test_writes_at_offsets_then_are_read_back_where_they_were_put(tmp_path, kind, writes):
     path = tmp_path / "file"

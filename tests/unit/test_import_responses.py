@@ -52,7 +52,7 @@ def imported(tmp_path):
             frequencies = tmp_path / "f.npy"
         given = ImportOptions(**{"places": places, "unit": "m/s/V", "frequencies": frequencies, **options})
         out = tmp_path / f"out-{len(list(tmp_path.iterdir()))}.h5"
-        facts = import_bank(tmp_path / "a.npy", out, given).facts
+        facts, _ = import_bank(tmp_path / "a.npy", out, given)
         with open_bank(out, contents=True) as bank:
             return np.stack([bank.green(row) for row in range(bank.positions)]), facts, bank
 

@@ -42,7 +42,7 @@ st.register_type_strategy(Number, st.floats())
 def test_given_a_message_then_it_is_read_as_it_was_written(family, kind):
     hints = get_type_hints(kind, include_extras=True).items()
 
-    @settings(max_examples=8)
+    @settings(max_examples=4)
     @given(
         st.builds(
             kind, **{name: STRATEGIES[hint] if hint in STRATEGIES else st.from_type(hint) for name, hint in hints}

@@ -56,7 +56,9 @@ def test_given_a_flipped_bit_then_what_follows_is_scanned_again(path):
     assert rows(path) == [4]
 
 
-def test_given_another_scan_then_it_is_refused_or_replaced(path):
+def test_another_scan_process_or_program_is_refused_and_a_scan_may_be_replaced(path):
+    with ScanJournal(path, "one", SAMPLES), pytest.raises(BankBusyError):
+        ScanJournal(path, "one", SAMPLES)
     with pytest.raises(InputError, match="another drive"):
         ScanJournal(path, "other", SAMPLES)
     with pytest.raises(InputError, match="another drive"):
@@ -65,14 +67,6 @@ def test_given_another_scan_then_it_is_refused_or_replaced(path):
         assert len(journal) == 0
     with pytest.raises(InputError, match="another drive"):
         rows(path)
-
-
-def test_given_two_processes_then_the_second_is_refused(path):
-    with ScanJournal(path, "one", SAMPLES), pytest.raises(BankBusyError):
-        ScanJournal(path, "one", SAMPLES)
-
-
-def test_given_a_file_of_another_program_then_it_is_left_alone(path):
     path.write_bytes(b"x" * 9000)
     with pytest.raises(InputError, match="not what a scan left"):
         ScanJournal(path, "one", SAMPLES, replace=True)

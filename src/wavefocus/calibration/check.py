@@ -17,7 +17,7 @@ from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
 from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.ledger import Status, median_of_pairs, row_ranges, usable
-from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
+from wavefocus.storage.bank.reading import Bank, LedgerRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
 from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError
@@ -65,7 +65,9 @@ def check_bank(path: str | Path) -> list[BankProblem]:
     """
     path = Path(path)
     with open_bank(path, contents=True) as bank, one_blas_thread():
-        found = list(_check_ledger(bank.rows, path)) if isinstance(bank.rows, VerifiedRows) else []
+        found = (
+            [] if not isinstance(bank.rows, LedgerRows) or bank.rows.is_copied else [*_check_ledger(bank.rows, path)]
+        )
         checks = (_check_file, _check_positions, _check_moved, _check_suspects, _check_rows, _check_leak, _note_noise)
         for check in (*checks, _check_averages):
             found += check(bank)
@@ -96,17 +98,17 @@ def _check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
             " resume measures it again"
         )
         yield BankProblem(position, None, message, cut_off)
-    if isinstance(rows, VerifiedRows | RawRows):
-        names = "/status or /quality" if isinstance(rows, VerifiedRows) else "/leak_db"
+    if isinstance(rows, LedgerRows | RawRows):
+        names = "/status or /quality" if isinstance(rows, LedgerRows) else "/leak_db"
         for position in np.flatnonzero(rows.differing() & ~rows.ledger.damaged).tolist():
             message = f"{names} of position {position} differ from the ledger; opening the file to resume rebuilds them"
             yield BankProblem(position, None, message, cut_off)
 
 
 def _check_file(bank: Bank) -> Iterator[BankProblem]:
-    if not isinstance(bank.rows, VerifiedRows | CopiedRows):
+    if not isinstance(bank.rows, LedgerRows):
         yield _unverified("its rows are unverified")
-    if isinstance(bank.rows, CopiedRows):
+    elif bank.rows.is_copied:
         message = (
             "the bank was copied object by object, or repacked: header and rows are verified, all else is not; it can "
             "be read, and not measured into"
@@ -162,7 +164,7 @@ def _check_moved(bank: Bank) -> Iterator[BankProblem]:
 
 def _check_suspects(bank: Bank) -> Iterator[BankProblem]:
     """One finding for all rows that were measured when the sentinel had changed, and not again since."""
-    if not isinstance(bank.rows, VerifiedRows):
+    if not isinstance(bank.rows, LedgerRows) or bank.rows.is_copied:
         return
     figures = bank.rows.figures
     suspects = np.flatnonzero(figures.suspect & (figures.status & Status.VALID == 0)).tolist()

@@ -99,16 +99,14 @@ def import_bank(
     from wavefocus.calibration.imports import bank as imports
 
     with progress("import", 1) as report:
-        made = imports.import_bank(source, bank, options, kind, report, force=force)
-    positions, actuators, taps = made.shape
-    say(f"{bank}: {made.measured} of {positions} positions, {actuators} actuators, {taps} taps")
-    for warning in filter(None, (*made.facts["warnings"], made.facts["caution"])):
+        facts, figures = imports.import_bank(source, bank, options, kind, report, force=force)
+    say("{}: {measured} of {positions} positions, {actuators} actuators, {taps} taps".format(bank, **figures))
+    for warning in filter(None, (*facts["warnings"], facts["caution"])):
         say(f"warning: {warning}")
     if as_json:
-        figures = {"positions": positions, "measured": made.measured, "actuators": actuators, "taps": taps}
-        _print({"bank": str(bank), **figures, **made.facts})
+        _print({"bank": str(bank), **figures, **facts})
     else:
-        answer(made.facts["paragraph"])
+        answer(facts["paragraph"])
 
 
 def note(bank: Path, text: str, *, as_json: bool) -> None:

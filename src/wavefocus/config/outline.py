@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Float64Array = NDArray[np.float64]
-Pair = tuple[float, float]
+_Pair = tuple[float, float]
 
 Kind = Literal["stadium", "rectangle", "disk", "polygon"]
 EDGE_TOLERANCE_MM = 1e-6
@@ -22,9 +22,9 @@ EDGE_TOLERANCE_MM = 1e-6
 class Segment:
     """A straight line or, with a centre, an anticlockwise arc of at most half a circle; in mm."""
 
-    start: Pair
-    end: Pair
-    centre: Pair | None = None
+    start: _Pair
+    end: _Pair
+    centre: _Pair | None = None
 
     @property
     def arc(self) -> tuple[float, float, float]:
@@ -108,13 +108,13 @@ class Outline:
         return cls.polygon([(x, 0.0), (x, y), (-x, y), (-x, -y), (x, -y)])
 
     @classmethod
-    def polygon(cls, corners_mm: Sequence[Pair]) -> Outline:
+    def polygon(cls, corners_mm: Sequence[_Pair]) -> Outline:
         """Polygon through corners, anticlockwise."""
         following = (*corners_mm[1:], corners_mm[0])
         return cls(tuple(Segment(a, b) for a, b in zip(corners_mm, following, strict=True)))
 
     @classmethod
-    def of(cls, kind: Kind, length_mm: float, width_mm: float, corners_mm: Sequence[Pair] | None = None) -> Outline:
+    def of(cls, kind: Kind, length_mm: float, width_mm: float, corners_mm: Sequence[_Pair] | None = None) -> Outline:
         """Outline of a kind: a disk has its length for diameter; a polygon needs corners alone."""
         if kind == "polygon":
             return cls.polygon(corners_mm or ())
@@ -195,7 +195,7 @@ class Outline:
         return np.asarray(self.depth_mm(point_mm) >= margin_mm - EDGE_TOLERANCE_MM)
 
 
-def default_marks_mm(length_mm: float, width_mm: float) -> tuple[Pair, ...]:
+def default_marks_mm(length_mm: float, width_mm: float) -> tuple[_Pair, ...]:
     """Return seven places that determine a mirror map well: the middle, the corners of a rectangle, and the ends."""
     x_mm, y_mm = 0.32 * length_mm, 0.3 * width_mm
     return ((0.0, 0.0), (x_mm, y_mm), (-x_mm, y_mm), (-x_mm, -y_mm), (x_mm, -y_mm), (0.4 * length_mm, 0.0),

@@ -268,7 +268,7 @@ def _rising(course: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float
     return course
 
 
-Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_rising)]
+_Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_rising)]
 
 
 class Virtual(PlateKeys):
@@ -285,14 +285,14 @@ class Virtual(PlateKeys):
     fault_plan: Annotated[tuple[_FaultSection, ...], FREE] = default(
         (), "Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )
-    room_c: Annotated[Course, FREE] = default(
+    room_c: Annotated[_Course, FREE] = default(
         (), "Temperature of the room: pairs of seconds, rising, and degrees Celsius"
     )
     speed_per_k: Finite | None = default(
         None, "Change of the wave speed per kelvin of the room above 21 degrees Celsius, relative"
     )
     loss_per_k: Finite | None = default(None, "The same of the loss")
-    light: Annotated[Course, FREE] = default(
+    light: Annotated[_Course, FREE] = default(
         (), "Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
     )
 

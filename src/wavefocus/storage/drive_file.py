@@ -183,7 +183,7 @@ def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
         written.finish(1.0, scale=drive.scale, omitted_bound=drive.omitted_bound, quiet=drive.quiet)
 
 
-class DriveWriter:
+class _DriveWriter:
     """The volts of a drive file that is being written."""
 
     def __init__(self, volts: h5py.Dataset) -> None:
@@ -231,7 +231,7 @@ def drive_in_blocks(
     drive_unit: str = "V",
     focus_mm: Float64Array | None = None,
     force: bool = False,
-) -> Iterator[DriveWriter]:
+) -> Iterator[_DriveWriter]:
     """Write a drive file block by block, as `write_drive`; it appears under its name when the block ends well.
 
     shape: Actuators and samples of the whole drive.
@@ -253,7 +253,7 @@ def drive_in_blocks(
         actuator = dimension_scale(file, "actuator", np.arange(shape[0]))
         attach(volts, actuator, dimension_scale(file, "time_s", sample_times(shape[1], sample_rate_hz, start_s), "s"))
         set_long_names(file, LONG_NAMES)
-        yield DriveWriter(volts)
+        yield _DriveWriter(volts)
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from wavefocus.storage.hdf5_writing import (
     set_long_names,
 )  # fmt: skip
 
-FieldArray = NDArray[np.float32] | NDArray[np.float64]
+_FieldArray = NDArray[np.float32] | NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-field"
@@ -69,7 +69,7 @@ class Field:
     verified: Whether the file that it was read from carries checksums of all its values.
     """
 
-    field: FieldArray
+    field: _FieldArray
     position_index: Int64Array
     sample_rate_hz: float
     start_s: float
@@ -107,14 +107,14 @@ def _require_finite(values: NDArray[Any], position_index: Int64Array) -> None:
             raise InputError(f"/field of position {position} holds NaN or infinities; finite values are needed")
 
 
-class FieldWriter:
+class _FieldWriter:
     """Writes the rows of a field file in turn; made by :func:`field_in_rows`."""
 
     def __init__(self, path: Path, data: h5py.Dataset) -> None:
         self._path, self._data, self._written = path, data, 0
         self._digest = hdf5_digest.RunningDigest(data.dtype)
 
-    def write(self, rows: FieldArray) -> None:
+    def write(self, rows: _FieldArray) -> None:
         """Write the next rows; ``rows`` is (k, samples) and finite, or InputError is raised."""
         first, last, shape = self._written, self._written + len(rows), self._data.shape
         if np.shape(rows)[1:] != shape[1:] or last > shape[0]:
@@ -143,7 +143,7 @@ def field_in_rows(
     low_pass: LowPass | None = None,
     dtype: DTypeLike = np.float32,
     force: bool = False,
-) -> Iterator[FieldWriter]:
+) -> Iterator[_FieldWriter]:
     """Write a field file row by row; it appears under its name only when all rows were written.
 
     position_index, sequence of int (K,): Positions of the rows to come.
@@ -170,7 +170,7 @@ def field_in_rows(
         data = reserved(file, "/field", (len(index), samples), kind.str, response_unit)
         attach(data, positions, dimension_scale(file, "time_s", sample_times(samples, sample_rate_hz, start_s), "s"))
         set_long_names(file, LONG_NAMES)
-        writer = FieldWriter(path, data)
+        writer = _FieldWriter(path, data)
         yield writer
         writer.finish()
 
@@ -269,7 +269,7 @@ class FieldRowReader(Closing):
         kind = self._field.dtype
         hdf5_reading.require_whole(self._field)
         single = kind.kind == "f" and kind.itemsize <= 4
-        values: FieldArray = np.empty(self._field.shape, np.float32 if single else np.float64)
+        values: _FieldArray = np.empty(self._field.shape, np.float32 if single else np.float64)
         for first, block in self.blocks():
             values[first : first + len(block)] = block
         return Field(

@@ -261,15 +261,15 @@ def holds_attribute(item: h5py.File | h5py.Dataset, name: str) -> bool:
     return name in item.attrs and item.attrs.get_id(name).get_space().get_simple_extent_type() != h5py.h5s.NULL
 
 
-def number(file: h5py.File, name: str, default: float | None = None) -> float:
-    """Read a finite number from a root attribute."""
+def number(file: h5py.File | h5py.Dataset, name: str, default: float | None = None) -> float:
+    """Read a finite number from an attribute of the file or of a dataset."""
     if default is not None and not holds_attribute(file, name):
         return default
     return numbers(file, name, 1)[0]
 
 
-def numbers(file: h5py.File, name: str, count: int) -> tuple[float, ...]:
-    """Read ``count`` finite numbers from a root attribute."""
+def numbers(file: h5py.File | h5py.Dataset, name: str, count: int) -> tuple[float, ...]:
+    """Read ``count`` finite numbers from an attribute of the file or of a dataset."""
     if not holds_attribute(file, name):
         raise InputError(f"{path_of(file)} has no attribute {name}")
     value = _plain_attribute(file, name)

@@ -24,7 +24,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Measured, opened, recognised
 from wavefocus.storage.output_files import require_outputs
 
-FLAT = 1e-2
+_FLAT = 1e-2
 """Largest distance from a plane, relative to the extent of the places, that still counts as flat."""
 NEAR = 5e-2
 """Largest height of an actuator over the positions' plane, relative to the extent of all, whose foot is its place."""
@@ -83,7 +83,7 @@ def _choose_projection(places_m: Float64Array, columns: str) -> _Projection:
         third = 3 - first - second
         axes = np.eye(3)[[first, second]]
         off = float(spread[third]) / 2
-        return _Projection(axes, f"columns {columns} of the places, as asked", off, off <= FLAT * extent)
+        return _Projection(axes, f"columns {columns} of the places, as asked", off, off <= _FLAT * extent)
     for third in (2, 0, 1):  # the plane x, y where it will do
         if spread[third] <= 1e-9:
             kept = [index for index in range(3) if index != third]
@@ -94,7 +94,7 @@ def _choose_projection(places_m: Float64Array, columns: str) -> _Projection:
             return _Projection(np.eye(3)[kept], words, 0.0, True)
     normal = np.linalg.svd(places_m - places_m.mean(axis=0), full_matrices=True)[2][2]
     off = float(np.abs((places_m - places_m.mean(axis=0)) @ normal).max())
-    if off > FLAT * extent:
+    if off > _FLAT * extent:
         raise InputError(
             f"the positions lie in no plane: up to {off * 1e3:.3g} mm from the one that fits best, and their extent is"
             f" {extent * 1e3:.3g} mm; choose two coordinates with --columns, as --columns x,y"
@@ -113,26 +113,12 @@ def _choose_projection(places_m: Float64Array, columns: str) -> _Projection:
 
 OnProgress = Callable[[int, int], None]
 
-SENSELESS_DB = 200.0
+_SENSELESS_DB = 200.0
 """Levels of positions are nearer to each other than this: converters of 24 bits span 144 dB."""
-NOT_A_SURFACE = "the places are a projection of places in space, so distances on the surface are not those of the waves"
-NOT_A_PLATE = "the responses are no motion of a surface, and its model is of waves in a plate"
-
-
-@dataclass(frozen=True, slots=True)
-class Imported:
-    """What an import made.
-
-    facts: The report as the bank stores it: ``paragraph``, ``source``, ``format``, ``read``, ``assumed``, ``left_out``,
-        ``warnings``, ``residual_db``, ``unsuited`` (interpolations that are refused, and why) and ``caution`` (a
-        warning of every render, or empty).
-    shape: Positions, actuators, taps.
-    measured: Positions that hold responses.
-    """
-
-    facts: dict[str, Any]
-    shape: tuple[int, int, int]
-    measured: int
+_NOT_A_SURFACE = (
+    "the places are a projection of places in space, so distances on the surface are not those of the waves"
+)
+_NOT_A_PLATE = "the responses are no motion of a surface, and its model is of waves in a plate"
 
 
 def import_bank(
@@ -143,7 +129,7 @@ def import_bank(
     on_progress: OnProgress | None = None,
     *,
     force: bool = False,
-) -> Imported:
+) -> tuple[dict[str, Any], dict[str, int]]:
     """Make a bank of a file, or a folder of sound files, of another format.
 
     source: The file or folder.
@@ -152,6 +138,10 @@ def import_bank(
     on_progress: Called with positions done and positions in all.
     force: Whether an older file of that name is replaced when the new one is whole; a bank and the inputs never are.
 
+    Returns the report as the bank stores it: ``paragraph``, ``source``, ``format``, ``read``, ``assumed``,
+    ``left_out``, ``warnings``, ``residual_db``, ``unsuited`` (interpolations that are refused, and why) and ``caution``
+    (a warning of every render, or empty); and the numbers of ``positions``, of those ``measured``, of ``actuators`` and
+    ``taps``.
     Raises InputError: the file cannot be read or lacks a fact that an option can give, or the bank may not be written.
     """
     listed = options.frequencies if isinstance(options.frequencies, Path) else None
@@ -210,13 +200,14 @@ def import_bank(
                 ),
                 measured.notes,
             )
-    return Imported(facts, (*measured.shape[:2], taps), len(records))
+    count, actuators, _ = measured.shape
+    return facts, {"positions": count, "measured": len(records), "actuators": actuators, "taps": taps}
 
 
 def _require_levels(records: list[tuple[int, PointRecord]], peaks: list[float]) -> list[int]:
     """Mark as poor, and return, the positions whose largest value no instrument measures beside the others'."""
     level_db = 20 * np.log10(np.maximum(peaks, 1e-300))
-    senseless = np.flatnonzero(np.abs(level_db - np.median(level_db)) > SENSELESS_DB).tolist()
+    senseless = np.flatnonzero(np.abs(level_db - np.median(level_db)) > _SENSELESS_DB).tolist()
     for number in senseless:
         position, record = records[number]
         records[number] = position, replace(record, status=int(Status.POOR_SIGNAL))
@@ -312,7 +303,7 @@ def _facts(
     warnings = [*conversion.warnings]
     if senseless:
         warnings.append(
-            f"{len(senseless)} positions (the first is {senseless[0]}) lie more than {SENSELESS_DB:g} dB from the"
+            f"{len(senseless)} positions (the first is {senseless[0]}) lie more than {_SENSELESS_DB:g} dB from the"
             " median of all: fill values, or another unit; they are marked poor"
         )
     if far := np.flatnonzero(~projection.near_surface(measured.actuator_m, measured.position_m)).tolist():
@@ -321,13 +312,12 @@ def _facts(
             " the surface only, so theirs are left out"
         )
         left_out.append(f"places of {len(far)} actuators, which lie off the surface of the positions")
-    unsuited = {} if conversion.is_motion else {"kernel": NOT_A_PLATE}
+    unsuited = {} if conversion.is_motion else {"kernel": _NOT_A_PLATE}
     caution = ""
     if not projection.is_flat:
-        unsuited = dict.fromkeys(("kernel", "bilinear"), NOT_A_SURFACE)
-        caution = (
-            f"{NOT_A_SURFACE}: snapping to a position may miss it by up to {projection.off_plane_m * 2e3:.3g} mm across"
-        )
+        unsuited = dict.fromkeys(("kernel", "bilinear"), _NOT_A_SURFACE)
+        miss_mm = projection.off_plane_m * 2e3
+        caution = f"{_NOT_A_SURFACE}: snapping to a position may miss it by up to {miss_mm:.3g} mm across"
     parts = {"Read": read, "Assumed": assumed, "Left out": left_out, "Warnings": warnings}
     paragraph = f"Imported from {source.resolve().name} ({kind})."
     paragraph += "".join(f" {title}: {'; '.join(said)}." for title, said in parts.items() if said)

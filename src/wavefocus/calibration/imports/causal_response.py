@@ -13,9 +13,9 @@ from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, RIDGE, ToeplitzFit
 from wavefocus.storage.errors import InputError
 
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
+_ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
-MAX_DENSE_TAPS = 4096
+_MAX_DENSE_TAPS = 4096
 """FIRs up to this length are solved for with a matrix, of 128 MiB."""
 EARLY, LATE = 1e-2, 10**-2.5
 """Energy before zero, and in the last tenth of a period, relative to all of it, from which on frequency responses are
@@ -41,13 +41,13 @@ class _FrequencyAxis:
     mirror: NDArray[np.int64] | None
     period: int | None
 
-    def one_sided(self, values: ComplexArray) -> ComplexArray:
+    def one_sided(self, values: _ComplexArray) -> _ComplexArray:
         """Values (..., frequencies) at the frequencies from 0 on, averaged with those that mirror them."""
         found = values[..., self.take]
         return found if self.mirror is None else (found + np.conj(values[..., self.mirror])) / 2
 
 
-def frequency_axis(frequency_hz: Float64Array, sample: ComplexArray) -> _FrequencyAxis:
+def frequency_axis(frequency_hz: Float64Array, sample: _ComplexArray) -> _FrequencyAxis:
     """Understand an axis: from 0 or above, with negative frequencies before or after, or to the sample rate.
 
     frequency_hz, float64 (frequencies,): In Hz.
@@ -132,7 +132,7 @@ class CausalConverter:
         self._inverse: Float64Array | None = None
         self.whole = self.left = 0.0
 
-    def convert(self, spectra: ComplexArray) -> tuple[Float32Array, Float64Array]:
+    def convert(self, spectra: _ComplexArray) -> tuple[Float32Array, Float64Array]:
         """FIRs (n, taps) of spectra (n, bins), and the share of each one's energy that they leave unexplained."""
         values = spectra * self._weights
         ring = np.zeros((len(values), self._period // 2 + 1), complex)
@@ -148,8 +148,8 @@ class CausalConverter:
         self.left += float(left.sum())
         return green.astype(np.float32), left / np.where(whole > 0, whole, 1.0)
 
-    def _fitted(self, values: ComplexArray, wanted: Float64Array) -> Float64Array:
-        if self.taps > MAX_DENSE_TAPS:
+    def _fitted(self, values: _ComplexArray, wanted: Float64Array) -> Float64Array:
+        if self.taps > _MAX_DENSE_TAPS:
             turn = 2 * np.pi * self._bins / self._period
             fit = ToeplitzFit(turn, np.ones(len(turn)), self._period, self.taps, RIDGE)
             largest = np.abs(values).max(axis=1, keepdims=True)
@@ -175,7 +175,7 @@ class CausalConverter:
         gram[np.diag_indices_from(gram)] += ridge
         return np.asarray(scipy.linalg.inv(gram, overwrite_a=True, check_finite=False))
 
-    def _left(self, values: ComplexArray, green: Float64Array) -> Float64Array:
+    def _left(self, values: _ComplexArray, green: Float64Array) -> Float64Array:
         return _energy(np.abs(values - scipy.fft.rfft(green, self._period)[:, self._bins]))
 
 
@@ -198,7 +198,7 @@ class TimeOfEnergy:
         self._guard = math.ceil(period / half_width)  # half the width of the window's main lobe in time
         self._energy: Float64Array | None = None
 
-    def add(self, values: ComplexArray) -> None:
+    def add(self, values: _ComplexArray) -> None:
         """Add responses (actuators, bins)."""
         ring = np.zeros((len(values), self._period // 2 + 1), np.complex128)
         ring[:, self._bins] = values * self._window

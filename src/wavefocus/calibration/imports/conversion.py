@@ -17,7 +17,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Measured, require_honest
 from wavefocus.storage.units import MOTIONS, require_meant_rate, split_unit
 
-NOTICED_DB = -40.0
+_NOTICED_DB = -40.0
 """What is left out and holds more of the energy than this is a warning: it moves a response by 1 %."""
 
 
@@ -248,15 +248,15 @@ class Conversion:
 
     @property
     def warnings(self) -> list[str]:
-        """What is left out and holds more than `NOTICED_DB`, and frequency responses that are not causal."""
+        """What is left out and holds more than `_NOTICED_DB`, and frequency responses that are not causal."""
         found = [] if self._energy is None else self._energy.words()[1]
         residual_db, lines_db = self.residual_db, self._lines_db
-        if lines_db is not None and lines_db > NOTICED_DB:
+        if lines_db is not None and lines_db > _NOTICED_DB:
             found.append(
                 f"frequencies left out hold {lines_db:.1f} dB of the energy; a wider --band, or none, keeps those that"
                 " the file holds"
             )
-        if residual_db is not None and residual_db > NOTICED_DB:
+        if residual_db is not None and residual_db > _NOTICED_DB:
             what = "samples left out hold" if self._converter is None else f"FIRs of {self.taps} taps do not hold"
             found.append(f"{what} {residual_db:.1f} dB of the energy; a larger --taps, or none, keeps it")
         return found

@@ -85,7 +85,7 @@ class Bank(Closing):
     software: str | None
     directions_deg: tuple[float, float] | None
     import_report: str | None
-    rows: VerifiedRows | CopiedRows | ForeignRows = field(repr=False)
+    rows: LedgerRows | ForeignRows = field(repr=False)
     notes: tuple[Note, ...] = ()
     unknown_attributes: tuple[str, ...] = ()
     inter_channel_delay_s: float | None = None
@@ -214,14 +214,14 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
             facts, foreign = read_foreign(content, path, stack)
             return Bank(path=path, rows=foreign, notes=read_notes(content), **facts)
         notes, unknown = read_notes(content), hdf5_digest.unknown_attributes(content)
-        rows: VerifiedRows | CopiedRows
         try:
             layout = read_layout(content, path, contents=contents)
-            header, rows = layout.header, VerifiedRows(path, layout)
+            header, rows = layout.header, LedgerRows(path, layout)
         except OtherLayoutError:
             # Copied object by object, or repacked: nothing lies where it did, and every row still has its checksum.
             header = read_header(content, path)
-            rows = CopiedRows(content, path, header, stack)
+            copied = _CopiedFile(content, path, header, stack)
+            rows = LedgerRows(path, copied.layout, copied)
     stated: dict[str, Any] = {name: getattr(header, name) for name in _STATED}
     stated |= {name: getattr(header, name) or None for name in ("rig_json", "run_json", "import_report", "origins")}
     return Bank(
@@ -238,12 +238,16 @@ _STATED = (
 
 
 class LedgerRows(LedgerReader):
-    """Rows of a bank of this program, checked against its ledger."""
+    """Rows of a bank of this program, checked against its ledger.
+
+    is_copied: Whether the bank lies otherwise in its file than this program laid it out.
+    """
 
     dtype = np.dtype(np.float32)
 
-    def __init__(self, path: Path, layout: LedgerLayout, file: Any = None) -> None:
+    def __init__(self, path: Path, layout: LedgerLayout, file: _CopiedFile | None = None) -> None:
         super().__init__(path, layout, file)
+        self.is_copied = file is not None
         self.figures: LedgerFigures = figures_of(self.ledger.rows, self.ledger.holds, layout.header.actuators)
 
     def status(self) -> NDArray[np.uint8]:
@@ -256,10 +260,6 @@ class LedgerRows(LedgerReader):
         if chunks is None:
             return np.zeros(shape.dimensions, np.float32)
         return np.frombuffer(chunks[0], "<f4").reshape(shape.dimensions).astype(np.float32, copy=False)
-
-
-class VerifiedRows(LedgerRows):
-    """Rows of a bank that lies in its file as this program laid it out."""
 
     def differing(self) -> NDArray[np.bool_]:
         """Positions (P,) whose ``/status`` or ``/quality`` in the file are not those of the ledger."""
@@ -274,16 +274,11 @@ class VerifiedRows(LedgerRows):
         return differs
 
 
-class CopiedRows(LedgerRows):
-    """Rows of a bank that lies otherwise in its file, as after a copy object by object; HDF5 reads them."""
-
-    def __init__(self, content: h5py.File, path: Path, header: BankHeader, stack: ExitStack) -> None:
-        file = _CopiedFile(content, path, header, stack)
-        super().__init__(path, file.layout, file)
-
-
 class _CopiedFile(Closing):
-    """The datasets of a bank as one file: ledger, journal, status where there is one, rows one after the other."""
+    """The datasets of a bank that was copied object by object as one file; HDF5 reads them.
+
+    Ledger, journal, status where there is one, rows one after the other.
+    """
 
     def __init__(self, content: h5py.File, path: Path, header: BankHeader, stack: ExitStack) -> None:
         self._path, self._shape, count = path, header.rows, header.positions

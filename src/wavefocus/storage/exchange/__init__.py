@@ -11,7 +11,7 @@ CSV_NOTES = "-metadata.json"
 
 
 @dataclass(frozen=True, slots=True)
-class ExportFormat:
+class _ExportFormat:
     """A format that ``wavefocus export --to`` writes.
 
     module: Module of this package with ``write(path, rows, on_progress)``; one that writes a folder has
@@ -35,18 +35,18 @@ class ExportFormat:
 
 
 EXPORTS = {
-    "sofa": ExportFormat("sofa", "SOFA", ".sofa", value_bytes=8),
-    "uff": ExportFormat("uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
-    "wav": ExportFormat("wav", "WAV", ".wav", folder=True, holds_nan=False),
-    "mat": ExportFormat("mat", "MATLAB", ".mat"),
-    "npz": ExportFormat("named_arrays", "NumPy", ".npz"),
-    "netcdf": ExportFormat("netcdf", "netCDF", ".nc"),
-    "csv": ExportFormat("places", "a table of positions", ".csv", value_bytes=0, notes_ending=CSV_NOTES),
+    "sofa": _ExportFormat("sofa", "SOFA", ".sofa", value_bytes=8),
+    "uff": _ExportFormat("uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
+    "wav": _ExportFormat("wav", "WAV", ".wav", folder=True, holds_nan=False),
+    "mat": _ExportFormat("mat", "MATLAB", ".mat"),
+    "npz": _ExportFormat("named_arrays", "NumPy", ".npz"),
+    "netcdf": _ExportFormat("netcdf", "netCDF", ".nc"),
+    "csv": _ExportFormat("places", "a table of positions", ".csv", value_bytes=0, notes_ending=CSV_NOTES),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class ImportFormat:
+class _ImportFormat:
     """A format that ``wavefocus import --from`` reads.
 
     module: Module of this package with ``read(path, options, stack)``, of which the `ExitStack` closes what stays open;
@@ -67,15 +67,15 @@ class ImportFormat:
 _ARRAYS = ("direction", "axes", "names", "frequencies")
 
 IMPORTS = {
-    "sofa": ImportFormat("sofa", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)),
-    "uff": ImportFormat(
+    "sofa": _ImportFormat("sofa", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)),
+    "uff": _ImportFormat(
         "uff", "a universal file", ("direction",), (b"    -1\n", b"    -1\r\n"), (".uff", ".unv", ".uf")
     ),
-    "mat": ImportFormat("mat", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)),
-    "npz": ImportFormat("named_arrays", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
-    "npy": ImportFormat("named_arrays", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
-    "netcdf": ImportFormat("netcdf", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")),
-    "wav": ImportFormat("wav", "a folder of WAV files"),
+    "mat": _ImportFormat("mat", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)),
+    "npz": _ImportFormat("named_arrays", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
+    "npy": _ImportFormat("named_arrays", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
+    "netcdf": _ImportFormat("netcdf", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")),
+    "wav": _ImportFormat("wav", "a folder of WAV files"),
 }
 SOME_FORMATS = frozenset(option for form in IMPORTS.values() for option in form.options)
 """Options that concern only some formats."""

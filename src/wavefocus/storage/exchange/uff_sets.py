@@ -28,7 +28,7 @@ _GLOBAL = (0, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoordinateSystem:
+class _CoordinateSystem:
     """A system that nodes refer to.
 
     kind: Cartesian (x, y, z), cylindrical (radius, angle in degrees, z) or spherical (radius, angle from the z axis,
@@ -83,7 +83,7 @@ class Node:
     displacement: int = 0
 
 
-def resolve(records: Mapping[int, _SystemRecord], number: int, path: Path) -> CoordinateSystem:
+def resolve(records: Mapping[int, _SystemRecord], number: int, path: Path) -> _CoordinateSystem:
     """The system of a number, in the file's coordinates.
 
     Raises InputError: no set defines it, or not with three directions at right angles, or systems refer to each other.
@@ -101,10 +101,10 @@ def resolve(records: Mapping[int, _SystemRecord], number: int, path: Path) -> Co
             f"{path}: coordinate system {number} is not in the file (sets 18 and 2420), and nodes refer to it; name a"
             " CSV table of places with --places, with the columns node,x_mm,y_mm"
         )
-    found = CoordinateSystem(CARTESIAN, np.eye(3), np.zeros(3))
+    found = _CoordinateSystem(CARTESIAN, np.eye(3), np.zeros(3))
     for record in reversed(chain):
         axes, origin = _frame(record, path)
-        found = CoordinateSystem(record.kind, axes @ found.axes, found.origin + origin @ found.axes)
+        found = _CoordinateSystem(record.kind, axes @ found.axes, found.origin + origin @ found.axes)
     return found
 
 

@@ -28,7 +28,7 @@ from wavefocus.storage.ledger.layout import (
 )
 from wavefocus.storage.ledger.pages import LedgerFormat, RowShape
 
-Int32Array = NDArray[np.int32]
+_Int32Array = NDArray[np.int32]
 Float64Array = NDArray[np.float64]
 
 EMPTY = -1
@@ -49,7 +49,7 @@ class Schedule:
         where each record begins and ends in silence.
     """
 
-    actuator: Int32Array
+    actuator: _Int32Array
     delay_s: Float64Array
     gain: Float64Array
     period_s: float = 0.0
@@ -106,7 +106,7 @@ class Schedule:
         driven = self.actuator != EMPTY
         return self.period_s == 0 and bool((driven.sum(axis=1) == 1).all()) and not self.delay_s[driven].any()
 
-    def slots(self, record: int) -> tuple[Int32Array, Float64Array, Float64Array]:
+    def slots(self, record: int) -> tuple[_Int32Array, Float64Array, Float64Array]:
         """Actuators, delays in seconds and gains of the slots of a record that are not empty."""
         driven = self.actuator[record] != EMPTY
         return self.actuator[record][driven], self.delay_s[record][driven], self.gain[record][driven]
@@ -337,6 +337,7 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
 
     with hdf5_reading.named(path):
         low, high = hdf5_reading.numbers(file, "band_hz", 2)
+        volts = [hdf5_reading.number(channel, "volts_per_count", default=1.0) for channel in (reference, response)]
         schedule = _read_schedule(file, records)
         actuator_mm = np.full((schedule.actuators, 2), np.nan)
         if hdf5_reading.has(file, "/actuator_mm"):
@@ -356,7 +357,7 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
             response_unit=hdf5_reading.text(file, "response_unit") or "m/s",
             reference_gain=hdf5_reading.number(file, "reference_gain", default=1.0),
             inter_channel_delay_s=hdf5_reading.number(file, "inter_channel_delay_s", default=0.0),
-            volts_per_count=(_volts_per_count(reference, path), _volts_per_count(response, path)),
+            volts_per_count=(volts[0], volts[1]),
             averages=whole("averages"),
             sweep_s=number("sweep_s"),
             decay_s=number("decay_s"),
@@ -383,21 +384,10 @@ def _read_schedule(file: h5py.File, records: int) -> Schedule:
 
 
 def _same_clock(file: h5py.File, path: Path) -> bool:
-    if "same_clock" not in file.attrs:
-        return False
-    value = np.asarray(file.attrs["same_clock"])
-    if value.dtype.kind not in "biu" or value.size != 1 or int(value.reshape(-1)[0]) not in (0, 1):
+    value = np.asarray(file.attrs.get("same_clock", False))
+    if value.dtype.kind not in "biu" or value.size != 1 or value.item() not in (0, 1):
         raise InputError(f"{path}: same_clock is {value.tolist()!r}; true or false is needed")
-    return bool(value.reshape(-1)[0])
-
-
-def _volts_per_count(dataset: h5py.Dataset, path: Path) -> float:
-    if "volts_per_count" not in dataset.attrs:
-        return 1.0
-    value = np.asarray(dataset.attrs["volts_per_count"])
-    if value.dtype.kind not in "fiu" or value.size != 1:
-        raise InputError(f"{path}: {dataset.name} has the volts_per_count {value.tolist()!r}; one number is needed")
-    return float(value.reshape(-1)[0])
+    return bool(value.item())
 
 
 def _lay_out(file: h5py.File, header: RawHeader) -> LedgerLayout:
