@@ -4,20 +4,19 @@ The virtual rig, the production drivers on emulated wires, and with ``--hardware
 """
 
 import math
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TypeVar
+from functools import cache, cached_property
 
 import pytest
 
 from tests.threads import threads_end
-from tests.wire.analog_bench import analog_rig
 from tests.wire.daq_bench import Tone
-from tests.wire.emulated import free_port, rig_text
+from tests.wire.emulated import analog_rig, free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL
 from tests.wire.serial_bench import wire as serial_wire
 from wavefocus.commands.emulate import wiring_of
-from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.rig import default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.mocks.virtual.mirror import MirrorMotion
@@ -27,8 +26,6 @@ from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.virtual_bench import virtual_settings
-
-Taken = TypeVar("Taken")
 
 # Short enough that what is played starts soon after it was asked for, and long enough to go on on a busy machine.
 PERIOD_FRAMES = 4096
@@ -60,8 +57,8 @@ class OpenedWhenUsed:
         """Leave nothing under way for the next test, and open anew what this one has closed."""
         for role, stop in (("player", "mute"), ("recorder", "abort"), ("mirror", "park")):
             if role in self.__dict__:
-                getattr(getattr(self, role), stop)()
                 try:
+                    getattr(getattr(self, role), stop)()
                     getattr(self, role).identify()
                 except InstrumentError:
                     del self.__dict__[role]
@@ -121,64 +118,30 @@ def nothing_is_left_open():
     yield from threads_end()
 
 
-@pytest.fixture(scope="package")
-def emulated(tmp_path_factory):
-    """A rig on emulated wires, started when a test first needs it, and ended early: its sound never rests."""
-    started: list[tuple[EmulatedRig, RigConfig]] = []
-    with pytest.MonkeyPatch.context() as environment:
-
-        def start():
-            if not started:
-                folder = tmp_path_factory.mktemp("wires")
-                rig_file = folder / "rig.toml"
-                rig_file.write_text(rig_text(folder, f"localhost:{free_port()}", period_frames=PERIOD_FRAMES))
-                rig = load_rig(rig_file)
-                sides = EmulatedRig(virtual_settings(rig), wiring_of(rig, rig_file))
-                started.append((sides, rig))
-                for name, value in sides.audio.environment.items():
-                    environment.setenv(name, value)
-            return started[0][1]
-
-        yield start
-        for sides, _ in started:
-            sides.close()
+def emulated_rig(folder, stack):
+    """A rig on emulated wires, its audio interface named in the environment."""
+    rig_file = folder / "rig.toml"
+    rig_file.write_text(rig_text(folder, f"localhost:{free_port()}", period_frames=PERIOD_FRAMES))
+    rig = load_rig(rig_file)
+    sides = stack.enter_context(closing(EmulatedRig(virtual_settings(rig), wiring_of(rig, rig_file))))
+    environment = stack.enter_context(pytest.MonkeyPatch.context())
+    for name, value in sides.audio.environment.items():
+        environment.setenv(name, value)
+    return rig
 
 
-@pytest.fixture(scope="package")
-def wire(emulated):
-    """The bench on the emulated rig; to open an audio stream takes a second."""
-    made: list[Bench] = []
-
-    def bench():
-        if not made:
-            made.append(bench_of(emulated(), latency_s=0.5))
-        return made[0]
-
-    yield bench
-    for one in made:
-        one.instruments.close()
-
-
-@pytest.fixture
-def mirror_side(tmp_path):
-    """A rig of which only the mirror is there, in the dialect that is asked for."""
-    started: list[EmulatedSerial | NiServer] = []
-
-    def start(dialect):
-        if dialect == "analog":
-            server = NiServer(Tone(), "USB-6211")
-            server.start()
-            started.append(server)
-            return analog_rig(tmp_path, server.address)
-        motion = MirrorMotion((-240.0, -240.0), 0.005, math.inf, 250.0)
-        started.append(EmulatedSerial(mirror_device(dialect, motion, 260.0), serial_wire(LOCAL, tmp_path)).start())
-        rig_file = tmp_path / "rig.toml"
-        rig_file.write_text(rig_text(tmp_path, "localhost:1", dialect=dialect, mirror=started[0].address))
-        return load_rig(rig_file)
-
-    yield start
-    for side in started:
-        side.stop() if isinstance(side, NiServer) else side.close()
+def mirror_rig(kind, folder, stack):
+    """A rig of which only the mirror is there."""
+    if kind in ("analog", "shuttered"):
+        server = NiServer(Tone(), "USB-6211")
+        server.start()
+        stack.callback(server.stop)
+        return analog_rig(folder, server.address, "opens_s = 0.0\n" if kind == "shuttered" else None)
+    motion = MirrorMotion((-240.0, -240.0), 0.005, math.inf, 250.0)
+    side = stack.enter_context(EmulatedSerial(mirror_device(kind, motion, 260.0), serial_wire(LOCAL, folder)))
+    rig_file = folder / "rig.toml"
+    rig_file.write_text(rig_text(folder, "localhost:1", dialect=kind, mirror=side.address))
+    return load_rig(rig_file)
 
 
 def pytest_generate_tests(metafunc):
@@ -189,23 +152,34 @@ def pytest_generate_tests(metafunc):
         metafunc.parametrize("bench", ["hardware"], indirect=True)
         return
     of_mirrors = metafunc.module.__name__.endswith("test_mirror_contract")
-    kinds = [*DIALECTS, "analog"] if of_mirrors else ["wire"]
+    kinds = [*DIALECTS, "analog", "shuttered"] if of_mirrors else ["wire"]
     metafunc.parametrize("bench", ["virtual", *kinds], indirect=True)
 
 
-@pytest.fixture
-def bench(request):
-    kind = request.param
-    if kind == "virtual":
-        bench = bench_of(default_rig(), latency_s=0.05)
-    elif kind == "wire":
-        bench = request.getfixturevalue("wire")()
+@pytest.fixture(scope="package")
+def benches(request, tmp_path_factory):
+    """Makes the bench of a kind when a test first needs it; to open an audio stream takes a second."""
+    with ExitStack() as stack:
+
+        @cache
+        def bench(kind):
+            folder = tmp_path_factory.mktemp(kind)
+            match kind:
+                case "hardware":
+                    made = bench_of(load_rig(request.config.getoption("--hardware")), latency_s=1.0)
+                case "wire":
+                    made = bench_of(emulated_rig(folder, stack), latency_s=0.5)
+                case _:
+                    made = bench_of(mirror_rig(kind, folder, stack), latency_s=1.0)
+            stack.callback(made.instruments.close)
+            return made
+
         yield bench
-        bench.instruments.rest()
-        return
-    elif kind == "hardware":
-        bench = bench_of(load_rig(request.config.getoption("--hardware")), latency_s=1.0)
-    else:
-        bench = bench_of(request.getfixturevalue("mirror_side")(kind), latency_s=1.0)
+
+
+@pytest.fixture
+def bench(request, benches):
+    # A virtual instrument that was closed stays so.
+    bench = bench_of(default_rig(), latency_s=0.05) if request.param == "virtual" else benches(request.param)
     yield bench
-    bench.instruments.close()
+    bench.instruments.rest()

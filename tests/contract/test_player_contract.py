@@ -55,17 +55,14 @@ def test_given_a_signal_then_waiting_takes_its_length(bench):
     assert bench.undisturbed(take) >= 0.2
 
 
-def test_given_nothing_to_play_then_waiting_returns_at_once(bench):
-    player = bench.instruments.player
-    before_s = bench.instruments.clock.now_s()
+def test_given_nothing_to_play_then_waiting_returns_and_in_too_little_time_it_fails(bench):
+    player, clock = bench.instruments.player, bench.instruments.clock
+    before_s = clock.now_s()
     player.wait(1.0)
-    assert bench.instruments.clock.now_s() - before_s < 1.0
-
-
-def test_given_too_little_time_then_waiting_fails(bench):
-    bench.instruments.player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+    assert clock.now_s() - before_s < 1.0
+    player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
     with pytest.raises(InstrumentError):
-        bench.instruments.player.wait(0.01)
+        player.wait(0.01)
 
 
 def test_given_a_signal_then_only_its_channel_sounds(bench):
@@ -92,20 +89,19 @@ def with_sample(bench, wrong):
     return {bench.actuator_channel: volts}
 
 
-@pytest.mark.parametrize(
-    "signals_v",
-    [
-        lambda bench: with_sample(bench, np.nan),
-        lambda bench: with_sample(bench, np.inf),
-        lambda bench: {bench.instruments.player.channels: tone(bench)},
-        lambda bench: {bench.actuator_channel: np.zeros(100), bench.loopback_channel: np.zeros(101)},
-        lambda bench: {bench.actuator_channel: np.zeros(0)},
-    ],
-    ids=["not a number", "infinite", "unknown channel", "unlike lengths", "no length"],
-)
-def test_signals_that_cannot_be_played_then_it_says_who_what_why_and_what_to_do(bench, signals_v):
+WRONG_SIGNALS = {
+    "not a number": lambda bench: with_sample(bench, np.nan),
+    "infinite": lambda bench: with_sample(bench, np.inf),
+    "unknown channel": lambda bench: {bench.instruments.player.channels: tone(bench)},
+    "unlike lengths": lambda bench: {bench.actuator_channel: np.zeros(100), bench.loopback_channel: np.zeros(101)},
+    "no length": lambda bench: {bench.actuator_channel: np.zeros(0)},
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_SIGNALS)
+def test_signals_that_cannot_be_played_then_it_says_who_what_why_and_what_to_do(bench, wrong):
     with pytest.raises(InstrumentError) as caught:
-        bench.instruments.player.play(signals_v(bench), bench.sample_rate_hz)
+        bench.instruments.player.play(WRONG_SIGNALS[wrong](bench), bench.sample_rate_hz)
     error = caught.value
     assert "player" in error.instrument
     assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
@@ -136,11 +132,10 @@ def test_given_a_signal_changed_after_the_call_then_what_was_given_is_played(ben
 
 def test_given_any_state_then_muting_is_safe(bench):
     player = bench.instruments.player
-    player.mute()
-    player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
-    player.mute()
-    player.mute()
-    player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+    for _ in range(2):
+        player.mute()
+        player.play({bench.actuator_channel: tone(bench)}, bench.sample_rate_hz)
+        player.mute()
 
 
 def test_given_a_closed_player_then_closing_is_harmless_and_playing_is_refused(bench):

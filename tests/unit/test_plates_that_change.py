@@ -30,24 +30,26 @@ def _response(name, keys, warmer_k=0.0, place=(12.0, -7.0)):
     return plate.response(place, 50.0, 11, single=False)[:, 1:]
 
 
-@pytest.mark.parametrize("frequency_hz", [50.0, 250.0, 450.0])
-def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_them(tmp_path, monkeypatch, frequency_hz):
+def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_them(tmp_path, monkeypatch):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path))
     elements = Elements(triangulate(STADIUM, spacing_mm(SOFT_PLATE, 500.0)))
-    angular = 2j * np.pi * frequency_hz
-    impedance = angular * FINGER["mass_kg"] + FINGER["damping_n_s_m"] + FINGER["stiffness_n_m"] / angular
+    plate = make_plate("stadium", ACTUATOR_MM, STADIUM, np.ones_like, {"finger": FINGER})
     load = csc_array(elements.forces(np.array([FINGER["place_mm"]])))
-    system = elements.stiffness - complex(SOFT_PLATE.wavenumber(frequency_hz)) ** 2 * elements.mass
-    touched = system + angular * impedance / UNIT_FORCE_N * (load @ load.T)
     force = elements.forces(ACTUATOR_MM).astype(complex)
     places = np.array([[12.0, -7.0], [-20.0, 8.0], [-5.0, 4.5]])
-    free, wanted = (
-        angular * elements.values_at(places, splu(matrix.tocsc()).solve(force)) for matrix in (system, touched)
-    )
-    plate = make_plate("stadium", ACTUATOR_MM, STADIUM, np.ones_like, {"finger": FINGER})
-    found = [plate.response(tuple(place), frequency_hz, 2, single=False)[:, 1] for place in places]
-    assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted)
-    assert np.linalg.norm(free - wanted) > 0.05 * np.linalg.norm(wanted)
+    responses = [plate.response(tuple(place), 50.0, 10, single=False) for place in places]
+    for number in (1, 5, 9):
+        frequency_hz = 50.0 * number
+        angular = 2j * np.pi * frequency_hz
+        impedance = angular * FINGER["mass_kg"] + FINGER["damping_n_s_m"] + FINGER["stiffness_n_m"] / angular
+        system = elements.stiffness - complex(SOFT_PLATE.wavenumber(frequency_hz)) ** 2 * elements.mass
+        touched = system + angular * impedance / UNIT_FORCE_N * (load @ load.T)
+        free, wanted = (
+            angular * elements.values_at(places, splu(matrix.tocsc()).solve(force)) for matrix in (system, touched)
+        )
+        found = [response[:, number] for response in responses]
+        assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted)
+        assert np.linalg.norm(free - wanted) > 0.05 * np.linalg.norm(wanted)
 
 
 @pytest.mark.parametrize(("name", "keys"), PLATES)

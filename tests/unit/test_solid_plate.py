@@ -18,7 +18,7 @@ PLACE_MM = np.array([[-12.0, 9.0], [3.0, 21.0], [14.0, -3.0], [-2.0, -17.0], [5.
 
 @pytest.fixture(scope="module")
 def elements():
-    return Elements(triangulate(DISK, 0.4 * spacing_mm(DampedWave(5.0, 2500.0), 450.0)))
+    return Elements(triangulate(DISK, 0.5 * spacing_mm(DampedWave(5.0, 2500.0), 450.0)))
 
 
 def _solved(elements, frequency_hz):

@@ -21,7 +21,8 @@ def interruptible():
     signal.signal(signal.SIGINT, former)
 
 
-def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible):
+@pytest.mark.parametrize("urgent", [False, True])
+def test_given_a_wait_broken_off_then_the_next_call_waits_for_it_unless_it_is_urgent(interruptible, urgent):
     thread, release, done = CallThread("test"), threading.Event(), []
 
     def hold():
@@ -32,23 +33,10 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(int
 
     with pytest.raises(KeyboardInterrupt):
         thread.call(hold, 30.0)
-    threading.Timer(SOON_S, release.set).start()
-    thread.call(lambda: done.append("next"), 30.0)
-    assert done == ["held", "next"]
-    thread.abandon()
-
-
-def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it(interruptible):
-    thread, release, done = CallThread("test"), threading.Event(), []
-
-    def hold():
-        _thread.interrupt_main()
-        release.wait()
-
-    with pytest.raises(KeyboardInterrupt):
-        thread.call(hold, 30.0)
-    thread.call(lambda: done.append("muted"), 30.0, wait_before_s=0.0)
-    assert done == ["muted"]
+    if not urgent:
+        threading.Timer(SOON_S, release.set).start()
+    thread.call(lambda: done.append("next"), 30.0, wait_before_s=0.0 if urgent else None)
+    assert done == (["next"] if urgent else ["held", "next"])
     release.set()
     thread.abandon()
 

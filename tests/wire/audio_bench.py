@@ -86,6 +86,24 @@ def undisturbed(player, take):
     return take()
 
 
+def played_between(server, asked_ns):
+    """What left the outputs since an instant."""
+    first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, time.monotonic_ns()))
+    return server.played.read(first, stop)
+
+
+def heard_of(server, player, signals_v, sample_rate_hz=RATE_HZ):
+    """What leaves the outputs between the call of play and the end of wait, nothing disturbing it."""
+
+    def take():
+        asked_ns = time.monotonic_ns()
+        player.play(signals_v, sample_rate_hz)
+        player.wait(30)
+        return played_between(server, asked_ns)
+
+    return undisturbed(player, take)
+
+
 def sounding(frames):
     """The stretch of (channels, frames) from the first to the last frame in which anything sounds."""
     at = np.flatnonzero(frames.any(axis=0))

@@ -1,11 +1,10 @@
-"""A recorder on a server, and a player whose sound is on its inputs in real time."""
+"""A recorder on a server with a tone at its inputs."""
 
-import threading
-import time
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
+from tests.wire.audio_bench import wait_until
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.protocols import RecordLabel, RecordRequest
 from wavefocus.mocks.wire.ni_server import NiServer
@@ -16,44 +15,6 @@ TAKE = RecordLabel(12, 1, 3)
 SAMPLES = 500
 
 
-class Wires:
-    """A cable from the player's channel 0 to ai0 and from 1 to ai1; implements `SignalSource`."""
-
-    latency_s = 0.004
-
-    def __init__(self, noise_v=1e-4):
-        self.asked = []
-        self._plays = []
-        self._noise_v = noise_v
-        self._generator = np.random.default_rng(1)
-        self._lock = threading.Lock()
-
-    def play(self, signals_v, sample_rate_hz):
-        start_ns = time.monotonic_ns() + round(self.latency_s * 1e9)
-        with self._lock:
-            self._plays += [(start_ns, f"ai{channel}", signal, sample_rate_hz) for channel, signal in signals_v.items()]
-
-    def wait(self, timeout_s):
-        with self._lock:
-            ends = [start_ns + round(len(signal) / rate * 1e9) for start_ns, _, signal, rate in self._plays]
-        time.sleep(min(timeout_s, max(0, max(ends) - time.monotonic_ns()) * 1e-9))
-
-    def record(self, start_ns, samples, rate_hz, inputs, channel_delay_s):
-        with self._lock:
-            self.asked.append((start_ns, samples, rate_hz, inputs, channel_delay_s))
-            volts = self._noise_v * self._generator.standard_normal((len(inputs), samples))
-            for row, name in enumerate(inputs):
-                at_s = np.arange(samples) / rate_hz + row * channel_delay_s
-                for played_ns, channel, signal, sample_rate_hz in self._plays:
-                    if channel == name:
-                        place = (at_s + (start_ns - played_ns) * 1e-9) * sample_rate_hz
-                        volts[row] += np.interp(place, np.arange(len(signal)), signal, left=0.0, right=0.0)
-        return volts
-
-    def close(self):
-        pass
-
-
 class Tone:
     """A tone at every input that knows no time: every record is the same but for its noise."""
 
@@ -61,8 +22,10 @@ class Tone:
         self._amplitude_v = amplitude_v
         self._noise_v = noise_v
         self._generator = np.random.default_rng(1)
+        self.asked = []
 
     def record(self, start_ns, samples, rate_hz, inputs, channel_delay_s):
+        self.asked.append((inputs, channel_delay_s))
         at_s = np.arange(samples) / rate_hz + channel_delay_s * np.arange(len(inputs))[:, np.newaxis]
         noise = self._generator.standard_normal((len(inputs), samples))
         return self._amplitude_v * np.sin(2 * np.pi * 200 * at_s) + self._noise_v * noise
@@ -93,10 +56,7 @@ class DaqBench:
 
     def until_under_way(self, name):
         """Wait until a call is being answered."""
-        until_s = time.monotonic() + 30
-        while name not in self.server.under_way:
-            assert time.monotonic() < until_s, f"{name} never came"
-            time.sleep(0.001)
+        wait_until(lambda: name in self.server.under_way, name)
 
 
 @contextmanager

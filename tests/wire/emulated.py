@@ -1,12 +1,14 @@
 """A rig file whose instruments stand at the other ends of emulated wires, and the emulated instruments themselves."""
 
 import os
+import socket
 from collections.abc import Mapping
 from contextlib import contextmanager
 
 from tests.system.lines import Lines
 from tests.wire.audio_bench import wait_until
 from tests.wire.serial_bench import DIALECTS
+from wavefocus.configuration import load_rig
 
 ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0], [20.0, -60.0]]
 
@@ -55,6 +57,35 @@ def rig_text(folder, recorder, *, dialect="asi-tiger", mirror="", period_frames=
     )
 
 
+ANALOG = """
+[mirror]
+driver = "analog"
+device = "Dev1"
+address = "{address}"
+distance_mm = 1000.0
+limit_mrad = 200.0
+park_mrad = [-190.0, -190.0]
+"""
+SHUTTER = """
+[shutter]
+driver = "nidaqmx"
+device = "Dev1"
+address = "{address}"
+"""
+
+
+def analog_rig(folder, address, shutter=None, mirror="", **text):
+    """A rig, read from a file in `folder`, whose mirror follows two outputs of the recorder's box at an address.
+
+    shutter, mirror: Keys of a shutter on that box, if there is one, and more keys of the mirror, as lines.
+    """
+    before, _, rest = rig_text(folder, address, **text).partition("[mirror]")
+    tables = ANALOG + mirror + ("" if shutter is None else SHUTTER + shutter)
+    rest = rest.partition("\n[")[2]
+    (folder / "rig.toml").write_text(f"{before}{tables.format(address=address)}\n[{rest}", encoding="utf-8")
+    return load_rig(folder / "rig.toml")
+
+
 class EmulatedInstruments(Lines):
     """A running ``wavefocus emulate``.
 
@@ -94,8 +125,6 @@ def emulated_instruments(rig_file):
 
 def free_port():
     """A TCP port that nobody listens at."""
-    import socket
-
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

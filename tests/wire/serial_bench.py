@@ -69,24 +69,17 @@ class MirrorBench:
     device: SerialDevice
     opened: list[SerialMirror] = field(default_factory=list)
 
-    def mirror(self, **changes):
-        settings: dict[str, Any] = {
-            "settle_s": 0.02,
-            "limit_mrad": LIMIT_MRAD,
-            "park_mrad": PARK_MRAD,
-            "clock": ImpatientClock(),
-            "answer_s": 0.5,
-            "patience_s": 0.5,
-        }
+    def mirror(self, *, port="", answer_s=0.5, patience_s=0.5, **changes):
         driver = MIRRORS.all()[self.dialect]
-        given = {"full_scale_mrad": LIMIT_MRAD, **changes}
-        keys = {key.name: given[key.name] for key in fields(driver) if key.name in given}
-        port = changes.pop("port", self.far.address)
-        changes = {name: value for name, value in changes.items() if name not in keys}
-        patience = {name: (settings | changes)[name] for name in ("answer_s", "patience_s")}
-        of_mirror = {name: value for name, value in (settings | changes).items() if name not in patience}
-        self.opened.append(SerialMirror(driver(**keys), MirrorSettings(port=port, **of_mirror), **patience))
-        return self.opened[-1]
+        settings: dict[str, Any] = {
+            "settle_s": 0.02, "limit_mrad": LIMIT_MRAD, "park_mrad": PARK_MRAD, "clock": ImpatientClock(),
+            "full_scale_mrad": LIMIT_MRAD, "port": port or self.far.address, **changes,
+        }  # fmt: skip
+        keys = {key.name: settings.pop(key.name) for key in fields(driver) if key.name in settings}
+        settings.pop("full_scale_mrad", None)  # of one dialect alone
+        mirror = SerialMirror(driver(**keys), MirrorSettings(**settings), answer_s=answer_s, patience_s=patience_s)
+        self.opened.append(mirror)
+        return mirror
 
     def stands_at(self, x_mrad, y_mrad):
         x, y = self.motion.where_mrad()
@@ -99,14 +92,17 @@ class MirrorBench:
         assert self.stands_at(x_mrad, y_mrad)
 
 
-def answering(kind, prefix, answer):
-    """A device that gives this answer to all commands that begin so; ``{axis}`` is the command's fourth letter."""
+def answering(kind, prefix, answer, times=math.inf):
+    """A device that gives this answer to commands that begin so; ``{axis}`` is the command's fourth letter."""
 
     class Answering(kind):  # type: ignore[misc, valid-type]
+        left = times
+
         def answer(self, command):
-            if command.startswith(prefix):
-                return answer.format(axis=command[3:4]) + "\r\n"
-            return str(super().answer(command))
+            if not command.startswith(prefix) or self.left < 1:
+                return str(super().answer(command))
+            self.left -= 1
+            return answer.format(axis=command[3:4]) + "\r\n"
 
     return Answering
 

@@ -13,8 +13,10 @@ from tests.wire.audio_bench import (
     AudioBench,
     as_played,
     assert_ends_with,
+    heard_of,
     needs_audio_server,
     noise,
+    played_between,
     sounding,
     undisturbed,
 )
@@ -50,20 +52,6 @@ def player(opened):
     opened.mute()
 
 
-def heard_of(server, player, signals_v, sample_rate_hz=RATE_HZ):
-    """What leaves the outputs between the call of play and the end of wait, nothing disturbing it."""
-
-    def take():
-        asked_ns = time.monotonic_ns()
-        player.play(signals_v, sample_rate_hz)
-        player.wait(30)
-        returned_ns = time.monotonic_ns()
-        first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, returned_ns))
-        return server.played.read(first, stop)
-
-    return undisturbed(player, take)
-
-
 def test_a_signal_for_every_channel_then_it_has_left_to_the_sample_when_waiting_ends(server, player):
     signals = noise(9600)
     for _ in range(2):
@@ -96,15 +84,19 @@ def test_a_sweep_played_again_then_it_is_sent_once_and_heard_wherever_it_is_play
         np.testing.assert_array_equal(frames[[actuator, 12]], first[[0, 12]])
 
 
-def test_given_a_player_that_plays_then_another_play_is_refused(player):
+def test_a_play_that_cannot_be_begun_is_refused_with_the_way_out(player):
     player.play({0: np.full(RATE_HZ, 0.1)}, RATE_HZ)
     with pytest.raises(InstrumentError, match="still playing"):
         player.play({0: np.full(100, 0.1)}, RATE_HZ)
-
-
-def test_given_a_rate_without_a_ratio_then_it_is_refused_with_the_way_out(player):
+    player.mute()
     with pytest.raises(InstrumentError, match=r"goes evenly into player\.interface_rate_hz"):
         player.play({0: np.full(100, 0.1)}, 10_000.03)
+    for channels, rate_hz in (([0, 0], RATE_HZ), ([], RATE_HZ), ([99], RATE_HZ), ([0], 10_000)):
+        with pytest.raises(InstrumentError):
+            player.begin_pieces(channels, rate_hz, 0.1)
+    player.begin_pieces([0], RATE_HZ, 0.1)
+    with pytest.raises(InstrumentError, match="within full scale"):
+        player.add_piece(np.full((1, 10), 1e3))
 
 
 def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(server, player):
@@ -168,8 +160,7 @@ def test_given_a_signal_in_pieces_then_every_sample_leaves_its_output(server, pl
             player.add_piece(piece)
         player.end_pieces()
         player.wait(30)
-        first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, time.monotonic_ns()))
-        return server.played.read(first, stop)
+        return played_between(server, asked_ns)
 
     np.testing.assert_array_equal(sounding(undisturbed(player, take)), as_played(signals))
 
@@ -182,20 +173,6 @@ def test_given_pieces_that_come_too_late_then_it_is_told_and_silent(player):
     player.begin_pieces([0], RATE_HZ, 0.02)
     player.mute()
     player.wait(1)
-
-
-@pytest.mark.parametrize(
-    ("channels", "rate_hz", "volts"),
-    [([0, 0], RATE_HZ, None), ([], RATE_HZ, None), ([99], RATE_HZ, None), ([0], 10_000, None), ([0], RATE_HZ, 1e3)],
-)
-def test_given_pieces_that_cannot_be_played_then_they_are_refused(player, channels, rate_hz, volts):
-    if volts is None:
-        with pytest.raises(InstrumentError):
-            player.begin_pieces(channels, rate_hz, 0.1)
-    else:
-        player.begin_pieces(channels, rate_hz, 0.1)
-        with pytest.raises(InstrumentError, match="within full scale"):
-            player.add_piece(np.full((1, 10), volts))
 
 
 @pytest.mark.long

@@ -1,18 +1,26 @@
-"""A small campaign through every wire at once: serial mirror, gRPC recorder, JACK player, one plate behind them."""
+"""Campaigns and trials through every wire at once: mirror, gRPC recorder, JACK player, one plate behind them."""
 
 import json
+import signal
 import subprocess
 import sys
+import time
 
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import POSITIONS, write_positions
-from tests.wire.emulated import ACTUATORS, emulated_instruments, free_port, rig_text
+from tests.system.lines import Lines
+from tests.system.test_trials import MASKING, TRIALS
+from tests.wire.audio_bench import wait_until
+from tests.wire.emulated import ACTUATORS, analog_rig, emulated_instruments, free_port, rig_text
+from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig
+from wavefocus.drivers.process import SILENT_S
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rig.virtual_bench import virtual_settings
+from wavefocus.trials.answers import read_answers
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
@@ -149,3 +157,68 @@ def test_after_replugs_of_each_instrument_and_a_kill_resume_measures_the_rest_al
         assert list(file["status"]) == [1] * len(POSITIONS)
         assert file["green"][valid].tobytes() == before
     wavefocus("check", bank)
+
+
+def test_box_unplugged_and_program_stopped_then_bank_is_good_and_beam_was_parked(lab):
+    address = f"localhost:{free_port()}"
+    analog_rig(lab, address, "opens_s = 0.01\n")
+    bank = lab / "plate.h5"
+    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    with emulated_instruments(lab / "rig.toml") as sides:
+        spots, states, reasons = [], [], []
+        with subprocess.Popen(command, env=dict(sides.environment), stdout=subprocess.PIPE, text=True) as capture:
+            assert capture.stdout is not None
+            for line in capture.stdout:
+                event = json.loads(line)
+                states.append(event.get("state"))
+                reasons.append(event.get("reason") or "")
+                if event["event"] == "position_committed" and len(spots) < 3:
+                    spots.append(event["position"])
+                    if len(spots) == 2:
+                        sides.say("unplug recorder")
+                    if len(spots) == 3:
+                        capture.send_signal(signal.SIGSTOP)
+                        wait_until(lambda: sides.say("spot") == "spot: not on the plate", "the beam is parked")
+                        time.sleep(SILENT_S)  # the player's process, too
+                        capture.send_signal(signal.SIGCONT)
+                if event["event"] == "reconnect_tried":
+                    sides.say("plug recorder")
+            code = capture.wait()
+        assert code == 0
+        assert states.count("recovering") >= 2
+        assert any("this program was stopped for more than 5 s" in reason for reason in reasons)
+        assert sides.say("spot") == "spot: not on the plate"
+    errors = errors_db(bank, lab / "rig.toml")
+    assert np.median(errors) < -40.0
+    assert errors.max() < -30.0
+
+
+def test_a_player_unplugged_in_a_trial_repeats_it_and_every_onset_is_found(lab):
+    write_run(lab, "virtual-run.toml", "virtual-rig.toml", averages=1)
+    assert run(["capture", str(lab / "virtual-run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    trials = TRIALS.replace("repetitions = 4", "repetitions = 2").replace("[trials]", "[trials]\nfamiliarise = false")
+    (lab / "trials.toml").write_text(trials + MASKING, encoding="utf-8")
+    files = [lab / "trials.toml", "--bank", lab / "plate.h5", "--rig", lab / "rig.toml"]
+    rest = ["--out", lab / "out", "--participant", "P1", "--lines"]
+    with (
+        emulated_instruments(lab / "rig.toml") as sides,
+        Lines("trials", *files, *rest, environment=sides.environment) as it,
+    ):
+        away = False
+        while (event := it.hear("state", "ended"))["event"] != "ended":
+            match event["waiting"], event["note"]:
+                case "go_on", _:
+                    it.send(order="go_on")
+                case "answer", _:
+                    it.send(order="answer", choice="left")
+                case "playing", "" if event["trial"] == 2:
+                    sides.say("unplug player")
+                    away = True
+                case "playing", _ if away:
+                    sides.say("plug player")
+                    away = False
+        assert event["complete"]
+        assert it.end() == 0
+    attempts = [row.attempts for row in read_answers(lab / "out")]
+    assert attempts[1] > 1
+    assert attempts[:1] + attempts[2:] == [1, 1, 1]

@@ -52,26 +52,35 @@ unplugged, hangs = (Path(os.environ[name]) for name in ("SHIM_UNPLUGGED", "SHIM_
 """
 
 
+RIG = """
+[mirror]
+driver = "generic"
+port = "/nowhere"
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+[player]
+driver = "sounddevice"
+device = "none"
+"""
+
+
 @pytest.fixture(scope="module")
-def library(tmp_path_factory):
+def session(tmp_path_factory):
+    """Runs a script, whose assertions are the test's, in a process whose loader finds the stand-in."""
     folder = tmp_path_factory.mktemp("driver")
-    source = Path(__file__).with_name("libnidaqmx.c")
     # The name within the library is what the loader goes by.
     command = ["gcc", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wl,-soname,libnidaqmx.so"]
+    source = Path(__file__).with_name("libnidaqmx.c")
     subprocess.run([*command, "-o", folder / "libnidaqmx.so", source, "-lm"], check=True)
-    return folder
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    shim = {"SHIM_UNPLUGGED": str(folder / "unplugged"), "SHIM_HANGS": str(folder / "hangs")}
+    environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "RIG_FILE": str(folder / "rig.toml"), **shim}
 
-
-@pytest.fixture
-def session(library, tmp_path):
-    """Runs a script, whose assertions are the test's, in a process whose loader finds the stand-in."""
-
-    def run(script, **environment):
-        shim = {"SHIM_UNPLUGGED": str(tmp_path / "unplugged"), "SHIM_HANGS": str(tmp_path / "hangs")}
+    def run(script):
         done = subprocess.run(
             [sys.executable, "-c", SESSION + script],
-            cwd=ROOT, env={**os.environ, "LD_LIBRARY_PATH": str(library), **shim, **environment},
-            capture_output=True, text=True, check=False,
+            cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert not done.stderr
@@ -79,8 +88,8 @@ def session(library, tmp_path):
     return run
 
 
-def test_the_local_driver_takes_many_records_and_gives_the_device_back(session):
-    session("""
+def test_the_local_driver_takes_records_tells_its_faults_and_gives_the_device_back(session):
+    session(r"""
 recorder = opened()
 assert recorder.identify() == (
     "NI USB-6001, serial number 01C0FFEE, Dev1 on this computer, NI-DAQmx 23.8.1, ai0 and ai1 differential"
@@ -101,29 +110,29 @@ recorder.reconnect()
 assert taken(recorder, 1).volts.shape == (2, 1)
 recorder.close()
 assert tasks() == 0
+for status, error, cause in (
+    ("-200284", TransientInstrumentError, r"did not come in time \(NI-DAQmx -200284\); 500"),
+    ("-209999", InstrumentError, "NI-DAQmx says: As ordered"),
+):
+    os.environ["SHIM_READ_STATUS"] = status
+    recorder = opened()
+    with pytest.raises(error, match=cause):
+        taken(recorder)
+    assert tasks() == 0
+    recorder.close()
 """)
 
 
-@pytest.mark.parametrize(
-    ("status", "error", "cause"),
-    [
-        ("-200284", "TransientInstrumentError", r"did not come in time \(NI-DAQmx -200284\); 500"),
-        ("-209999", "InstrumentError", "NI-DAQmx says: As ordered"),
-    ],
-)
-def test_given_a_fault_of_the_local_driver_then_it_is_told_and_nothing_is_left(session, status, error, cause):
-    script = f"""
-recorder = opened()
-with pytest.raises({error}, match=r"{cause}"):
-    taken(recorder)
-assert tasks() == 0
-recorder.close()
-"""
-    session(script, SHIM_READ_STATUS=status)
-
-
-def test_a_library_broken_by_a_replug_works_again_in_a_fresh_process(session):
+def test_a_library_broken_killed_or_hanging_works_again_in_a_fresh_process(session):
     session("""
+# Of a rig file without an address.
+from wavefocus.configuration import load_rig
+from wavefocus.rig.instruments import openers_of
+recorder = openers_of(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
+assert recorder.identify().startswith("NI USB-6001")
+assert "nidaqmx" not in sys.modules
+recorder.close()
+
 recorder, here = in_a_process(), opened()
 process = recorder.process_id
 check_record(recorder)
@@ -154,16 +163,8 @@ with pytest.raises(InstrumentError, match="no record was started"):
 recorder.start(request(100_000))
 with pytest.raises(TransientInstrumentError, match="not finished"):
     recorder.read(0.01)
-recorder.close()
-recorder.close()
-with pytest.raises(InstrumentError, match="it is closed"):
-    recorder.start(request())
-""")
+recorder.abort()
 
-
-def test_process_of_library_is_killed_then_recorder_is_lost_and_comes_back(session):
-    session("""
-recorder = in_a_process()
 recorder.start(request(100_000))
 os.kill(recorder.process_id, signal.SIGKILL)
 with pytest.raises(InstrumentLostError, match="the process that runs NI-DAQmx ended"):
@@ -171,13 +172,7 @@ with pytest.raises(InstrumentLostError, match="the process that runs NI-DAQmx en
 recorder.abort()
 recorder.reconnect()
 check_record(recorder)
-recorder.close()
-""")
 
-
-def test_given_a_library_that_hangs_then_reconnecting_ends_it_with_its_process(session):
-    session("""
-recorder = in_a_process()
 process = recorder.process_id
 hangs.touch()
 
@@ -195,31 +190,7 @@ thread.join()
 check_record(recorder)
 assert recorder.process_id != process
 recorder.close()
-""")
-
-
-RIG = """
-[mirror]
-driver = "generic"
-port = "/nowhere"
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-[player]
-driver = "sounddevice"
-device = "none"
-"""
-
-
-def test_rig_file_without_address_then_library_is_loaded_in_process_of_its_own(session, tmp_path):
-    rig_file = tmp_path / "rig.toml"
-    rig_file.write_text(RIG, encoding="utf-8")
-    script = """
-from wavefocus.configuration import load_rig
-from wavefocus.rig.instruments import openers_of
-recorder = openers_of(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
-assert recorder.identify().startswith("NI USB-6001")
-assert "nidaqmx" not in sys.modules
 recorder.close()
-"""
-    session(script, RIG_FILE=str(rig_file))
+with pytest.raises(InstrumentError, match="it is closed"):
+    recorder.start(request())
+""")

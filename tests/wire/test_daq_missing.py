@@ -20,42 +20,35 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.mocks.wire.ni_server import NiServer
 
 ROOT = Path(__file__).parents[2]
-# A process of its own, in which the import of some packages fails as if they were not installed.
+# In a process of its own, in which the import of some packages fails as if they were not installed.
 OPENING = """
 import sys
-for name in {missing!r}:
-    sys.modules[name] = None
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import MissingPackageError
-assert not any(name in sys.modules for name in {unneeded!r}), "imported before it is needed"
-try:
-    NiRecorder("Dev1", address={address!r}, reference_input="ai0", response_input="ai1", terminal="rse", trigger=None)
-except MissingPackageError as error:
-    print(error.instrument, error.operation, error.cause, error.remedy, sep="|")
+def opened_without(missing, address):
+    unneeded = {"nidaqmx", "grpc", "google.protobuf"} - {missing}
+    assert not unneeded & set(sys.modules), "imported before it is needed"
+    sys.modules[missing] = None
+    try:
+        NiRecorder("Dev1", address=address, reference_input="ai0", response_input="ai1", terminal="rse", trigger=None)
+    except MissingPackageError as error:
+        print(error.instrument, error.operation, error.cause.partition(" (")[0], error.remedy, sep="|")
+    del sys.modules[missing]
+opened_without("nidaqmx", None)
+opened_without("nidaqmx", "localhost:31763")
+opened_without("grpc", "localhost:31763")
 """
 
 
-def opened_without(missing, address):
-    unneeded = [name for name in ("nidaqmx", "grpc", "google.protobuf") if name not in missing]
-    script = OPENING.format(missing=missing, address=address, unneeded=unneeded)
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+def test_given_a_package_that_is_not_installed_then_opening_says_how_to_install_it():
+    done = subprocess.run([sys.executable, "-c", OPENING], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout.strip().split("|")
-
-
-@pytest.mark.parametrize(
-    ("missing", "address", "cause", "package"),
-    [
-        ("nidaqmx", None, "the Python package nidaqmx is missing", "nidaqmx"),
-        ("nidaqmx", "localhost:31763", "the Python package nidaqmx is missing", "wavefocus[remote]"),
-        ("grpc", "localhost:31763", "what the nidaqmx package needs for an address is missing", "wavefocus[remote]"),
-    ],
-)
-def test_given_a_package_that_is_not_installed_then_opening_says_how_to_install_it(missing, address, cause, package):
-    instrument, operation, told, remedy = opened_without([missing], address)
-    assert (instrument, operation) == (f"recorder Dev1{f' at {address}' if address else ''}", "opening")
-    assert cause in told
-    assert remedy == f'install it: pip install "{package}"'
+    local, remote = "recorder Dev1|opening|", "recorder Dev1 at localhost:31763|opening|"
+    assert done.stdout.splitlines() == [
+        f'{local}the Python package nidaqmx is missing|install it: pip install "nidaqmx"',
+        f'{remote}the Python package nidaqmx is missing|install it: pip install "wavefocus[remote]"',
+        f'{remote}what the nidaqmx package needs for an address is missing|install it: pip install "wavefocus[remote]"',
+    ]
 
 
 @pytest.mark.may_skip("NI-DAQmx is on this computer")

@@ -1,4 +1,4 @@
-"""``wavefocus play`` on an emulated audio interface: what leaves its outputs, to the end and interrupted."""
+"""``wavefocus play`` and ``live`` on an emulated audio interface: what leaves its outputs, to the end and not."""
 
 import os
 import signal
@@ -10,10 +10,13 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 
+from tests.lab_files import write_bank
+from tests.system.lines import Lines
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
+from wavefocus.drivers.process import SILENT_S
 from wavefocus.storage.drive_file import Drive, write_drive
 
-pytestmark = [pytest.mark.long, *needs_audio_server]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300), *needs_audio_server]
 
 RATE_HZ = 48_000
 # The mirror and the recorder of this rig are nowhere: play needs neither.
@@ -109,11 +112,10 @@ def test_given_a_loop_then_every_sample_leaves_its_output_twice_without_a_gap(la
     assert not heard[3:].any()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_given_a_signal_then_the_outputs_fall_silent_and_it_ends_in_130(lab, server, number):
+def test_a_terminal_that_closes_then_the_outputs_fall_silent_and_it_ends_in_130(lab, server):
     write(lab, np.full((3, 60 * RATE_HZ), 1.0))
     with sounding_play(lab, server) as child:
-        child.send_signal(number)
+        child.send_signal(signal.SIGHUP)
         told = child.communicate(timeout=60)[1]
     assert child.returncode == 130, told
     assert "Traceback" not in told
@@ -129,3 +131,52 @@ def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(l
     assert child.returncode == 3, told
     assert "Traceback" not in told
     assert "reconnect" in told.splitlines()[-1]
+
+
+# -- wavefocus live ---------------------------------------------------------------------------------------
+
+
+def move_until(running, event, code=""):
+    """Send positions until an event comes."""
+    for count in range(3000):
+        running.send(order="move", name="a", at_mm=[count % 9, 0.0], amplitude=0.5)
+        time.sleep(0.01)
+        told = running.next_of(event)
+        if told is not None and (not code or told["code"] == code) and (event != "state" or told["sources"]):
+            return told
+    raise AssertionError(f"no {event} {code} came")
+
+
+def test_live_outlives_the_loss_of_its_server_and_is_silent_in_the_end(lab, server):
+    places_mm = np.array([[x, y] for y in (0.0, 4.0) for x in (0.0, 4.0, 8.0)])
+    green = np.random.default_rng(1).standard_normal((len(places_mm), 3, 400))
+    write_bank(lab / "plate.h5", green, places_mm, band_hz=(50.0, 450.0))
+    environment = {**os.environ, **server.environment}
+    rig = ("--rig", lab / "rig.toml", "--json")
+    with Lines("live", lab / "plate.h5", *rig, environment=environment) as running:
+        assert running.hear("ready")["actuators"] == 3
+        begun = int(server.played.frame_at(time.monotonic_ns()))
+        move_until(running, "state")
+        time.sleep(0.3)
+        now = int(server.played.frame_at(time.monotonic_ns()))
+        frames = server.played.read(begun, now)
+        assert np.flatnonzero(frames.any(axis=1)).tolist() == [0, 1, 2]
+        assert np.abs(frames).max() <= 3.0 / 4.0
+        server.kill()
+        move_until(running, "notice", "lost")
+        server.restart()
+        move_until(running, "notice", "reconnected")
+        move_until(running, "state")
+        running.process.send_signal(signal.SIGSTOP)
+        time.sleep(SILENT_S + 3.0)
+        now = int(server.played.frame_at(time.monotonic_ns()))
+        assert not server.played.read(now - 48_000, now).any()
+        running.process.send_signal(signal.SIGCONT)
+        assert "was stopped" in move_until(running, "notice", "lost")["sentence"]
+        move_until(running, "notice", "reconnected")
+        move_until(running, "state")
+        running.close_input()
+        assert running.rest()[-1]["event"] == "ended"
+        assert running.end() == 0
+    ended = int(server.played.frame_at(time.monotonic_ns()))
+    assert not server.played.read(ended, ended + 24_000).any()

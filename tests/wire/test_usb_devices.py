@@ -4,7 +4,7 @@ import errno
 import re
 import time
 from array import array
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,48 +14,39 @@ from usb.backend import IBackend
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.serial_line import RULES
-from wavefocus.drivers.usb import find_device, list_devices, permit, reset_device
+from wavefocus.drivers.usb import UsbDevice, find_device, list_devices, permit, reset_device
 
 DESCRIPTOR = {"bLength": 18, "bDescriptorType": 1, "bcdUSB": 0x0200, "bDeviceClass": 0, "bDeviceSubClass": 0,
               "bDeviceProtocol": 0, "bMaxPacketSize0": 64, "bcdDevice": 0x0100, "bNumConfigurations": 0, "speed": 3,
-              "iManufacturer": 1, "iProduct": 2}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Plugged:
-    """A device on the bus, with its three texts."""
-
-    vendor_id: int
-    product_id: int
-    texts: tuple[str, str, str]
-    port: int
-    failure: Exception | None = None
-    """Of every attempt to open it."""
+              "iManufacturer": 1, "iProduct": 2, "bus": 1, "address": 1}  # fmt: skip
 
 
 class Bus(IBackend):
     """What pyusb asks of a backend; a reset ends with `reset_failure`, and the device comes back after `away_s`."""
 
-    def __init__(self, *devices, reset_failure=None, away_s=0.0):
-        self.devices, self.reset_failure, self.away_s = devices, reset_failure, away_s
+    def __init__(self, *devices, opening_failure=None, listing_failure=None, reset_failure=None, away_s=0.0):
+        self.devices, self.away_s = devices, away_s
+        self.failures = {"opening": opening_failure, "listing": listing_failure, "reset": reset_failure}
         self.back_s = 0.0
         self.open_handles = 0
-        self.listing_failure = None
+
+    def fail(self, doing):
+        if self.failures[doing] is not None:
+            raise self.failures[doing]
 
     def enumerate_devices(self):
-        if self.listing_failure is not None:
-            raise self.listing_failure
+        self.fail("listing")
         return iter(self.devices if time.monotonic() >= self.back_s else ())
 
     def get_device_descriptor(self, dev):
         return SimpleNamespace(
-            **DESCRIPTOR, idVendor=dev.vendor_id, idProduct=dev.product_id, iSerialNumber=3 if dev.texts[2] else 0,
-            bus=1, address=1, port_number=dev.port, port_numbers=(1, dev.port),
+            **DESCRIPTOR, idVendor=dev.vendor_id, idProduct=dev.product_id, iSerialNumber=3 if dev.serial_number else 0,
+            port_number=dev.port_path[-1], port_numbers=dev.port_path,
         )  # fmt: skip
 
     def open_device(self, dev):
-        if dev.failure is not None:
-            raise dev.failure
+        if dev is self.devices[0]:
+            self.fail("opening")
         self.open_handles += 1
         return dev
 
@@ -63,71 +54,66 @@ class Bus(IBackend):
         self.open_handles -= 1
 
     def ctrl_transfer(self, dev_handle, request_type, request, value, index, data, timeout):
-        number = value & 0xFF
-        body = dev_handle.texts[number - 1].encode("utf-16-le") if number else (0x0409).to_bytes(2, "little")
+        maker, _, product = dev_handle.product.rpartition(" ")
+        texts = {1: maker, 2: product, 3: dev_handle.serial_number}
+        body = texts[value & 0xFF].encode("utf-16-le") if value & 0xFF else (0x0409).to_bytes(2, "little")
         answer = (bytes((2 + len(body), 3)) + body)[: len(data)]
         data[: len(answer)] = array("B", answer)
         return len(answer)
 
     def reset_device(self, dev_handle):
         self.back_s = time.monotonic() + self.away_s
-        if self.reset_failure is not None:
-            raise self.reset_failure
+        self.fail("reset")
 
 
 DENIED = usb.core.USBError("Access denied (insufficient permissions)", -3, errno.EACCES)
+BUSY = usb.core.USBError("Resource busy", -6, errno.EBUSY)
+BROKEN = usb.core.USBError("Input/Output Error", -1, errno.EIO)
 NOT_FOUND = usb.core.USBError("Entity not found", -5, errno.ENOENT)
-DAQ = Plugged(0x3923, 0x7179, ("National Instruments", "USB-6211", "01A2B3C4"), 2)
-ADAPTER = Plugged(0x0403, 0x6001, ("FTDI", "FT232R USB UART", "A50285BI"), 3)
-SECOND_ADAPTER = replace(ADAPTER, texts=("FTDI", "FT232R USB UART", "A7004IXX"), port=4)
-AUDIO = Plugged(0x07FD, 0x0005, ("MOTU", "24Ao", ""), 5)
-CLOSED_DAQ = replace(DAQ, failure=DENIED)
+DAQ = UsbDevice(0x3923, 0x7179, 1, (1, 2), "National Instruments USB-6211", "01A2B3C4")
+ADAPTER = UsbDevice(0x0403, 0x6001, 1, (1, 3), "FTDI FT232R USB UART", "A50285BI")
+SECOND_ADAPTER = replace(ADAPTER, serial_number="A7004IXX", port_path=(1, 4))
+AUDIO = UsbDevice(0x07FD, 0x0005, 1, (1, 5), "MOTU 24Ao")
+CLOSED_DAQ = replace(DAQ, product="", serial_number="", problem="it cannot be opened: Access denied")
 RECORDER = ("recorder", 0x3923, 0x7179)
 
 
-def find(bus, device, serial_number=None):
-    return find_device(list_devices(bus), "recorder", device.vendor_id, device.product_id, serial_number)
+def find(plugged_in, device, serial_number=None):
+    return find_device(plugged_in, "recorder", device.vendor_id, device.product_id, serial_number)
 
 
 def test_given_a_bus_then_each_device_is_listed_with_its_ids_texts_and_place():
     bus = Bus(DAQ, ADAPTER, AUDIO)
-    daq, _, audio = list_devices(bus)
+    listed = list_devices(bus)
     assert bus.open_handles == 0
-    assert (daq.vendor_id, daq.product_id, daq.serial_number) == (0x3923, 0x7179, "01A2B3C4")
-    assert (daq.bus, daq.port_path, audio.serial_number) == (1, (1, 2), "")
-    assert str(daq) == "3923:7179 National Instruments USB-6211, serial number 01A2B3C4, bus 1 port 1.2"
+    assert listed == [DAQ, ADAPTER, AUDIO]
+    assert str(listed[0]) == "3923:7179 National Instruments USB-6211, serial number 01A2B3C4, bus 1 port 1.2"
 
 
 @pytest.mark.parametrize(
-    ("plugged_in", "device", "number", "port_path"),
+    ("plugged_in", "device", "number", "found"),
     [
-        ([ADAPTER, DAQ], DAQ, None, (1, 2)),
-        ([ADAPTER, SECOND_ADAPTER], ADAPTER, "A7004IXX", (1, 4)),
-        ([DAQ], DAQ, "01a2b3c4 ", (1, 2)),
-        ([ADAPTER], ADAPTER, "A50285BIA", (1, 3)),  # with the letter of its port, as Windows shows it
-        ([CLOSED_DAQ], DAQ, None, (1, 2)),  # without a serial number the ids are enough
+        ([ADAPTER, DAQ], DAQ, None, DAQ),
+        ([ADAPTER, SECOND_ADAPTER], ADAPTER, "A7004IXX", SECOND_ADAPTER),
+        ([DAQ], DAQ, "01a2b3c4 ", DAQ),
+        ([ADAPTER], ADAPTER, "A50285BIA", ADAPTER),  # with the letter of its port, as Windows shows it
+        ([CLOSED_DAQ], DAQ, None, CLOSED_DAQ),  # without a serial number the ids are enough
+        ([ADAPTER], DAQ, None, ("not plugged in", "cable")),
+        ([ADAPTER, SECOND_ADAPTER], ADAPTER, None, ("A50285BI.*A7004IXX", "serial_number")),
+        ([SECOND_ADAPTER], ADAPTER, "A50285BI", ("A7004IXX", "serial_number")),
+        ([ADAPTER], ADAPTER, "A50285BIX", ("none with serial number", "serial_number")),
+        ([DAQ], DAQ, "01A2B3C4A", ("none with serial number", "serial_number")),  # only FTDI's have that letter
+        ([CLOSED_DAQ], DAQ, "01A2B3C4", ("cannot be opened", permit(0x3923, 0x7179))),
     ],
 )
-def test_given_a_table_of_the_rig_then_its_device_is_found(plugged_in, device, number, port_path):
-    assert find(Bus(*plugged_in), device, number).port_path == port_path
-
-
-@pytest.mark.parametrize(
-    ("plugged_in", "device", "number", "cause", "remedy"),
-    [
-        ([ADAPTER], DAQ, None, "not plugged in", "cable"),
-        ([ADAPTER, SECOND_ADAPTER], ADAPTER, None, "A50285BI.*A7004IXX", "serial_number"),
-        ([SECOND_ADAPTER], ADAPTER, "A50285BI", "A7004IXX", "serial_number"),
-        ([ADAPTER], ADAPTER, "A50285BIX", "none with serial number", "serial_number"),
-        ([DAQ], DAQ, "01A2B3C4A", "none with serial number", "serial_number"),  # only FTDI's have that letter
-        ([CLOSED_DAQ], DAQ, "01A2B3C4", "cannot be opened", permit(0x3923, 0x7179)),
-    ],
-)
-def test_given_no_such_device_or_several_then_those_alike_are_named(plugged_in, device, number, cause, remedy):
-    with pytest.raises(InstrumentError, match=cause) as caught:
-        find(Bus(*plugged_in), device, number)
+def test_the_device_of_a_table_is_found_or_those_alike_are_named(plugged_in, device, number, found):
+    if isinstance(found, UsbDevice):
+        assert find(plugged_in, device, number) == found
+        return
+    with pytest.raises(InstrumentError, match=found[0]) as caught:
+        find(plugged_in, device, number)
     assert caught.value.instrument.startswith("recorder (USB ")
-    assert remedy in caught.value.remedy
+    assert found[1] in caught.value.remedy
 
 
 def test_the_file_of_rules_has_every_known_device_and_each_rule_is_of_udev():
@@ -150,16 +136,11 @@ def test_the_file_of_rules_has_every_known_device_and_each_rule_is_of_udev():
 
 @pytest.mark.parametrize(
     ("failure", "cause"),
-    [
-        (usb.core.NoBackendError("No backend available"), "no libusb was found"),
-        (usb.core.USBError("Input/Output Error", -1, errno.EIO), "Input/Output Error"),
-    ],
+    [(usb.core.NoBackendError("No backend available"), "no libusb was found"), (BROKEN, "Input/Output Error")],
 )
 def test_given_no_libusb_or_a_bus_that_fails_then_it_says_what_to_do(failure, cause):
-    bus = Bus(DAQ)
-    bus.listing_failure = failure
     with pytest.raises(InstrumentError, match=cause) as caught:
-        list_devices(bus)
+        list_devices(Bus(DAQ, listing_failure=failure))
     assert "libusb" in caught.value.remedy or "hubs" in caught.value.remedy
 
 
@@ -174,17 +155,16 @@ def test_given_the_machines_own_libusb_then_the_list_comes_or_says_what_to_insta
 
 @pytest.mark.parametrize("failure", [DENIED, NotImplementedError("its own driver runs it")])
 def test_given_a_device_that_cannot_be_opened_then_it_is_listed_without_its_texts(failure):
-    found, other = list_devices(Bus(replace(DAQ, failure=failure), AUDIO))
+    found, other = list_devices(Bus(DAQ, AUDIO, opening_failure=failure))
     assert found.problem
     assert not found.serial_number
-    assert other.product == "MOTU 24Ao"
+    assert other == AUDIO
 
 
 @pytest.mark.parametrize(("after", "away_s"), [(None, 0.0), (NOT_FOUND, 0.1)])
 def test_given_a_reset_then_the_device_is_waited_for_under_its_old_or_a_new_address(after, away_s):
     bus = Bus(DAQ, ADAPTER, reset_failure=after, away_s=away_s)
-    before = find(bus, DAQ)
-    assert reset_device(*RECORDER, backend=bus) == before
+    assert reset_device(*RECORDER, backend=bus) == DAQ
     assert time.monotonic() >= bus.back_s
     assert bus.open_handles == 0
 
@@ -193,21 +173,15 @@ def test_given_a_reset_then_the_device_is_waited_for_under_its_old_or_a_new_addr
     ("bus", "kind", "cause", "remedy"),
     [
         (Bus(DAQ, reset_failure=NOT_FOUND, away_s=9.0), InstrumentLostError, "not back after 0.2 s", "plug it in"),
-        (
-            Bus(DAQ, reset_failure=usb.core.USBError("Resource busy", -6, errno.EBUSY)),
-            InstrumentError,
-            "busy",
-            "unplug",
-        ),
+        (Bus(DAQ, reset_failure=BUSY), InstrumentError, "busy", "unplug"),
         (Bus(DAQ, reset_failure=NotImplementedError("not on this platform")), InstrumentError, "platform", "unplug"),
-        (Bus(CLOSED_DAQ), InstrumentError, "Access denied", permit(0x3923, 0x7179)),
+        (Bus(DAQ, opening_failure=DENIED), InstrumentError, "Access denied", permit(0x3923, 0x7179)),
         (Bus(ADAPTER), InstrumentError, "it is not plugged in", "check its cable"),
-        (Bus(DAQ, replace(DAQ, port=7)), InstrumentError, "2 such devices", "serial_number"),
+        (Bus(DAQ, replace(DAQ, port_path=(1, 7))), InstrumentError, "2 such devices", "serial_number"),
     ],
 )
 def test_given_a_reset_that_cannot_be_then_it_says_why_and_what_to_do(bus, kind, cause, remedy):
     with pytest.raises(kind, match=cause) as caught:
         reset_device(*RECORDER, backend=bus, within_s=0.2)
-    assert caught.value.remedy
     assert remedy in caught.value.remedy
     assert bus.open_handles == 0

@@ -218,7 +218,9 @@ class SerialMirror(Mirror):
             if self._stranger(identity):
                 # One disturbed answer is not another device.
                 identity = self._dialect.wake(self._dialogue, self._patience_s)
-            self._check_identity(identity)
+            if stranger := self._stranger(identity):
+                remedy = "plug in the right device, or correct the rig file, identity"
+                raise InstrumentError(self._name, "asking who it is", stranger, remedy)
             self._dialogue.recognise(self._dialect.marker(identity))
             self._dialect.enable(self._dialogue, self._settings.park_mrad)
             self._check_settings()
@@ -249,13 +251,6 @@ class SerialMirror(Mirror):
     def _new_dialogue(self, baud: int) -> Dialogue:
         settings = LineSettings(baud, self._dialect.command_end, self._answer_s, self._dialect.encoding)
         return Dialogue(self._name, SerialLine(self._name, self._settings.port, settings), self._clock)
-
-    def _check_identity(self, identity: str) -> None:
-        stranger = self._stranger(identity)
-        if stranger:
-            raise InstrumentError(
-                self._name, "asking who it is", stranger, "plug in the right device, or correct the rig file, identity"
-            )
 
     def _stranger(self, identity: str) -> str:
         """Why this is not the device that is wanted; empty if it is."""

@@ -338,11 +338,6 @@ class JackServer(AbstractContextManager["JackServer"]):
     def __exit__(self, *failure: object) -> None:
         self.stop()
 
-    @property
-    def process_id(self) -> int:
-        """The process that is the interface."""
-        return self._process.pid
-
     def kill(self) -> None:
         """Pull the plug: the server ends without notice."""
         self._order("kill")
@@ -357,10 +352,6 @@ class JackServer(AbstractContextManager["JackServer"]):
     def freeze(self) -> None:
         """Let the driver hang."""
         self._order("freeze")
-
-    def thaw(self) -> None:
-        """Let it go on."""
-        self._order("thaw")
 
     def underflow(self) -> None:
         """Let the server stand still for three periods."""

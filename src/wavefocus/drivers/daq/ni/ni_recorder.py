@@ -167,13 +167,9 @@ class NiRecorder(Recorder):
 
         name: ``"ai2"``, wired as the others are.
         """
-        volts = self._record_once((name, self._wiring.inputs[1]), _INPUT_TIMING, f"reading {name}")
-        return float(volts[0].mean())
-
-    def _record_once(self, names: tuple[str, str], timing: TaskTiming, doing: str) -> NDArray[np.float64]:
-        """One record of other inputs, by a task of its own."""
+        doing, wiring = f"reading {name}", InputWiring((name, self._wiring.inputs[1]), self._wiring.terminal, None)
         # The record, and 2 s for the driver to begin and end it.
-        limit_s = timing.samples / timing.rate_hz + 2.0
+        limit_s = _INPUT_TIMING.samples / _INPUT_TIMING.rate_hz + 2.0
         with self._lock:
             session = self._connected(doing)
             if self._under_way is not None:
@@ -182,7 +178,7 @@ class NiRecorder(Recorder):
             with session.explaining(doing):
                 if task is not None:
                     task.close()  # what is committed holds the converter
-                short = RecordTask(session, InputWiring(names, self._wiring.terminal, None), timing, doing)
+                short = RecordTask(session, wiring, _INPUT_TIMING, doing)
                 try:
                     short.start()
                     done = short.wait(limit_s)
@@ -192,7 +188,7 @@ class NiRecorder(Recorder):
                     self._owned = session.owned
         if not np.isfinite(volts).all():
             raise TransientInstrumentError(self._instrument, doing, f"not finished after {limit_s:g} s", REPEAT)
-        return volts
+        return float(volts[0].mean())
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
         """By the rate of the device's conversion clock."""

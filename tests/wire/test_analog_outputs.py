@@ -1,0 +1,308 @@
+"""A mirror on two analog outputs of the recorder's box, and a shutter on its digital line, by the real nidaqmx package.
+
+The shutter is open while the beam is where it was sent, closed at rest and after every failure.
+"""
+
+import math
+import subprocess
+import sys
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from tests.wire.audio_bench import wait_until
+from tests.wire.daq_bench import Tone, check_tone, take_one
+from tests.wire.emulated import analog_rig
+from wavefocus.acquisition.setup import silence
+from wavefocus.commands.doctor import shutter_findings
+from wavefocus.config.rig import RigConfig
+from wavefocus.configuration import load_rig
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
+from wavefocus.drivers.protocols import Instruments, Shutter, WallClock
+from wavefocus.drivers.registry import SHUTTERS, MirrorSettings
+from wavefocus.drivers.shutter import ShutteredMirror
+from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
+from wavefocus.drivers.timeouts import bounded
+from wavefocus.mocks.virtual.mirror import MirrorMotion, VirtualShutter
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.mocks.wire import WireFault
+from wavefocus.mocks.wire.emulated_rig import analog_scanner
+from wavefocus.mocks.wire.ni_server import NiServer
+from wavefocus.rig.instruments import openers_of
+from wavefocus.storage.errors import InputError
+
+LINE = "port1/line0"
+PARK_MRAD = (-190.0, -190.0)
+OPENS_AT_ONCE = "opens_s = 0.0\n"
+
+
+class Box:
+    """An emulated box with a mirror on its outputs, and what the outputs went through."""
+
+    def __init__(self, opened, *faults, product="USB-6211"):
+        self.server = NiServer(Tone(), product, faults=faults)
+        self.server.start()
+        opened.callback(self.server.stop)
+        self._opened = opened
+        self.motion = MirrorMotion((0.0, 0.0), 0.0, math.inf, 300.0)
+        self.written: list[tuple[float, float]] = []
+        scanner = analog_scanner(self.motion, ("ao0", "ao1"))
+
+        def changed(levels):
+            self.written.append((levels.get("ao0", 0.0), levels.get("ao1", 0.0)))
+            scanner(levels)
+
+        self.server.box.output_changed = changed
+
+    def closed(self, instrument):
+        self._opened.callback(instrument.close)
+        return instrument
+
+    def mirror(self, **keys):
+        driver = AnalogMirrorDriver(device="Dev1", address=self.server.address, **keys)
+        return self.closed(
+            driver.open(MirrorSettings(settle_s=0.0, limit_mrad=200.0, park_mrad=PARK_MRAD, clock=WallClock()))
+        )
+
+    def shutter(self, **keys):
+        return self.closed(NiShutterDriver(device="Dev1", address=self.server.address, **keys).open())
+
+    def rig(self, folder, shutter=None, mirror=""):
+        return analog_rig(folder, self.server.address, shutter, mirror)
+
+    def points_at(self, x_mrad, y_mrad):
+        return self.motion.where_mrad() == pytest.approx((x_mrad, y_mrad), abs=1e-3)
+
+    def level(self, name):
+        return self.server.box.level(name)
+
+
+@pytest.fixture
+def opened():
+    with ExitStack() as stack:
+        yield stack
+
+
+@pytest.fixture
+def box(opened):
+    return Box(opened)
+
+
+def arrives(mirror, x_mrad, y_mrad):
+    mirror.move_to(x_mrad, y_mrad)
+    mirror.wait_settled(1.0)
+
+
+# -- the mirror ----------------------------------------------------------------------------------------
+
+
+def test_the_mirror_follows_the_makers_scale_no_faster_than_it_may_and_ends_parked(box, tmp_path):
+    openers = openers_of(box.rig(tmp_path, mirror="slew_v_per_s = 200.0\n"))
+    mirror, recorder = box.closed(openers.mirror()), box.closed(openers.recorder())
+    # 4 mm at a distance of 1 m: 4 mrad of the beam, 2 mrad or 0.1146 degrees of the mirror, 92 mV at 0.8 V per degree.
+    mirror.move_to(4.0, -4.0)
+    assert (box.level("ao0"), box.level("ao1")) == pytest.approx((0.09167, -0.09167), abs=1e-4)
+    mirror.move_to(0.0, 2000 * math.radians(5.0))
+    assert (box.level("ao0"), box.level("ao1")) == pytest.approx((0.0, 4.0), abs=1e-9)
+    assert box.points_at(0.0, 174.533)
+    check_tone(take_one(recorder))
+    recorder.reconnect()  # the mirror has outputs of the same box
+    check_tone(take_one(recorder))
+    assert box.points_at(0.0, 174.533)
+    assert "ResetDevice" not in box.server.log
+    mirror.close()
+    steps = np.abs(np.diff([(0.0, 0.0), *box.written], axis=0))
+    assert len(steps) > 20
+    assert steps.max() <= 0.2 + 1e-9
+    assert box.written[-1] == pytest.approx(np.array(PARK_MRAD) * math.degrees(1e-3) / 2 * 0.8)
+    assert box.points_at(*PARK_MRAD)
+
+
+@pytest.mark.parametrize(
+    ("product", "keys", "word"),
+    [
+        ("USB-6211", {"volts_per_degree": 2.0}, "limit_v"),
+        ("USB-6211", {"limit_v": 3.0}, "limit_v"),
+        ("USB-6356", {}, "no output"),
+    ],
+)
+def test_given_a_rig_beyond_the_outputs_then_it_is_refused(opened, product, keys, word):
+    box = Box(opened, product=product)
+    with pytest.raises(InstrumentError, match=word):
+        box.mirror(**keys)
+    assert box.written == []
+
+
+def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(box):
+    mirror = box.mirror()
+    mirror.move_to(30.0, -20.0)
+    box.server.box.unplug()
+    assert (box.level("ao0"), box.level("ao1")) == (0.0, 0.0)
+    for lost in (lambda: mirror.move_to(31.0, -20.0), mirror.reconnect):
+        with pytest.raises(InstrumentLostError):
+            lost()
+    box.server.box.plug()
+    mirror.reconnect()
+    with pytest.raises(InstrumentError):
+        mirror.wait_settled(1.0)  # it has not been sent anywhere
+    arrives(mirror, 31.0, -20.0)
+    assert box.points_at(31.0, -20.0)
+
+
+# -- the shutter ---------------------------------------------------------------------------------------
+
+
+def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(box, tmp_path):
+    mirror = box.closed(openers_of(box.rig(tmp_path, OPENS_AT_ONCE)).mirror())
+
+    def is_open_after(action, *arguments):
+        action(*arguments)
+        return bool(box.level(LINE))
+
+    assert not is_open_after(mirror.identify)
+    assert not is_open_after(mirror.move_to, 10.0, 10.0)
+    assert is_open_after(mirror.wait_settled, 1.0)
+    assert is_open_after(arrives, mirror, 12.0, 10.0)
+    assert not is_open_after(mirror.park)
+    assert is_open_after(arrives, mirror, 10.0, 10.0)
+    with pytest.raises(InstrumentError):
+        mirror.move_to(5000.0, 0.0)
+    assert not is_open_after(mirror.identify)
+    assert is_open_after(arrives, mirror, 10.0, 10.0)
+    assert not is_open_after(mirror.block)
+    assert is_open_after(mirror.wait_settled, 1.0)
+    assert not is_open_after(mirror.close)
+
+
+def test_a_shutter_that_opens_at_a_low_level_and_a_line_that_another_task_has(box):
+    shutter = box.shutter(opens_when_high=False)
+    assert isinstance(shutter, Shutter)
+    assert set(SHUTTERS.all()) == {"nidaqmx"}
+    for act, level in ((shutter.block_beam, 1.0), (shutter.open_beam, 0.0), (shutter.block_beam, 1.0)):
+        act()
+        assert box.level(LINE) == level
+    with pytest.raises(InstrumentError, match="-50103") as refused:
+        box.shutter()
+    assert not isinstance(refused.value, InstrumentLostError)
+    shutter.open_beam()
+    assert box.level(LINE) == 0.0
+    shutter.close()
+    with pytest.raises(InstrumentError):
+        shutter.open_beam()
+
+
+def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened):
+    virtual, shutter = VirtualRig().instruments, VirtualShutter()
+    mirror = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
+    shuttered = Instruments(mirror, virtual.recorder, virtual.player, virtual.clock)
+    for plain in (shuttered, VirtualRig().instruments):
+        instruments = bounded(plain, 20.0)
+        for instrument in (instruments.mirror, instruments.recorder, instruments.player):
+            opened.callback(instrument.close)
+        arrives(instruments.mirror, 1.0, 1.0)
+        assert shutter.is_open is (plain is shuttered)
+        assert silence(instruments) == []
+        assert not shutter.is_open
+
+
+def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(opened):
+    # The third write to the line, the one that closes it, and all after it are refused.
+    box = Box(opened, WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=2))
+    virtual = VirtualRig().instruments
+    mirror = box.closed(ShutteredMirror(virtual.mirror, box.shutter(), 0.0, virtual.clock))
+    arrives(mirror, 10.0, 10.0)
+    with pytest.raises(InstrumentLostError, match="shutter"):
+        mirror.park()
+    virtual.mirror.wait_settled(1.0)
+    assert virtual.mirror.motion.where_mrad() == virtual.mirror.motion.park_mrad  # parked all the same
+    mirror.move_to(10.0, 10.0)
+    with pytest.raises(InstrumentLostError, match="shutter"):
+        mirror.reconnect()
+    mirror.reconnect()
+    assert box.level(LINE) == 0.0
+    arrives(mirror, 10.0, 10.0)
+    assert box.level(LINE) == 1.0
+
+
+def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(box, opened, tmp_path):
+    config = box.rig(tmp_path, OPENS_AT_ONCE)
+    (good,) = shutter_findings(config)
+    assert (good.instrument, good.verdict) == ("shutter", "ok")
+    assert box.level(LINE) == 0.0
+    assert box.server.log.count("WriteDigitalLines") == 3
+    box.server.box.unplug()
+    (bad,) = shutter_findings(config)
+    assert (bad.instrument, bad.verdict) == ("shutter", "fail")
+    (taken,) = shutter_findings(Box(opened).rig(tmp_path, OPENS_AT_ONCE + 'line = "port0/line0"\n'))
+    assert taken.verdict == "fail"
+    assert LINE in taken.remedy
+    assert list(shutter_findings(RigConfig.model_validate({}))) == []
+
+
+def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(box):
+    shutter = box.shutter()
+    shutter.open_beam()
+    box.server.stop()
+    other = NiServer(Tone(), "USB-6211", address=box.server.address, serial_number=0x0BADCAFE)
+    other.start()
+    with pytest.raises(InstrumentError, match="serial number 0BADCAFE answers instead of"):
+        shutter.reconnect()
+    with pytest.raises(InstrumentLostError, match="reconnect first"):
+        shutter.open_beam()
+    assert "WriteDigitalLines" not in other.log
+    other.stop()
+    box.server.start()
+    shutter.reconnect()
+    shutter.block_beam()
+    assert box.level(LINE) == 0.0
+
+
+# -- the rig file, and a program that ends -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wrong", "key"),
+    [
+        ('[mirror]\ndriver = "analog"\ndevice = "Dev1"\ny_output = "ao0"\n', r"mirror\.y_output"),
+        ('[mirror]\ndriver = "analog"\n', r"mirror\.device"),
+        ('[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\n', r"shutter\.driver"),  # a real one in a virtual rig
+    ],
+)
+def test_given_wrong_keys_then_the_rig_file_is_refused(tmp_path, wrong, key):
+    (tmp_path / "rig.toml").write_text(wrong, encoding="utf-8")
+    with pytest.raises(InputError, match=key):
+        load_rig(tmp_path / "rig.toml")
+
+
+def test_a_virtual_shutter_is_part_of_the_virtual_mirror(opened, tmp_path):
+    (tmp_path / "rig.toml").write_text('[shutter]\ndriver = "virtual"\n', encoding="utf-8")
+    mirror = openers_of(load_rig(tmp_path / "rig.toml")).mirror()
+    opened.callback(mirror.close)
+    assert "shutter" in mirror.identify()
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from wavefocus.configuration import load_rig
+from wavefocus.rig.instruments import openers_of
+mirror = openers_of(load_rig(Path(sys.argv[1]))).mirror()
+mirror.move_to(10.0, 10.0)
+mirror.wait_settled(1.0)
+print("there", flush=True)
+sys.stdin.readline()
+"""
+
+
+# A program that is stopped instead of killed: test_campaign_through_wires.py.
+def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_parks(box, tmp_path):
+    box.rig(tmp_path, OPENS_AT_ONCE)
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "rig.toml")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "there\n"
+        assert box.level(LINE) == 1.0
+        program.kill()
+    wait_until(lambda: not box.level(LINE) and box.level("ao0") <= -3.0, "the shutter is closed, the mirror parked")

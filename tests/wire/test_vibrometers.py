@@ -1,0 +1,266 @@
+"""Controllers of vibrometers on their lines: what each driver must do, and what only one of them has."""
+
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
+from wavefocus.config.rig_instruments import VibrometerSection
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.registry import VIBROMETERS
+from wavefocus.mocks.wire import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
+from wavefocus.mocks.wire.vibrometer import VIBROMETER_DRIVERS, Ofv3001Device, PolytecDevice, vibrometer_device
+from wavefocus.rig.setup import WatchedVibrometer, range_band
+
+DEVICES = {"polytec-ofv5000": PolytecDevice, "polytec-ofv3001": Ofv3001Device}
+NEWER, OLDER = DEVICES
+SET_25_MM = {NEWER: "Set,VeloDec,1,Range,25mm/s/V", OLDER: "VELO2"}
+
+
+@pytest.fixture(params=VIBROMETER_DRIVERS)
+def driver(request):
+    return str(request.param)
+
+
+@contextmanager
+def controller(device, folder, *faults):
+    with EmulatedSerial(device, wire(LOCAL, folder), WireFaultPlan("vibrometer", faults)) as emulated:
+        yield emulated
+
+
+def read(driver, emulated, identity=None, clock=ImpatientClock, answer_s=0.2, **keys):
+    return VIBROMETERS.all()[driver](**keys).read(emulated.address, identity=identity, answer_s=answer_s, clock=clock())
+
+
+def read_alone(driver, device, folder, *faults, **keys):
+    """The reading, and what was said to the device."""
+    with controller(device, folder, *faults) as emulated:
+        return read(driver, emulated, **keys), emulated.commands
+
+
+def fault(kind, operation="range", count=1, **more):
+    return WireFault("vibrometer", kind, operation, at_call=1, count=count, **more)
+
+
+def answering_to(device_class, operation, answer, **settings):
+    """A device that gives this answer to an operation."""
+
+    class Odd(device_class):  # type: ignore[misc, valid-type]
+        def answer(self, command):
+            return f"{answer}\n" if self.operation(command) == operation else super().answer(command)
+
+    return Odd(**settings)
+
+
+# -- every vibrometer ----------------------------------------------------------------------------------
+
+
+def test_range_and_level_are_read_echo_or_not_and_the_port_is_free_again(driver, tmp_path):
+    assert set(VIBROMETER_DRIVERS) <= set(VIBROMETERS.all())
+    device = DEVICES[driver](echo=True)
+    with controller(device, tmp_path) as emulated:
+        readings = [read(driver, emulated) for _ in range(2)]
+        device.answer(SET_25_MM[driver])
+        assert read(driver, emulated).sensitivity_m_s_per_v == pytest.approx(0.025)
+    assert device.sensitivity_m_s_per_v == pytest.approx(0.025)
+    assert readings[0] == readings[1]
+    assert readings[0].sensitivity_m_s_per_v == pytest.approx(0.125)
+    assert readings[0].range_text == "125mm/s/V"
+    assert readings[0].latency_s == (pytest.approx(8.16e-6) if driver == NEWER else None)
+    assert readings[0].signal_level == pytest.approx(600 / 775 if driver == NEWER else 31 / 40)
+    assert {NEWER: "VD-09", OLDER: "OFV-3001, OVD-01"}[driver] in readings[0].identity
+
+
+def test_given_too_little_light_or_another_identity_then_it_is_refused(driver, tmp_path):
+    with controller(DEVICES[driver](signal_level={NEWER: 155, OLDER: 8}[driver]), tmp_path) as emulated:
+        assert read(driver, emulated).signal_level == pytest.approx(0.2)
+        with pytest.raises(InstrumentError, match="20% of full, at least 50% is wanted"):
+            read(driver, emulated, least_signal_level=0.5)
+        with pytest.raises(InstrumentError, match="does not contain 'OFV-2500'"):
+            read(driver, emulated, identity="OFV-2500")
+
+
+@pytest.mark.parametrize("kind", ["silent", "garbled", "truncated", "late"])
+def test_given_one_lost_garbled_or_broken_off_answer_then_the_range_is_still_right(driver, kind, tmp_path):
+    disturbed = fault(kind, seconds=0.3 if kind == "late" else 0.0)
+    reading, _ = read_alone(driver, DEVICES[driver](echo=True), tmp_path, disturbed)
+    assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
+
+
+def test_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range(driver, tmp_path):
+    garbled = fault("garbled", count=100_000)
+    with pytest.raises((TransientInstrumentError, InstrumentLostError)):
+        read_alone(driver, DEVICES[driver](echo=True), tmp_path, garbled, clock=HurriedClock)
+
+
+def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back(driver, tmp_path):
+    with controller(DEVICES[driver](echo=True), tmp_path, fault("unplugged")) as emulated:
+        for _ in range(2):
+            with pytest.raises(InstrumentLostError):
+                read(driver, emulated)
+        emulated.plug()
+        assert read(driver, emulated).sensitivity_m_s_per_v == pytest.approx(0.125)
+
+
+# -- OFV-5000 ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("range_text", "signal_delay", "signal_level", "sensitivity_m_s_per_v", "latency_s"),
+    [
+        ("5mm/s/V", "8.16 us", 310, 5e-3, 8.16e-6),
+        ("20um/s/V", "8.16 us", 310, 2e-5, 8.16e-6),
+        ("2,5mm/s/V", "8,16 us", "310,5", 0.0025, 8.16e-6),
+        ("0.488281mm/s/V", "12.123456789us", "310.5", 0.000488281, 12.123456789e-6),
+        ("1 m/s/V", "8 us", 310, 1.0, 8e-6),
+        ("125mm/s/V LP", "8.16 us", 310, 0.125, 8.16e-6),
+        ("50 mm/s/V LP", "8.16 us", 310, 0.05, 8.16e-6),
+        ("2.5m/s/V LP", "8.16 \xb5s", 310, 2.5, 8.16e-6),
+        ("20\xb5m/s/V", "8.16\xc2\xb5s", 310, 2e-5, 8.16e-6),
+    ],
+)
+def test_given_values_with_units_and_decimals_then_they_are_read(
+    range_text, signal_delay, signal_level, sensitivity_m_s_per_v, latency_s, tmp_path
+):
+    device = PolytecDevice(range_text=range_text, signal_delay=signal_delay, signal_level=signal_level)
+    reading, _ = read_alone(NEWER, device, tmp_path)
+    assert reading.sensitivity_m_s_per_v == pytest.approx(sensitivity_m_s_per_v)
+    assert reading.latency_s == pytest.approx(latency_s)
+    assert reading.signal_level == pytest.approx(0.4, rel=2e-3)
+
+
+@pytest.mark.parametrize("text", ["125", "0mm/s/V", "125mm/s", "125 km/s/V", "1e3mm/s/V", "125mm/s/V XY"])
+def test_given_a_range_that_cannot_be_read_then_it_is_no_sensitivity(text, tmp_path):
+    with pytest.raises(TransientInstrumentError, match=r"reading the measurement range: .*cannot be read"):
+        read_alone(NEWER, PolytecDevice(range_text=text), tmp_path)
+
+
+@given(text=st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=12))
+def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, text):
+    with pytest.raises(InstrumentError):
+        read_alone(NEWER, PolytecDevice(range_text=text), tmp_path_factory.mktemp("port"), answer_s=0.1)
+
+
+def test_a_missing_decoder_has_its_number_asked_for_and_is_read_with_it(tmp_path):
+    with controller(PolytecDevice(decoder=0), tmp_path) as emulated:
+        assert read(NEWER, emulated, decoder=0).range_text == "125mm/s/V"
+        with pytest.raises(InstrumentError, match=r"Not Available.*decoder's number in the rig file"):
+            read(NEWER, emulated)
+
+
+@pytest.mark.parametrize("text", ["Off", "off"])
+def test_a_decoder_that_is_switched_off_then_that_is_said_and_not_the_cable_blamed(text, tmp_path):
+    with pytest.raises(InstrumentError) as caught:
+        read_alone(NEWER, PolytecDevice(range_text=text), tmp_path)
+    assert type(caught.value) is InstrumentError
+    assert "Off" in caught.value.cause
+    assert "range at the controller" in caught.value.remedy
+
+
+@pytest.mark.parametrize("operation", ["name", "delay", "level"])
+@pytest.mark.parametrize("answer", ["\xb5\xe9 \xff", "", "see display", None])
+def test_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_without_it(operation, answer, tmp_path):
+    device = PolytecDevice() if answer is None else answering_to(PolytecDevice, operation, answer)
+    refused = [fault("refused", operation)] if answer is None else []
+    reading, _ = read_alone(NEWER, device, tmp_path, *refused, answer_s=0.1)
+    assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
+    assert (reading.latency_s is None) == (operation == "delay")
+    assert (reading.signal_level is None) == (operation == "level")
+    assert ("VD-09" in reading.identity) == (operation != "name")
+
+
+@pytest.mark.parametrize("silent", ["Get,Controller", "GetDevInfo,Controller"])
+@pytest.mark.parametrize("name", ["OFV-5000", "OFV-5000Xtra", "OFV-5000 Vibrometer Controller"])
+def test_a_controller_is_asked_the_question_for_its_name_that_it_knows(silent, name, tmp_path):
+    class KnowsOne(PolytecDevice):
+        def answer(self, command):
+            if self.operation(command) != "identify":
+                return super().answer(command)
+            return "" if command.startswith(silent) else f"{name}\n"
+
+    reading, _ = read_alone(NEWER, KnowsOne(), tmp_path, answer_s=0.1)
+    assert reading.identity == f"{name}, VD-09"
+
+
+def test_range_that_is_changed_meanwhile_then_condition_is_left_until_it_is_set_back(tmp_path):
+    device = PolytecDevice()
+    with controller(device, tmp_path) as emulated:
+        vibrometer = WatchedVibrometer(VibrometerSection(driver=NEWER, port=emulated.address))
+        band = range_band(read(NEWER, emulated).sensitivity_m_s_per_v)
+        for text, words in (("", ""), ("25mm/s/V", "is below"), ("1m/s/V", "is above"), ("125mm/s/V", "")):
+            if text:
+                device.answer(f"Set,VeloDec,1,Range,{text}")
+            vibrometer.light()
+            left = band.left(vibrometer.sensitivity())
+            assert words in left
+            assert bool(left) == bool(words)
+
+
+# -- OFV-3001: range numbers, remote control, answers of one digit --------------------------------------
+
+
+# The table of ranges in the user manual, E.2.4: number, decoder, mm/s/V.
+@pytest.mark.parametrize(
+    ("number", "decoder", "mm_s_per_v"),
+    [(5, "OVD-01", 1), (1, "OVD-01", 5), (2, "OVD-01", 25), (3, "OVD-01", 125), (4, "OVD-01", 1000),
+     (6, "OVD-02", 5), (7, "OVD-02", 25), (8, "OVD-02", 125), (9, "OVD-02", 1000)],
+)  # fmt: skip
+def test_given_a_range_number_then_decoder_and_sensitivity_are_those_of_the_manual(
+    number, decoder, mm_s_per_v, tmp_path
+):
+    device = Ofv3001Device()
+    device.answer(f"VELO{number}")
+    reading, commands = read_alone(OLDER, device, tmp_path)
+    assert reading.sensitivity_m_s_per_v == pytest.approx(1e-3 * mm_s_per_v)
+    assert reading.identity == f"OFV-3001, {decoder}"
+    assert set(commands) <= {"VELO?", "LEV", ""}
+
+
+def test_controller_under_local_control_then_it_is_put_under_remote_control_and_read(tmp_path):
+    reading, commands = read_alone(OLDER, Ofv3001Device(needs_remote=True), tmp_path)
+    assert reading.range_text == "125mm/s/V"
+    assert "REN" in commands
+
+
+@pytest.mark.parametrize("level", ["41", "", "x", "LEV-1"])
+def test_given_a_level_that_cannot_be_then_it_is_unknown_and_the_range_is_read(level, tmp_path):
+    reading, _ = read_alone(OLDER, answering_to(Ofv3001Device, "level", level), tmp_path)
+    assert reading.signal_level is None
+    assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
+
+
+@pytest.mark.parametrize("answers", [["3", "4"], ["0"], ["10"], ["VELO"], ["OFV-5000"], ["3.0"], [None]])
+def test_answers_that_differ_are_no_range_or_do_not_come_then_there_is_no_reading(answers, tmp_path):
+    class Odd(Ofv3001Device):
+        asked = 0
+
+        def answer(self, command):
+            self.asked += 1
+            answer = answers[self.asked % len(answers)]
+            return "" if answer is None else f"{answer}\n"
+
+    with pytest.raises(InstrumentError) as caught:
+        read_alone(OLDER, Odd(), tmp_path, clock=HurriedClock, answer_s=0.1)
+    if answers == [None]:
+        assert type(caught.value) is InstrumentLostError
+        assert "baud" in caught.value.remedy
+
+
+def test_a_range_of_a_decoder_that_is_not_installed_then_the_emulated_one_ignores_it():
+    device = Ofv3001Device(decoders=("OVD-01",))
+    for command in ("VELO7", "VELO0", "VELOX", "NONSENSE"):
+        assert device.answer(command) == ""
+    assert device.answer("VELO?") == "3\n"
+    device.answer("ECHOON")
+    assert [device.answer(word) for word in ("VELO?", "VELO2", "OVR", "LEV")] == [
+        "VELO3\n", "VELO2\n", "OVR0\n", "LEV31\n"
+    ]  # fmt: skip
+
+
+def test_given_a_sensitivity_that_no_range_has_then_it_cannot_be_emulated():
+    assert vibrometer_device(OLDER, 0.005, 0.0).sensitivity_m_s_per_v == pytest.approx(0.005)
+    with pytest.raises(ValueError, match=r"sensitivity_m_s_per_v = 0\.1"):
+        vibrometer_device(OLDER, 0.1, 0.0)
