@@ -77,26 +77,29 @@ def test_given_a_loop_then_the_power_counts_across_its_seam(lab, capsys):
     none = np.zeros(0, np.int64)
     drive = Drive(np.tile(drive_v, (3, 1)), RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none)
     write_drive(lab / "drive.h5", drive, force=True)
-    text = (lab / "rig.toml").read_text(encoding="utf-8").replace("0.04", "0.02")
-    (lab / "rig.toml").write_text(text, encoding="utf-8")
+    replaced(lab, "0.04", "0.02")
     assert play(lab) == 0
     assert "V rms" in (capsys.readouterr().err + refused(lab, capsys, "--loop", "2"))
 
 
-@pytest.mark.parametrize(("options", "told"), [(("--gain-db", "400"), "--gain-db"), (("--loop", "0"), "--loop")])
-def test_given_options_that_cannot_be_then_they_are_named(lab, capsys, options, told):
-    assert told in refused(lab, capsys, *options)
+def replaced(lab, old, new):
+    text = (lab / "rig.toml").read_text(encoding="utf-8")
+    (lab / "rig.toml").write_text(text.replace(old, new), encoding="utf-8")
 
 
-def test_given_a_drive_for_another_rig_then_it_is_refused(lab, capsys):
-    write(lab, 0.1, actuators=4)
-    assert "for 4 actuators" in refused(lab, capsys)
-
-
-def test_given_power_without_a_resistance_then_the_rig_file_is_refused(lab, capsys):
-    text = (lab / "rig.toml").read_text(encoding="utf-8").replace("coil_resistance_ohm = 8.0", "")
-    (lab / "rig.toml").write_text(text, encoding="utf-8")
-    assert "player.coil_resistance_ohm" in refused(lab, capsys)
+@pytest.mark.parametrize(
+    ("options", "change", "named"),
+    [
+        (("--gain-db", "400"), lambda lab: None, "--gain-db"),
+        (("--loop", "0"), lambda lab: None, "--loop"),
+        ((), lambda lab: write(lab, 0.1, actuators=4), "for 4 actuators"),
+        ((), lambda lab: replaced(lab, "coil_resistance_ohm = 8.0", ""), "player.coil_resistance_ohm"),
+    ],
+    ids=["gain", "loop", "another rig", "power without a resistance"],
+)
+def test_given_what_cannot_be_played_then_one_sentence_names_it(lab, capsys, options, change, named):
+    change(lab)
+    assert named in refused(lab, capsys, *options)
 
 
 def test_given_a_sweep_beyond_the_coils_power_then_the_run_is_refused(lab, capsys):

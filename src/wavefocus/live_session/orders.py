@@ -53,7 +53,9 @@ def order_of(content: Mapping[str, object], rate_hz: float, folder: Path) -> Ord
     if isinstance(order, MoveSource | EndSource | SetSignal):
         check_name(order.name)
     if isinstance(order, SetSignal):
-        return _with_samples(order, rate_hz, folder)
+        table = validated(_SignalOrder, {"signal": order.signal}, "order signal")
+        signal = build_signal(table.signal, folder / "order signal", "signal")
+        return UseSignal(order.name, signal, live_samples(signal, rate_hz), order.repeat)
     assert isinstance(order, MoveSource | EndSource | EndLive)
     return order
 
@@ -62,13 +64,6 @@ def check_name(name: str) -> None:
     """Refuse a name that is empty or too long. Raises InputError."""
     if not 0 < len(name) <= MAX_NAME:
         raise InputError(f"name is {one_line(repr(name), 80)}; allowed: 1 to {MAX_NAME} characters")
-
-
-def _with_samples(order: SetSignal, rate_hz: float, folder: Path) -> UseSignal:
-    """Make the signal of an order. Raises InputError: it is wrong, or too long for a live source."""
-    table = validated(_SignalOrder, {"signal": order.signal}, "order signal")
-    signal = build_signal(table.signal, folder / "order signal", "signal")
-    return UseSignal(order.name, signal, live_samples(signal, rate_hz), order.repeat)
 
 
 @dataclass(slots=True)

@@ -28,14 +28,10 @@ NUMBERS = {"i": ">i", "h": ">q", "f": ">f", "d": ">d"}
 CONSTANTS = {"T": True, "F": False, "N": None, "I": None}
 
 
-class _OscError(ValueError):
-    """A datagram is not an OSC packet, or a message of it has a type that is not known."""
-
-
 def split_packet(datagram: bytes) -> list[bytes]:
     """The messages of a packet, not yet read, in their order; bundles within bundles too.
 
-    Raises _OscError: a size does not fit, or there are more than `MAX_MESSAGES`.
+    Raises InputError: a size does not fit, or there are more than `MAX_MESSAGES`.
     """
     messages: list[bytes] = []
     parts = [datagram]
@@ -44,14 +40,14 @@ def split_packet(datagram: bytes) -> list[bytes]:
         if not part.startswith(BUNDLE):
             messages.append(part)
             if len(messages) > MAX_MESSAGES:
-                raise _OscError(f"more than {MAX_MESSAGES} messages in one datagram")
+                raise InputError(f"more than {MAX_MESSAGES} messages in one datagram")
             continue
         # Behind the bundle's name, and a time tag that is not waited for.
         at, elements = 16, []
         while at != len(part):
             size = struct.unpack_from(">i", part, at)[0] if at + 4 <= len(part) else -1
             if size <= 0 or size % 4 or at + 4 + size > len(part):
-                raise _OscError("an element of the bundle does not fit into it")
+                raise InputError("an element of the bundle does not fit into it")
             elements.append(part[at + 4 : at + 4 + size])
             at += 4 + size
         parts += reversed(elements)
@@ -61,16 +57,16 @@ def split_packet(datagram: bytes) -> list[bytes]:
 def read_message(message: bytes) -> tuple[str, list[object]]:
     """Address and arguments of a message.
 
-    Numbers, texts, blobs, True, False and Nil; arrays are lists. Raises _OscError.
+    Numbers, texts, blobs, True, False and Nil; arrays are lists. Raises InputError.
     """
     address, at = _text(message, 0)
     if not address.startswith("/") or len(message) % 4:
-        raise _OscError("not an OSC message")
+        raise InputError("not an OSC message")
     if at == len(message):
         return address, []  # without type tags, as older programs send it
     tags, at = _text(message, at)
     if not tags.startswith(","):
-        raise _OscError(f"{address}: its arguments have no type tags")
+        raise InputError(f"{address}: its arguments have no type tags")
     lists: list[list[object]] = [[]]
     for tag in tags[1:]:
         value: object
@@ -80,29 +76,29 @@ def read_message(message: bytes) -> tuple[str, list[object]]:
         if tag == "]":
             value = lists.pop()
             if not lists:
-                raise _OscError(f"{address}: an array ends that has not begun")
+                raise InputError(f"{address}: an array ends that has not begun")
         elif tag in CONSTANTS:
             value = CONSTANTS[tag]
         elif tag in NUMBERS:
             form = NUMBERS[tag]
             end = at + struct.calcsize(form)
             if end > len(message):
-                raise _OscError(f"{address}: cut off within an argument")
+                raise InputError(f"{address}: cut off within an argument")
             value, at = struct.unpack_from(form, message, at)[0], end
         elif tag in "sS":
             value, at = _text(message, at)
         elif tag == "b":
             size = struct.unpack_from(">i", message, at)[0] if at + 4 <= len(message) else -1
             if size < 0 or at + 4 + size > len(message):
-                raise _OscError(f"{address}: cut off within an argument")
+                raise InputError(f"{address}: cut off within an argument")
             value, at = message[at + 4 : at + 4 + size], at + 4 + size + -size % 4
         else:
-            raise _OscError(
+            raise InputError(
                 f"{address}: arguments of the type {tag!r} are not known; allowed: i, h, f, d, s, b, T, F, N"
             )
         lists[-1].append(value)
     if len(lists) != 1 or at != len(message):
-        raise _OscError(f"{address}: {len(message)} bytes, and its type tags {tags!r} stand for {at}")
+        raise InputError(f"{address}: {len(message)} bytes, and its type tags {tags!r} stand for {at}")
     return address, lists[0]
 
 
@@ -111,11 +107,11 @@ def _text(message: bytes, at: int) -> tuple[str, int]:
     zero = message.find(b"\0", at)
     end = zero + 4 - zero % 4
     if zero < 0 or end > len(message):
-        raise _OscError("not an OSC message: a text has no end")
+        raise InputError("not an OSC message: a text has no end")
     try:
         return message[at:zero].decode(), end
     except UnicodeDecodeError:
-        raise _OscError("not an OSC message: a text is not UTF-8") from None
+        raise InputError("not an OSC message: a text is not UTF-8") from None
 
 
 Content = Mapping[str, object]
@@ -223,7 +219,7 @@ class OscMessages:
         for datagram in datagrams:
             try:
                 messages += split_packet(datagram)
-            except _OscError as wrong:
+            except InputError as wrong:
                 yield _refused(datagram, wrong)
         messages = _newest(messages)
         if len(messages) > MAX_WORDS:
@@ -231,7 +227,7 @@ class OscMessages:
         for message in messages[-MAX_WORDS:]:
             try:
                 address, values = read_message(message)
-            except _OscError as wrong:
+            except InputError as wrong:
                 yield _refused(message, wrong)
                 continue
             try:
@@ -268,7 +264,7 @@ class OscMessages:
         raise InputError(f"{word!r} is not known; allowed: position, amplitude, signal, end")
 
 
-def _refused(datagram: bytes, wrong: _OscError) -> InputError:
+def _refused(datagram: bytes, wrong: InputError) -> InputError:
     return InputError(one_line(f"OSC message {datagram[:40]!r}: {wrong}", 300))
 
 

@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,7 +67,10 @@ class LiveSession:
         self._block_s = engine.block_samples / engine.rate_hz
         self._inbox, self._pace = Inbox(), Pace(self._block_s, ahead_s)
         self._stop, self._ending = threading.Event(), threading.Event()
-        self._latency, self._figures = LatencyHistogram(), _Figures()
+        self._latency = LatencyHistogram()
+        # Since the last state: blocks, largest load, least gain of the limiter.
+        self._blocks, self._load, self._limited_db = 0, 0.0, 0.0
+        self._underruns, self._limited_s = 0, 0.0
         self._frames = 0
         self._unwritten: deque[tuple[int, float]] = deque()
         self._noticed_s: dict[str, float] = {}
@@ -129,8 +131,8 @@ class LiveSession:
         """The session's last message."""
         recorded = None if self._recording is None else self._recording.scene
         return LiveEnded(
-            round(self.played_s, 3), self._inbox.positions, self._latency.percentile_ms(99.9), self._figures.underruns,
-            round(self._figures.limited_s, 3), str(recorded or ""),
+            round(self.played_s, 3), self._inbox.positions, self._latency.percentile_ms(99.9), self._underruns,
+            round(self._limited_s, 3), str(recorded or ""),
         )  # fmt: skip
 
     def _begin(self) -> None:
@@ -189,15 +191,13 @@ class LiveSession:
 
     def _account(self, computed_s: float, waiting_s: float) -> None:
         """Figures, the sources that sound, notices, and five times a second the state."""
-        figures = self._figures
-        figures.blocks += 1
-        figures.load = max(figures.load, computed_s / self._block_s)
+        self._blocks += 1
+        self._load = max(self._load, computed_s / self._block_s)
         if self._limiter.gain_db < 0:
-            figures.limited_s += self._block_s
-            figures.limited_db = min(figures.limited_db, self._limiter.gain_db)
+            self._limited_s += self._block_s
+            self._limited_db = min(self._limited_db, self._limiter.gain_db)
             self._notice(
-                "limited",
-                f"limited by {-figures.limited_db:.1f} dB to stay within the limits: lower the amplitudes",
+                "limited", f"limited by {-self._limited_db:.1f} dB to stay within the limits: lower the amplitudes"
             )
         for name in self.engine.late_sources():
             if name not in self._late:
@@ -214,7 +214,7 @@ class LiveSession:
         if change:
             self._limit_sources(change)
         # Five times a second.
-        if figures.blocks >= 0.2 / self._block_s:
+        if self._blocks >= 0.2 / self._block_s:
             self._report(self.engine.state())
 
     def _limit_sources(self, change: Change) -> None:
@@ -227,7 +227,6 @@ class LiveSession:
             self._notice("recovered", f"computing keeps pace again: {left_out}", always=True)
 
     def _report(self, sources: tuple[SourceState, ...]) -> None:
-        figures = self._figures
         names, self._sounding_sources = {source.name for source in sources}, len(sources)
         self._late &= names
         self._amplitudes = {name: one for name, one in self._amplitudes.items() if name in names}
@@ -236,16 +235,20 @@ class LiveSession:
                 round(self.played_s, 3),
                 self._latency.take_largest_ms(),
                 self._latency.percentile_ms(99.9),
-                round(figures.load, 3),
-                figures.underruns,
+                round(self._load, 3),
+                self._underruns,
                 "none" if self._pace.most_sources is None else "sources",
                 None,
                 tuple(source.name for source in sources if source.dropped),
-                round(figures.limited_db, 2),
-                tuple(self._sounding(one) for one in sources if not one.dropped),
+                round(self._limited_db, 2),
+                tuple(
+                    Sounding(one.name, one.at_mm, one.amplitude / self._gain, one.fading)
+                    for one in sources
+                    if not one.dropped
+                ),
             )
         )
-        figures.blocks, figures.load, figures.limited_db = 0, 0.0, 0.0
+        self._blocks, self._load, self._limited_db = 0, 0.0, 0.0
         self._record()
 
     def _record(self) -> None:
@@ -256,12 +259,9 @@ class LiveSession:
             self._record_failed = True
             self._notice("recording", f"nothing more is recorded: {self._recording.failure}", always=True)
 
-    def _sounding(self, source: SourceState) -> Sounding:
-        return Sounding(source.name, source.at_mm, source.amplitude / self._gain, source.fading)
-
     def _begin_anew(self, dry: TransientInstrumentError) -> None:
         """After the player ran dry: silence, then what comes next; the block that came too late is lost."""
-        self._figures.underruns += 1
+        self._underruns += 1
         more = ""
         if self._adapts and self._ahead_s < MAX_AHEAD_S:
             self._ahead_s = min(2 * self._ahead_s, MAX_AHEAD_S)
@@ -306,7 +306,7 @@ class LiveSession:
             # Beyond what waits to be played and the interface's latency, the last sound has left after so long.
             self._player.wait(self._ahead_s + self._player.latency_s + 5.0)
         except TransientInstrumentError:  # the last of a fade is lost
-            self._figures.underruns += 1
+            self._underruns += 1
 
     def _notice(self, code: NoticeCode, sentence: str, *, always: bool = False) -> None:
         """Publish a notice, one of a kind in 2 s unless it is to be published always."""
@@ -314,17 +314,6 @@ class LiveSession:
         if always or now_s - self._noticed_s.get(code, -NOTICES_EVERY_S) >= NOTICES_EVERY_S:
             self._noticed_s[code] = now_s
             self._publish(LiveNotice(code, sentence))
-
-
-@dataclass(slots=True)
-class _Figures:
-    """Since the last state: blocks, largest load, least gain of the limiter; in all: underruns, time limited."""
-
-    blocks: int = 0
-    load: float = 0.0
-    limited_db: float = 0.0
-    underruns: int = 0
-    limited_s: float = 0.0
 
 
 @contextmanager

@@ -63,7 +63,11 @@ def open_session(
 
     Raises InputError: bank, rig and scene do not go together. Raises InstrumentError: the interface cannot be opened.
     """
-    regularisation, output, signal = _of_scene(options.scene_file)
+    regularisation, output = Regularisation(), Output()
+    signal: Signal | None = None
+    if options.scene_file is not None:
+        scene = load_scene(options.scene_file)
+        regularisation, output, signal = scene.regularisation, scene.output, scene.sources[0].signal
     if options.independent:
         regularisation = regularisation.model_copy(update={"independent": True})
     with ExitStack() as opened:
@@ -145,13 +149,6 @@ def _warm_up(engine: LiveEngine, limiter: LiveLimiter, bank: Bank) -> None:
         engine.move(f"warm {block % 2}", (at_mm[0], at_mm[1]))
         limiter.limit(engine.next_block())
     engine.state()
-
-
-def _of_scene(scene_file: Path | None) -> tuple[Regularisation, Output, Signal | None]:
-    if scene_file is None:
-        return Regularisation(), Output(), None
-    scene = load_scene(scene_file)
-    return scene.regularisation, scene.output, scene.sources[0].signal
 
 
 LOOKS_EVERY_S = 0.25

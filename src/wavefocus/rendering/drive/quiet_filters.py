@@ -84,11 +84,6 @@ def least_energy(foci: Sequence[Focus], multiplier: Float64Array) -> list[Comple
     return [w[:, :, index] for index in range(len(foci))]
 
 
-def _reversed_in_time(focus: Focus) -> Complex128Array:
-    """Filters of plain time reversal, s h*, (bins, actuators)."""
-    return np.asarray(np.conj(focus.row) * (1.0 if focus.sigma is None else focus.sigma))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
     """The foci of sources that sound together.
@@ -195,7 +190,11 @@ def find_multipliers(
     cut: By default filters are as long as they come out.
     """
     loud = _sounding(moments)
-    unit, plain = _units(loud), energies_of(loud, [[_reversed_in_time(focus) for focus in m.foci] for m in loud])
+    # Filters of plain time reversal, s h*.
+    reversed_in_time = [
+        [np.asarray(f.row.conj() * (1.0 if f.sigma is None else f.sigma)) for f in m.foci] for m in loud
+    ]
+    unit, plain = _units(loud), energies_of(loud, reversed_in_time)
     relative, wanted = np.where(plain.level > level, 10.0, MIN_MULTIPLIER), level
     # Times that levels are asked lower by what cutting the filters to their length costs.
     for _ in range(3):

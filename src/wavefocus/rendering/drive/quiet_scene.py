@@ -268,7 +268,8 @@ class QuietRows(BankRows):
                 foci.append(Focus(self._spectrum_of(row), *self._quiet(own), self.sigma(by), source))
             gains = self.weigh(np.array([green[source, m][1] for source in together]))[0]
             gains = gains * np.sqrt(lasts[m] / whole[together])
-            chosen = cross[np.ix_(together, together)] if cross.ndim == 3 else _diagonal(cross[together])
+            alone = np.eye(len(together))[..., None]  # of spectra only, each source counts by itself
+            chosen = cross[np.ix_(together, together)] if cross.ndim == 3 else alone * cross[together, None]
             made.append(Moment(foci, chosen * np.outer(gains, gains)[..., None], self._spectra(rows), place, applies))
         level = np.array([place.level for place in plan.places])
         self.found = find_multipliers(made, level, most_energy=scene.output.most_energy, cut=self._cut)
@@ -367,9 +368,3 @@ def _sounding(emission: Emission, knots: Int64Array) -> BoolArray:
     """Whether a source sounds between each knot and the next one, (knots,)."""
     step = knots[1] - knots[0] if len(knots) > 1 else emission.stop_sample
     return np.asarray((knots < emission.stop_sample) & (knots + step > emission.first_sample))
-
-
-def _diagonal(spectra: Complex128Array) -> Complex128Array:
-    whole = np.zeros((len(spectra), *spectra.shape), dtype=np.complex128)
-    whole[np.arange(len(spectra)), np.arange(len(spectra))] = spectra
-    return whole

@@ -13,14 +13,7 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.band import relative_bound, tolerance_of
 from wavefocus.rendering.device import Device
 from wavefocus.rendering.drive.accumulate import BLOCKS_AHEAD, BlockAccumulator
-from wavefocus.rendering.drive.coil_limits import (
-    DriveLimits,
-    Limiting,
-    RunningLevels,
-    require_finite,
-    rms_window,
-    strictest,
-)
+from wavefocus.rendering.drive.coil_limits import DriveLimits, RunningLevels, require_finite, rms_window, strictest
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, largest_of
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.regularisation import BankRows
@@ -67,6 +60,8 @@ class SceneRenderer:
     sampled: SampledScene
     shape: tuple[int, int]
     """Actuators and samples of the whole drive."""
+    report: RenderReport
+    """Figures of the render, once all drives were made."""
 
     def __init__(
         self,
@@ -95,14 +90,6 @@ class SceneRenderer:
         self.shape = bank.actuators, self.sampled.samples
         self._single = self._tolerance > 0
         self._accumulator = self._new_accumulator()
-        self._report: RenderReport | None = None
-
-    @property
-    def report(self) -> RenderReport:
-        """Figures of the render, once all drives were made."""
-        if self._report is None:
-            raise RuntimeError("the drives were not made yet")
-        return self._report
 
     @property
     def peak_v(self) -> float:
@@ -159,12 +146,15 @@ class SceneRenderer:
             self._single = False
             self._accumulator = self._new_accumulator()
             between = self._made(on_progress, put)
-        self._report = report_render(
+        limiting = strictest(self._levels.against(self._limits))
+        if self._interface is not None and between is not None:
+            limiting = self._interface.strictest(self._levels.against(self._limits), self._levels.peaks_v, between)
+        self.report = report_render(
             self._scene, self._rows, self.sampled.sources, self._accumulator.statistics, self._levels.norms,
-            limiting=self._limiting(between), omitted_bound=self._bound(), errors=errors, remarks=remarks,
+            limiting=limiting, omitted_bound=self._bound(), errors=errors, remarks=remarks,
             quiet=None if self._quiet is None else self._quiet.figures(None if whole is None else self._drive(whole())),
         )  # fmt: skip
-        return self._report
+        return self.report
 
     def unlimited_blocks(self, ahead: int = 1) -> Iterator[Float64Array]:
         """Yield the drives without limits, in single precision where a tolerance is given.
@@ -184,17 +174,15 @@ class SceneRenderer:
     def _new_accumulator(self) -> BlockAccumulator:
         return BlockAccumulator(self.sampled, self._rows, single=self._single, device=self._device)
 
-    def _new_levels(self) -> RunningLevels:
-        actuators, samples = self.shape
-        return RunningLevels(actuators, None if self._limits.rms_v is None else rms_window(samples, self._rate_hz))
-
     @np.errstate(over="ignore", invalid="ignore")
     def _made(self, on_progress: OnProgress | None, put: Put) -> Float64Array | None:
         """Make all drives, and find their levels; returns the largest magnitudes at the interface's rate."""
-        self._levels = self._new_levels()
+        actuators, samples = self.shape
+        window = None if self._limits.rms_v is None else rms_window(samples, self._rate_hz)
+        self._levels = RunningLevels(actuators, window)
         blocks = self._watched(on_progress, put)
         if self._rate is not None:
-            return largest_of(self._rate.pieces(blocks, *self.shape, 4096), self.shape[0])
+            return largest_of(self._rate.pieces(blocks, actuators, samples, 4096), actuators)
         for _ in blocks:
             pass
         return None
@@ -214,12 +202,6 @@ class SceneRenderer:
     def _bound(self) -> float:
         """Bound on the relative error of the drives made last."""
         return relative_bound(self._accumulator.error, float(np.linalg.norm(self._levels.norms)))
-
-    def _limiting(self, between_v: Float64Array | None) -> Limiting:
-        reached = self._levels.against(self._limits)
-        if self._interface is None or between_v is None:
-            return strictest(reached)
-        return self._interface.strictest(reached, self._levels.peaks_v, between_v)
 
 
 def render_with_report(

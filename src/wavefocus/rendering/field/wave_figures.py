@@ -209,16 +209,10 @@ def path_spectrum(
 ) -> PathSpectrum:
     """Transform each point's response over a window of its own.
 
-    responses, float (points, samples of the field).
+    responses, float (points, samples of the field): Of at least one point.
     first_sample, int64 (points,): Begin of each window; outside the field there is silence.
     samples: Length of the windows, >= 1; rectangular. Zeros are appended for bins at most `RESOLUTION_HZ` apart.
-
-    Raises InputError: there is no point, or a figure is out of range.
     """
-    if responses.ndim != 2 or not len(responses) or len(first_sample) != len(responses):
-        raise InputError(f"responses of shape {responses.shape} do not go with {len(first_sample)} windows")
-    if samples < 1 or not sample_rate_hz > 0:
-        raise InputError(f"a window of {samples} samples at {sample_rate_hz} Hz has no spectrum")
     windows = np.zeros((len(responses), samples))
     for window, response, first in zip(windows, responses, first_sample.tolist(), strict=True):
         begin, end = max(first, 0), min(first + samples, len(response))
@@ -233,7 +227,8 @@ def path_spectrum(
 class CrosstalkTable:
     """Crosstalk over speed, (speeds,), and path sample distance d, (steps,).
 
-    `energy_ratio`, (speeds, steps), is that of `PathResponses`; NaN where the path has fewer than two points.
+    `energy_ratio`, (speeds, steps): Energy of all other points' foci at a point over that of its own, see
+    `_energy_ratio`; NaN where the path has fewer than two points.
     """
 
     speed_mm_s: Float64Array
@@ -241,8 +236,16 @@ class CrosstalkTable:
     energy_ratio: Float64Array
 
 
-class PathResponses:
-    """Response at each of some rows to the focus at each of them.
+def path_responses(
+    bank: GreenSource,
+    rows: Sequence[int],
+    signal: Float64Array | None = None,
+    regularisation: Regularisation | None = None,
+) -> Float64Array:
+    """Response at each of some rows to the focus at each of them, float64 (rows, rows, samples).
+
+    A focus emits its first sample at sample L - 1, L the bank's taps. With normalisation a response is in the source's
+    unit, without it in the square of the bank's.
 
     rows: Rows of the path's points, at most some dozens.
     signal, float64 (samples,): Emitted by every focus, at the bank's rate; by default an impulse.
@@ -250,76 +253,63 @@ class PathResponses:
 
     Raises InputError: a row is not measured, or the responses do not fit into memory.
     """
+    emitted = np.ones(1) if signal is None else signal
+    regularisation = regularisation or Regularisation()
+    length = fast_length(2 * bank.taps - 1 + len(emitted) - 1)
+    if 8 * len(rows) ** 2 * length > 2**29:
+        raise InputError(f"{len(rows)} path points are too many for a crosstalk table; choose fewer")
+    keep = np.ones(length // 2 + 1)
+    if bank.band_hz is not None:
+        keep = band_weights(length, bank.sample_rate_hz, bank.band_hz).astype(np.float64)
+    bins = np.flatnonzero(keep)
+    reader = RowReader(bank)
+    threshold = saturation_threshold(regularisation, bank)
+    greens = np.empty((len(rows), bank.actuators, len(bins)), dtype=np.complex128)
+    driven = np.empty_like(greens)
+    for place, row in enumerate(rows):
+        green = reader.read(row)
+        if not green.any():
+            raise InputError(f"position {row} is all zeros, so not measured; choose another path")
+        sigma, gain = row_weights(green, threshold, normalise=regularisation.normalise)
+        spectrum = np.fft.rfft(green, length, axis=1)[:, bins]
+        factors = np.full(bank.actuators, gain) if sigma is None else gain * sigma
+        greens[place] = spectrum
+        driven[place] = factors[:, None] * spectrum.conj()
+    responses = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
+    responses *= keep[bins] * np.fft.rfft(emitted, length)[bins]
+    # Lags from -(taps - 1) on.
+    responses *= np.exp(-2j * np.pi * bins * (bank.taps - 1) / length)
+    whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
+    whole[..., bins] = responses
+    return np.fft.irfft(whole, length, axis=2)
 
-    def __init__(
-        self,
-        bank: GreenSource,
-        rows: Sequence[int],
-        signal: Float64Array | None = None,
-        regularisation: Regularisation | None = None,
-    ) -> None:
-        emitted = np.ones(1) if signal is None else signal
-        regularisation = regularisation or Regularisation()
-        self.sample_rate_hz = float(bank.sample_rate_hz)
-        self.lead = bank.taps - 1
-        self._emitted = len(emitted)
-        length = fast_length(2 * bank.taps - 1 + len(emitted) - 1)
-        if 8 * len(rows) ** 2 * length > 2**29:
-            raise InputError(f"{len(rows)} path points are too many for a crosstalk table; choose fewer")
-        keep = np.ones(length // 2 + 1)
-        if bank.band_hz is not None:
-            keep = band_weights(length, bank.sample_rate_hz, bank.band_hz).astype(np.float64)
-        bins = np.flatnonzero(keep)
-        reader = RowReader(bank)
-        threshold = saturation_threshold(regularisation, bank)
-        greens = np.empty((len(rows), bank.actuators, len(bins)), dtype=np.complex128)
-        driven = np.empty_like(greens)
-        for place, row in enumerate(rows):
-            green = reader.read(row)
-            if not green.any():
-                raise InputError(f"position {row} is all zeros, so not measured; choose another path")
-            sigma, gain = row_weights(green, threshold, normalise=regularisation.normalise)
-            spectrum = np.fft.rfft(green, length, axis=1)[:, bins]
-            factors = np.full(bank.actuators, gain) if sigma is None else gain * sigma
-            greens[place] = spectrum
-            driven[place] = factors[:, None] * spectrum.conj()
-        responses = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
-        responses *= keep[bins] * np.fft.rfft(emitted, length)[bins]
-        # Lags from -(taps - 1) on: the focus instant is at `lead`.
-        responses *= np.exp(-2j * np.pi * bins * self.lead / length)
-        whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
-        whole[..., bins] = responses
-        # With normalisation a response is in the source's unit, without it in the square of the bank's.
-        self.values: Float64Array = np.fft.irfft(whole, length, axis=2)
 
-    def energy_ratio(self, speed_mm_s: float, step_mm: float, every: int = 1) -> float:
-        """Crosstalk ratio of a source that moves from point to point; NaN with fewer than two points.
+def _energy_ratio(values: Float64Array, instants: Int64Array, lead: int, emitted: int) -> float:
+    """Crosstalk ratio of a source that moves from point to point; NaN with fewer than two points.
 
-        Point m emits at ``n_m = round(m d / v)`` samples, d being `step_mm` > 0, the distance of the points that are
-        used (`every` so many of the rows), and v the speed > 0. Over a window as long as the emissions are apart, its
-        middle that of point m's emission (a focus converges as long as it diverges), the energy that all other points'
-        foci together cause at point m is divided by that of its own focus; energies are summed over the points before
-        they are divided. The paper (section IV.C) names the ratio of these energies and no window.
-        """
-        values = self.values[::every, ::every]
-        points, length = values.shape[0], values.shape[2]
-        if points < 2:
-            return float("nan")
-        instants = np.rint(np.arange(points + 1) * step_mm / speed_mm_s * self.sample_rate_hz).astype(np.int64)
-        own_energy = others_energy = 0.0
-        for m in range(points):
-            period = max(int(instants[m + 1] - instants[m]), 1)
-            window = instants[m] + (self._emitted - period) // 2 + np.arange(period)
-            own = np.zeros(len(window))
-            others = np.zeros(len(window))
-            for other in range(points):
-                lag = window - instants[other] + self.lead
-                there = (lag >= 0) & (lag < length)
-                target = own if other == m else others
-                target[there] += values[m, other, lag[there]]
-            own_energy += float(own @ own)
-            others_energy += float(others @ others)
-        return others_energy / own_energy if own_energy > 0 else float("nan")
+    Point m emits at sample n_m of `instants`, (points + 1,). Over a window as long as the emissions are apart, its
+    middle that of point m's emission of so many samples (a focus converges as long as it diverges), the energy that all
+    other points' foci together cause at point m is divided by that of its own focus; energies are summed over the
+    points before they are divided. The paper (section IV.C) names the ratio of these energies and no window.
+
+    values, (points, points, samples): As `path_responses` gives them, a focus emitting from sample `lead` on.
+    """
+    points, length = values.shape[0], values.shape[2]
+    if points < 2:
+        return float("nan")
+    own_energy = others_energy = 0.0
+    for m in range(points):
+        period = max(int(instants[m + 1] - instants[m]), 1)
+        window = instants[m] + (emitted - period) // 2 + np.arange(period)
+        own, others = np.zeros((2, period))
+        for other in range(points):
+            lag = window - instants[other] + lead
+            there = (lag >= 0) & (lag < length)
+            target = own if other == m else others
+            target[there] += values[m, other, lag[there]]
+        own_energy += float(own @ own)
+        others_energy += float(others @ others)
+    return others_energy / own_energy if own_energy > 0 else float("nan")
 
 
 def crosstalk_table(
@@ -331,12 +321,16 @@ def crosstalk_table(
     signal: Float64Array | None = None,
     regularisation: Regularisation | None = None,
 ) -> CrosstalkTable:
-    """Crosstalk along one line of `rows` that are `row_step_mm` apart, over speeds and path sample distances.
+    """Crosstalk along one line of `rows` that are `row_step_mm` apart, over speeds v and path sample distances d.
 
-    The latter are `every`, in steps of the rows; for `signal` and `regularisation` see `PathResponses`.
+    The latter are `every`, in steps of the rows; point m emits at ``round(m d / v rate)``. For `signal` and
+    `regularisation` see `path_responses`.
     """
-    responses = PathResponses(bank, rows, signal, regularisation)
-    ratio = np.array(
-        [[responses.energy_ratio(speed, row_step_mm * step, step) for step in every] for speed in speeds_mm_s]
-    )
-    return CrosstalkTable(np.asarray(speeds_mm_s, dtype=np.float64), row_step_mm * np.asarray(every, float), ratio)
+    values, emitted = path_responses(bank, rows, signal, regularisation), 1 if signal is None else len(signal)
+    speeds, steps = np.asarray(speeds_mm_s, dtype=np.float64), row_step_mm * np.asarray(every, dtype=np.float64)
+    ratio = np.empty((len(speeds), len(steps)))
+    for (row, column), _ in np.ndenumerate(ratio):
+        own = values[:: every[column], :: every[column]]
+        instants = np.arange(len(own) + 1) * steps[column] / speeds[row] * float(bank.sample_rate_hz)
+        ratio[row, column] = _energy_ratio(own, np.rint(instants).astype(np.int64), bank.taps - 1, emitted)
+    return CrosstalkTable(speeds, steps, ratio)

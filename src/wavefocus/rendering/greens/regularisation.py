@@ -1,6 +1,6 @@
 """Saturation (eq. 14) and gain normalisation (eq. 15) of the rows that a scene visits."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -90,23 +90,6 @@ def row_weights(green: Float64Array, threshold: float, *, normalise: bool) -> Ro
     return sigma, 1.0 / total
 
 
-def _focus_gains(bank: GreenSource, positions: Sequence[int], threshold: float) -> Float64Array:
-    """n(x) of eq. (15) at some positions.
-
-    threshold: C of eq. (14) in the bank's unit, as `saturation_threshold` gives it.
-
-    Returns float64 (positions,): NaN where a row may not be used or is all zeros; 0 or infinity where n(x) does not fit
-    into float64. Raises InputError: a row holds NaN or infinity.
-    """
-    reader = RowReader(bank)
-    gain = np.full(len(positions), np.nan)
-    for place, position in enumerate(positions):
-        row = None if refusal(int(bank.status[position])) else reader.read(int(position))
-        if row is not None and row.any():
-            gain[place] = row_weights(row, threshold, normalise=True)[1]
-    return gain
-
-
 def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:
     """n(x) of eq. (15) over the surface, the paper's figure 3C.
 
@@ -116,7 +99,11 @@ def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float6
     n(x) does not fit into float64.
     """
     threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
-    gain = _focus_gains(bank, range(bank.positions), threshold)
+    reader, gain = RowReader(bank), np.full(bank.positions, np.nan)
+    for position in np.flatnonzero(usable(bank)).tolist():
+        row = reader.read(position)
+        if row.any():
+            gain[position] = row_weights(row, threshold, normalise=True)[1]
     wrong = np.flatnonzero((gain == 0) | np.isinf(gain))
     if len(wrong):
         raise InputError(

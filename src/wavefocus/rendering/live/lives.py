@@ -35,13 +35,10 @@ class Emitted:
 
     def at(self, since: int, samples: int) -> Float64Array:
         """Values from so many samples after the first on, float64 (samples,)."""
-        size = len(self.values)
         if self.repeat:
-            since %= size
-            if since + samples > size:
-                return np.take(self.values, np.arange(since, since + samples), mode="wrap")
+            return np.take(self.values, np.arange(since, since + samples), mode="wrap")
         values = self.values[since : since + samples]
-        return values if len(values) == samples else np.pad(values, (0, samples - len(values)))
+        return np.pad(values, (0, samples - len(values)))
 
 
 def live_samples(signal: Signal, rate_hz: float) -> Float64Array:

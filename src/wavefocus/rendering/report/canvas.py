@@ -175,15 +175,14 @@ class ReportSurface:
         return width_px * min(max((top - bottom) / (right - left), 0.25), 1.0)
 
 
-def draw_surface(axes: Axes, surface: ReportSurface, *, path: bool, path_colour: str = "black") -> None:
-    """Draw outline and actuators, and the path above the cells when asked for."""
+def draw_surface(axes: Axes, surface: ReportSurface, path_colour: str | None = None) -> None:
+    """Draw outline and actuators, and the paths above the cells where they have a colour."""
     if surface.outline_mm is not None:
         axes.plot(*surface.outline_mm.T, color=FAINT, lw=1.0, zorder=3)
     known = np.all(np.isfinite(surface.actuator_mm), axis=1)
     axes.plot(*surface.actuator_mm[known].T, "^", ms=4.5, mfc="white", mec=INK, mew=0.8, zorder=4)
-    if path:
-        for points in surface.paths_mm:
-            axes.plot(*points.T, color=path_colour, lw=0.8, zorder=5)
+    for points in surface.paths_mm if path_colour else ():
+        axes.plot(*points.T, color=path_colour, lw=0.8, zorder=5)
     left, right, bottom, top = surface.extent_mm
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axes.locator_params(nbins=6)
@@ -253,7 +252,7 @@ def draw_maps(
         axes = canvas.axes(
             left_px + column * (width_px + MAP_GAP_PX), top_px + line * (height_px + TITLE_PX), width_px, height_px
         )
-        draw_surface(axes, surface, path=path_colour is not None, path_colour=path_colour or INK)
+        draw_surface(axes, surface, path_colour)
         cells = draw_cells(axes, surface, shown, panel.values, colours=colours, limits=limits)
         if panel.rings_mm is not None:
             axes.plot(*panel.rings_mm.T, "o", ms=12, mfc="none", mec=ring_colour, mew=1.1, zorder=6)

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 PREDICTION = "#f0b440"
 SCAN = "#0b3c5d"
-MAP_TOP_PX = 8
 UNKNOWN = "#d9d9d9"
 
 
@@ -51,7 +50,11 @@ def value_map(
     crossed: Sequence[int] | Int64Array = (),
 ) -> Picture:
     """Positions coloured by a figure; those without one stay grey, some are crossed out."""
-    canvas, axes = _single_map(name, surface)
+    height = surface.height_px(480)
+    canvas = Canvas(name, 548, 8 + height + 100)
+    axes = canvas.axes(56, 8, 480, height)
+    draw_surface(axes, surface)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
     known = np.isfinite(values)
     if not known.all():
         draw_cells(axes, surface, rows[~known], colour=UNKNOWN)
@@ -59,7 +62,7 @@ def value_map(
         low, high = _limits(values[known])
         cells = draw_cells(axes, surface, rows[known], values[known], colours=colours, limits=(low, high))
         outside = bool(np.any((values[known] < low) | (values[known] > high)))
-        place_px = (56 + 80, MAP_TOP_PX + surface.height_px(480) + 50, 320, 10)
+        place_px = (56 + 80, 8 + height + 50, 320, 10)
         canvas.colour_bar(cells, place_px, label, extend="both" if outside else "neither")
     axes.plot(*surface.position_mm[np.asarray(crossed, np.int64)].T, "x", ms=4, mec=INK, mew=0.9, zorder=6)
     return canvas.picture()
@@ -195,15 +198,6 @@ def _limits(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
     margin = 0.5 * (inner_high - inner_low)
     low, high = max(low, float(inner_low - margin)), min(high, float(inner_high + margin))
     return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-
-def _single_map(name: str, surface: ReportSurface) -> tuple[Canvas, Axes]:
-    height = surface.height_px(480)
-    canvas = Canvas(name, 548, MAP_TOP_PX + height + 100)
-    axes = canvas.axes(56, MAP_TOP_PX, 480, height)
-    draw_surface(axes, surface, path=False)
-    axes.set(xlabel="x (mm)", ylabel="y (mm)")
-    return canvas, axes
 
 
 VERDICT_COLOURS = {"steady": "#0b3c5d", "warn": "#e69f00", "stop": "#d55e00"}

@@ -240,7 +240,7 @@ def _stage(
     canvas = Canvas("movie", width_px, height_px, density=1)
     figure = canvas.figure
     axes = canvas.axes(LEFT_PX, TOP_PX, map_px, height)
-    draw_surface(axes, surface, path=True)
+    draw_surface(axes, surface, "black")
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     cells = draw_cells(
         axes, surface, field.position_index, np.zeros(len(field.position_index)), colours=COLOURS,

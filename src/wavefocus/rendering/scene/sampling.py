@@ -1,7 +1,8 @@
 """Sources sampled in time: path points, focus instants, emission (docs/reference/scene-file.md); a scene's size."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +10,6 @@ import numpy as np
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import (
-    Follow,
     GridInterpolation,
     Interpolation,
     Nodes,
@@ -166,19 +166,19 @@ def sample_source(
         raise InputError(f"source {index} would go on for {instants_s[-1]:.3g} s; {MAX_SAMPLES} samples are allowed")
     focus = np.rint(instants_s * sample_rate_hz).astype(np.int64)
     exact = method == "exact" and moving and source.emission == "continuous"
-    try:
+    with _off_grid(lambda _: f"the path of source {index}"):
         follow = interpolation.follow(source.path, None if exact else arc_length)
-    except OffGridError as error:
-        raise InputError(f"the path of source {index} {error}") from error
     points_mm = source.path.point_at(arc_length)
-    nodes = _located(index, follow, arc_length, lambda point: f"path point {point}")
+    with _off_grid(lambda point: f"source {index}, path point {point},"):
+        nodes = follow(arc_length)
 
     def of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         return nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop]
 
     def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         along = np.minimum(source.speed_mm_s * np.arange(start, stop) / sample_rate_hz, source.path.length_mm)
-        found = _located(index, follow, along, lambda point: f"sample {start + point} after its start")
+        with _off_grid(lambda point: f"source {index}, sample {start + point} after its start,"):
+            found = follow(along)
         return found.rows, found.weights, found.nearest
 
     emission: Emission
@@ -198,16 +198,8 @@ def sample_source(
             if exact
             else ContinuousEmission(signal, int(focus[0]), last, of_points, focus[:-1])
         )
-    return SampledSource(
-        index,
-        emission,
-        arc_length,
-        points_mm,
-        focus[:-1],
-        nodes.nearest,
-        signal,
-        nodes.rows.shape[1],
-    )
+    foci = focus[:-1]
+    return SampledSource(index, emission, arc_length, points_mm, foci, nodes.nearest, signal, nodes.rows.shape[1])
 
 
 def _sample_trajectory(
@@ -227,10 +219,8 @@ def _sample_trajectory(
         part = signal[begin : begin + SAMPLES_AT_ONCE]
         with np.errstate(over="ignore", invalid="ignore"):  # drives that are not finite are refused
             part *= course.at(first + np.arange(begin, begin + len(part)))[1]
-    try:
+    with _off_grid(lambda _: f"the path of source {index}"):
         follow = None if isinstance(interpolation, GridInterpolation) else interpolation.follow(path)
-    except OffGridError as error:
-        raise InputError(f"the path of source {index} {error}") from error
 
     def nodes_at(sample: Int64Array) -> Nodes:
         # Ties between positions fall as while it sounded only at the same places to the bit.
@@ -240,19 +230,15 @@ def _sample_trajectory(
 
     def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         sample = first + np.arange(start, stop)
-        try:
+        at_s = sample / sample_rate_hz - source.start_s
+        with _off_grid(lambda point: f"source {index}, {at_s[point]:.6g} s after its start,"):
             found = nodes_at(sample)
-        except OffGridError as error:
-            at_s = sample[error.point] / sample_rate_hz - source.start_s
-            raise InputError(f"source {index}, {at_s:.6g} s after its start, {error}") from error
         return found.rows, found.weights, found.nearest
 
     focus_s, points_mm = path.foci(source.start_s)
     focus = np.rint(focus_s * sample_rate_hz).astype(np.int64)
-    try:
+    with _off_grid(lambda point: f"row {path.focus_rows[point]} of the trajectory of source {index}"):
         nodes = nodes_at(focus)
-    except OffGridError as error:
-        raise InputError(f"row {path.focus_rows[error.point]} of the trajectory of source {index} {error}") from error
     emission, arc_mm = ContinuousEmission(signal, first, stop, of_samples), path.arc_length_mm(focus_s - source.start_s)
     return SampledSource(index, emission, arc_mm, points_mm, focus, nodes.nearest, signal, nodes.rows.shape[1])
 
@@ -277,12 +263,13 @@ def point_count(source: Source, index: int) -> int:
     return int(points)
 
 
-def _located(index: int, follow: Follow, along_mm: Float64Array, name: Callable[[int], str]) -> Nodes:
-    """Nodes at arc lengths; `name` is called with the number of the one that is off the grid, for the InputError."""
+@contextmanager
+def _off_grid(name: Callable[[int], str]) -> Iterator[None]:
+    """Refuse what lies off the grid; `name` is called with the number of the first such place, for the InputError."""
     try:
-        return follow(along_mm)
+        yield
     except OffGridError as error:
-        raise InputError(f"source {index}, {name(error.point)}, {error}") from error
+        raise InputError(f"{name(error.point)} {error}") from error
 
 
 @dataclass(frozen=True, slots=True)
