@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from wavefocus.rendering.scene.quiet_places import PlaceRows
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field
-
-if TYPE_CHECKING:
-    from wavefocus.storage.drive_file import Drive
 
 FOCUS_RADIUS_MM = 15.0
 """A focus is searched for within this distance of its path point: about one wavelength at 300 Hz."""

@@ -135,10 +135,6 @@ class SampledSource:
     signal: Float64Array
     nodes: int
 
-    def point_words(self, point: int) -> str:
-        """Number, source and place of a path point."""
-        return f"{point} of source {self.index} at {show_mm(self.points_mm[point])} mm"
-
 
 def sample_source(
     source: Source, index: int, interpolation: Interpolation, *, sample_rate_hz: float, taps: int, method: Method
@@ -300,13 +296,12 @@ class SampledScene:
 
     def naming(self, row: int, at_mm: Float64Array) -> str:
         """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
-        for source in self.sources:
-            hits = np.flatnonzero(source.focus_position == row)
-            if len(hits):
-                return f"path point {source.point_words(int(hits[0]))}"
-        apart_mm = [np.hypot(*(source.points_mm - at_mm).T) for source in self.sources]
-        source = self.sources[int(np.argmin([distances.min() for distances in apart_mm]))]
-        return f"the path near path point {source.point_words(int(np.argmin(apart_mm[source.index])))}"
+        _, position, of_source = self.foci
+        snapped, apart_mm = np.flatnonzero(position == row), np.hypot(*(self.focus_mm - at_mm).T)
+        focus = int(snapped[0]) if len(snapped) else int(np.argmin(apart_mm))
+        source, point = int(of_source[focus]), focus - int(np.searchsorted(of_source, of_source[focus]))
+        near = "" if len(snapped) else "the path near "
+        return f"{near}path point {point} of source {source} at {show_mm(self.focus_mm[focus])} mm"
 
 
 def sample_scene(scene: Scene, bank: GreenSource, method: str | None = None) -> SampledScene:
