@@ -48,9 +48,9 @@ def held(bank, name="status"):
         return list(file[name][...].tolist())
 
 
-def capture_process(lab, bank):
+def capture_process(lab, bank, environment=None):
     """A capture in a process of its own."""
-    return Lines("capture", lab / "run.toml", "--bank", bank, "--json")
+    return Lines("capture", lab / "run.toml", "--bank", bank, "--json", environment=environment)
 
 
 class Listener(io.TextIOBase):

@@ -56,14 +56,11 @@ def calibrate(rig, *options, lines=None, code=0):
     """Run the command with a person who types, and return its JSON and what the person was told."""
     out, told = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as person, redirect_stdout(out), redirect_stderr(told):
-        person.setattr(sys, "stdin", io.StringIO(typed_by(lines)))
+        # These lines, or Enter as often as it takes.
+        typed = "\n" * 50 if lines is None else "".join(f"{line}\n" for line in lines)
+        person.setattr(sys, "stdin", io.StringIO(typed))
         assert run(["calibrate", str(rig), "--json", *map(str, options)]) == code, told.getvalue()
     return json.loads(out.getvalue()) if out.getvalue() else {}, told.getvalue()
-
-
-def typed_by(lines):
-    """What a person types: these lines, or Enter as often as it takes."""
-    return "\n" * 50 if lines is None else "".join(f"{line}\n" for line in lines)
 
 
 def marks_file(folder, sigma_mm=0.1):
@@ -88,10 +85,6 @@ def beam_error_mm(map_rows):
 
 def record_of(told):
     return CalibrationRecord.model_validate(told["calibration"])
-
-
-def name_in(rig, file):
-    rig.write_text(f'{RIG}\n[calibration]\nfile = "{file.name}"\n', encoding="utf-8")
 
 
 def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig):
@@ -251,7 +244,7 @@ taps = 1000
 def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(rig, capsys):
     told, _ = calibrate(rig, "--only", "inputs,outputs,mirror", "--fiducials", marks_file(rig.parent, 0.01))
     file = Path(str(told["file"]))
-    name_in(rig, file)
+    rig.write_text(f'{RIG}\n[calibration]\nfile = "{file.name}"\n', encoding="utf-8")
     (rig.parent / "run.toml").write_text(RUN, encoding="utf-8")
     (rig.parent / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     bank = rig.parent / "plate.h5"
@@ -280,39 +273,35 @@ def meet(lines, ask, off_mm=0.0):
 
 def test_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_named(rig):
     with Lines("calibrate", rig, "--only", "mirror", "--operator", "lines", "--use") as asked:
-        _meet_all(asked, rig)
-
-
-def _meet_all(asked, rig):
-    begin = asked.hear("begin")
-    assert len(begin["marks_mm"]) == 7
-    level = asked.hear("level")  # while a person jogs, both inputs are heard
-    assert level["response"]["rms_v"] > 0
-    for number in range(1, 8):
-        ask = asked.hear("ask") if number > 1 else {"number": 1, "place_mm": [0.0, 0.0], "at_mrad": [0.0, 0.0]}
-        meet(asked, ask, off_mm=9.0 if number == 3 else 0.0)
-    judged = asked.hear("ask")
-    assert judged["what"] == "map"
-    assert judged["worst_mm"] > 1.0
-    assert judged["suspect"] == 3
-    assert "mark 3" in judged["problem"]
-    asked.send(answer="keep")
-    assert "mark 3" in asked.hear("refused")["sentence"]
-    assert asked.hear("ask")["what"] == "map"
-    asked.send(answer="redo", mark=3)
-    ask = asked.hear("ask")
-    assert (ask["what"], ask["number"]) == ("jog", 3)
-    meet(asked, ask)
-    judged = asked.hear("ask")
-    assert judged["problem"] == ""
-    assert judged["worst_mm"] < 1e-3
-    assert len(judged["off_mm"]) == 7
-    asked.send(answer="keep")
-    done = asked.hear("done")
-    assert done["measured"] == ["mirror"]
-    assert asked.end() == 0
-    assert Path(done["file"]).is_file()
-    assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == Path(done["file"]).name
+        begin = asked.hear("begin")
+        assert len(begin["marks_mm"]) == 7
+        level = asked.hear("level")  # while a person jogs, both inputs are heard
+        assert level["response"]["rms_v"] > 0
+        for number in range(1, 8):
+            ask = asked.hear("ask") if number > 1 else {"number": 1, "place_mm": [0.0, 0.0], "at_mrad": [0.0, 0.0]}
+            meet(asked, ask, off_mm=9.0 if number == 3 else 0.0)
+        judged = asked.hear("ask")
+        assert judged["what"] == "map"
+        assert judged["worst_mm"] > 1.0
+        assert judged["suspect"] == 3
+        assert "mark 3" in judged["problem"]
+        asked.send(answer="keep")
+        assert "mark 3" in asked.hear("refused")["sentence"]
+        assert asked.hear("ask")["what"] == "map"
+        asked.send(answer="redo", mark=3)
+        ask = asked.hear("ask")
+        assert (ask["what"], ask["number"]) == ("jog", 3)
+        meet(asked, ask)
+        judged = asked.hear("ask")
+        assert judged["problem"] == ""
+        assert judged["worst_mm"] < 1e-3
+        assert len(judged["off_mm"]) == 7
+        asked.send(answer="keep")
+        done = asked.hear("done")
+        assert done["measured"] == ["mirror"]
+        assert asked.end() == 0
+        assert Path(done["file"]).is_file()
+        assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == Path(done["file"]).name
 
 
 def converse(rig, *answers, only="mirror", code=0):

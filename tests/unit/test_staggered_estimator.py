@@ -47,18 +47,6 @@ def estimated(reference, response):
     return ESTIMATOR.estimate(*channels, range_v=(1e3, 1e3))
 
 
-def estimated_in_turn(schedule, base_v, green, ppm, start):
-    """The estimate of a record of each row of a schedule."""
-    channels = []
-    for record in range(len(schedule.actuator)):
-        actuator, delay_s, _ = schedule.slots(record)
-        delays = np.round(delay_s * RATE_HZ).astype(int).tolist()
-        channels.append(played(base_v, delays, green[actuator], ppm, start, SIGNAL.used_samples))
-    reference_v, response_v = (np.stack([one[row] for one in channels]).astype(np.float32) for row in range(2))
-    estimator = StaggeredEstimator(base_v, Records(RATE_HZ, BAND_HZ, TAPS, schedule))
-    return estimator.estimate(reference_v, response_v, range_v=(1e3, 1e3))
-
-
 UNEVEN = Schedule(np.arange(5)[None], np.array([[0, 107, 231, 352, 479]]) / RATE_HZ, np.ones((1, 5)), 600 / RATE_HZ)
 GROUPS = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120, groups=2)
 
@@ -74,8 +62,14 @@ GROUPS = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120, gro
     ids=["even delays", "a slow clock", "groups", "uneven delays"],
 )
 def test_given_any_schedule_offset_and_skew_then_each_actuator_comes_back_in_order(schedule, base_v, ppm, start):
-    green = random_firs(3)
-    found = estimated_in_turn(schedule, base_v, green, ppm, start)
+    green, channels = random_firs(3), []
+    for record in range(len(schedule.actuator)):
+        actuator, delay_s, _ = schedule.slots(record)
+        delays = np.round(delay_s * RATE_HZ).astype(int).tolist()
+        channels.append(played(base_v, delays, green[actuator], ppm, start, SIGNAL.used_samples))
+    reference_v, response_v = (np.stack([one[row] for one in channels]).astype(np.float32) for row in range(2))
+    estimator = StaggeredEstimator(base_v, Records(RATE_HZ, BAND_HZ, TAPS, schedule))
+    found = estimator.estimate(reference_v, response_v, range_v=(1e3, 1e3))
     assert found.clock_ratio[0] == pytest.approx(1 + 1e-6 * ppm, abs=2e-6)
     assert error_db(found.green, green, RATE_HZ, BAND_HZ).max() < -45
 

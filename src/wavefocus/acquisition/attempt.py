@@ -373,7 +373,7 @@ def attempts_again(
         if due.size:
             if is_futile(order, status, attempts, before):
                 return []
-            widest_v = setup.widest_response_v
+            widest_v = max((setup.range_v[1], *setup.response_ranges_v))
             return [
                 Attempt(int(row), before + 1, 1, response_range_v=widest_v if status[row] & Status.OVER_RANGE else None)
                 for row in due

@@ -154,11 +154,6 @@ class Setup:
         """How much later than the reference the surface is, as the response channel shows it."""
         return self.inter_channel_delay_s - self.vibrometer_latency_s
 
-    @property
-    def widest_response_v(self) -> float:
-        """Largest input range that the response may be measured with."""
-        return max((self.range_v[1], *self.response_ranges_v))
-
     def signals_v(self, signal_v: Float64Array, *actuators: int) -> dict[int, Float64Array]:
         """One signal for the loopback and some actuators, by player channel."""
         channels = [self.actuator_channels[actuator] for actuator in actuators]

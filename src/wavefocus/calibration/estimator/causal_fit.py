@@ -28,14 +28,11 @@ class _CausalSolution:
     """Causal FIRs of a batch of spectra, and what they leave.
 
     green, float32 (records, taps): On the playback clock.
-    whole, left, float64 (records,): Energy of the whitened data, and what the FIR leaves of it.
     whitened, missed, complex64 (records, bins): What the FIR leaves of the data, whitened and with the weight taken
         off.
     """
 
     green: Float32Array
-    whole: Float64Array
-    left: Float64Array
     whitened: Complex64Array
     missed: Complex64Array
 
@@ -91,15 +88,14 @@ class CausalFit:
         # Explicitly, since the difference of the two energies cancels to nothing in float32.
         unexplained = data - coefficients @ self._left.T
         # The FIR's own freedom swallows its share of the noise.
-        whole, left = (np.square(values).sum(axis=1, dtype=np.float64) for values in (data, unexplained))
-        variance = left / max(self.elements - self.rank, 1)
+        variance = np.square(unexplained).sum(axis=1, dtype=np.float64) / max(self.elements - self.rank, 1)
         noise = (GARROTE * variance).astype(np.float32)[:, None]
         squared = np.maximum(np.square(coefficients[:, self._weak]), np.float32(1e-30))
         coefficients[:, self._weak] *= np.maximum(1 - noise / squared, 0)
         bins = self._weight.size
         whitened = np.empty((len(data), bins), dtype=np.complex64)
         whitened.real, whitened.imag = unexplained[:, :bins], unexplained[:, bins:]
-        return _CausalSolution(self._taps(coefficients, skew), whole, left, whitened, whitened / self._weight)
+        return _CausalSolution(self._taps(coefficients, skew), whitened, whitened / self._weight)
 
     def _taps(self, coefficients: Float32Array, skew: Float64Array) -> Float32Array:
         """FIRs (records, L) on the playback clock; `skew` (records,) is each record's clock ratio minus 1."""
@@ -176,10 +172,7 @@ class ToeplitzFit:
         green = np.empty((len(spectrum), self._taps), dtype=np.float32)
         for row, values in enumerate(spectrum):
             left[row], green[row] = self._solved(values.astype(np.complex128), 1 + float(skew[row]))
-        whole, unexplained = (
-            np.square(np.abs(values)).sum(axis=1, dtype=np.float64) for values in (spectrum * self._weight, left)
-        )
-        return _CausalSolution(green, whole, unexplained, left, (left / self._weight).astype(np.complex64))
+        return _CausalSolution(green, left, (left / self._weight).astype(np.complex64))
 
     def _solved(self, spectrum: Complex128Array, ratio: float) -> tuple[Complex64Array, Float32Array]:
         turn = self._turn * ratio

@@ -105,70 +105,63 @@ SURE_DB = -36.0
 FLOOR = 1e-30
 
 
-class _ThirdHarmonic:
-    """Level of the third harmonic around a recording's loudest moment.
+def _third_harmonic_db(
+    response_v: Float32Array, loudest: Int64Array, which: Int64Array, sample_rate_hz: float, period: int
+) -> Float32Array:
+    """Level of the third harmonic around a recording's loudest moment, for the recordings `which` of a batch.
 
     A peak cut off at 0.95 of its height has it at -38 dB, at 0.9 at -30 dB; in-band figures hardly see that, for
     a response of L taps can be bent to explain a resonance that is a little too low.
 
-    sample_rate_hz: Rate in Hz, > 0.
+    response_v, float32 (records, samples): Recordings in volts.
+    loudest, int64 (records,): Sample of their largest magnitude.
     period: Samples of a sweep with its silence; in the next one the same is as loud again.
+
+    Returns float32 (which,): in dB of the fundamental; -inf where it does not stand out from the noise, NaN
+    where the fundamental is too low to measure or its third harmonic too high to be sampled.
     """
+    samples, length = response_v.shape[1], 1 << max(5, round(np.log2(WINDOW_S * sample_rate_hz)))
+    if samples < length or not which.size:
+        return np.full(which.size, np.nan, np.float32)
+    window = np.hanning(length + 1)[:-1].astype(np.float32)
+    figure = _harmonic_level(response_v, which, loudest[which], window)
+    # The first sample of a cut stretch is as large as all others, and its window half before it.
+    after = np.minimum(loudest[which, None] + np.arange(2 * length), samples - 1)
+    level_v = np.abs(response_v[which, loudest[which]])[:, None]
+    flat = np.count_nonzero(np.abs(response_v[which[:, None], after]) >= np.float32(CLIP_SHARE) * level_v, axis=1)
+    unsure = np.flatnonzero(((figure > UNSURE_DB) | (flat >= MIN_FLAT)) & ~(figure > SURE_DB))
+    if unsure.size:
+        middle = np.array([_middle(response_v[record], int(loudest[record]), period) for record in which[unsure]])
+        figure[unsure] = np.fmax(figure[unsure], _harmonic_level(response_v, which[unsure], middle, window))
+    return figure
 
-    def __init__(self, sample_rate_hz: float, period: int) -> None:
-        self._period = period
-        self._length = 1 << max(5, round(np.log2(WINDOW_S * sample_rate_hz)))
-        self._window = np.hanning(self._length + 1)[:-1].astype(np.float32)
 
-    def __call__(self, response_v: Float32Array, loudest: Int64Array, which: Int64Array) -> Float32Array:
-        """Look at a batch of recordings.
+def _harmonic_level(
+    response_v: Float32Array, which: Int64Array, centre: Int64Array, window: Float32Array
+) -> Float32Array:
+    length = window.size
+    first = np.clip(centre - length // 2, 0, response_v.shape[1] - length)
+    pieces = response_v[which[:, None], first[:, None] + np.arange(length)]
+    spectra = scipy.fft.rfft(pieces * window, axis=1)
+    power = np.square(spectra.real) + np.square(spectra.imag)
+    rows = np.arange(which.size)
+    fundamental = power[:, 1:].argmax(axis=1) + 1
+    audible = (fundamental >= MIN_BIN) & (3 * fundamental + 2 <= length // 2)
+    fundamental = np.where(audible, fundamental, MIN_BIN)
+    near = np.arange(-1, 2)
+    whole = power[rows[:, None], fundamental[:, None] + near].sum(axis=1)
+    level = power[rows[:, None], 3 * fundamental[:, None] + near].sum(axis=1)
+    noise = np.partition(power[:, length // 4 :], length // 8, axis=1)[:, length // 8]
+    stands_out = level > 3 * OVER_FLOOR * noise
+    figure = np.where(stands_out, 10 * np.log10(np.maximum(level, FLOOR) / np.maximum(whole, FLOOR)), -np.inf)
+    return np.where(audible, figure, np.nan).astype(np.float32)
 
-        response_v, float32 (records, samples): Recordings in volts.
-        loudest, int64 (records,): Sample of their largest magnitude.
-        which, int64 (looked at,): The recordings to look at.
 
-        Returns float32 (looked at,): in dB of the fundamental; -inf where it does not stand out from the noise, NaN
-        where the fundamental is too low to measure or its third harmonic too high to be sampled.
-        """
-        samples, length = response_v.shape[1], self._length
-        if samples < length or not which.size:
-            return np.full(which.size, np.nan, np.float32)
-        figure = self._level(response_v, which, loudest[which])
-        # The first sample of a cut stretch is as large as all others, and its window half before it.
-        after = np.minimum(loudest[which, None] + np.arange(2 * length), samples - 1)
-        level_v = np.abs(response_v[which, loudest[which]])[:, None]
-        flat = np.count_nonzero(np.abs(response_v[which[:, None], after]) >= np.float32(CLIP_SHARE) * level_v, axis=1)
-        unsure = np.flatnonzero(((figure > UNSURE_DB) | (flat >= MIN_FLAT)) & ~(figure > SURE_DB))
-        middle = np.array(
-            [self._middle(response_v[which[record]], int(loudest[which[record]])) for record in unsure], int
-        )
-        if unsure.size:
-            figure[unsure] = np.fmax(figure[unsure], self._level(response_v, which[unsure], middle))
-        return figure
-
-    def _level(self, response_v: Float32Array, which: Int64Array, centre: Int64Array) -> Float32Array:
-        length = self._length
-        first = np.clip(centre - length // 2, 0, response_v.shape[1] - length)
-        pieces = response_v[which[:, None], first[:, None] + np.arange(length)]
-        spectra = scipy.fft.rfft(pieces * self._window, axis=1)
-        power = np.square(spectra.real) + np.square(spectra.imag)
-        rows = np.arange(which.size)
-        fundamental = power[:, 1:].argmax(axis=1) + 1
-        audible = (fundamental >= MIN_BIN) & (3 * fundamental + 2 <= length // 2)
-        fundamental = np.where(audible, fundamental, MIN_BIN)
-        near = np.arange(-1, 2)
-        whole = power[rows[:, None], fundamental[:, None] + near].sum(axis=1)
-        level = power[rows[:, None], 3 * fundamental[:, None] + near].sum(axis=1)
-        noise = np.partition(power[:, length // 4 :], length // 8, axis=1)[:, length // 8]
-        stands_out = level > 3 * OVER_FLOOR * noise
-        figure = np.where(stands_out, 10 * np.log10(np.maximum(level, FLOOR) / np.maximum(whole, FLOOR)), -np.inf)
-        return np.where(audible, figure, np.nan).astype(np.float32)
-
-    def _middle(self, recording: Float32Array, loudest: int) -> int:
-        """The middle of the stretch that is nearly as loud as the loudest sample."""
-        around = slice(max(0, loudest - self._period // 2), loudest + self._period // 2)
-        high = np.flatnonzero(np.abs(recording[around]) >= np.float32(BELOW_SHARE) * np.abs(recording[loudest]))
-        return around.start + int(high[high.size // 2])
+def _middle(recording: Float32Array, loudest: int, period: int) -> int:
+    """The middle of the stretch that is nearly as loud as the loudest sample."""
+    around = slice(max(0, loudest - period // 2), loudest + period // 2)
+    high = np.flatnonzero(np.abs(recording[around]) >= np.float32(BELOW_SHARE) * np.abs(recording[loudest]))
+    return around.start + int(high[high.size // 2])
 
 
 _FIGURES = "burst_db burst_s line_db line_hz tail_db misfit_db unsteady_db harmonic_db slip_db dead"
@@ -246,7 +239,6 @@ class DefectFinder:
     ) -> None:
         self._in_band, self._first_bin, self._period, self._averages = in_band, first_bin, period, averages
         self._rate_hz, self._taps, self._freedom, self._is_swept = sample_rate_hz, taps, freedom, is_swept
-        self._harmonic = _ThirdHarmonic(sample_rate_hz, period)
 
     def find(
         self,
@@ -286,7 +278,8 @@ class DefectFinder:
                 self._compare(noise, apart, missed[:, here], left, whole, defects)
                 self._excuse_rounding(response_v, levels, defects)
         loud = np.flatnonzero(self._is_swept & (whole > 10 ** (CLEAR_DB / 10) * np.minimum(apart, noise)))
-        defects["harmonic_db"][loud] = self._harmonic(response_v, levels.loudest, loud)
+        harmonic_db = _third_harmonic_db(response_v, levels.loudest, loud, self._rate_hz, self._period)
+        defects["harmonic_db"][loud] = harmonic_db
         residual = (missed[:, None] * reference + differing)[..., here]
         self._concentrated(residual, power, whole, defects)
         return defects

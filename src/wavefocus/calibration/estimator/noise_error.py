@@ -27,7 +27,7 @@ def noise_error_db(
     response_s: Length of the FIRs in seconds, > 0.
     period_s: Sweep and silence (staggered: a period of the record) in seconds, > 0.
 
-    Returns float64, the same shape: dB; held against the virtual rig's truth within 1 dB (tests/unit/test_noise_error).
+    Returns float64, the same shape: dB; held against the virtual rig's truth within 1 dB (tests/system/test_schedules).
     """
     width_hz = band_hz[1] - band_hz[0]
     freedom = 2 * width_hz * response_s + 2 * math.log(max(2 * math.pi * width_hz * response_s, 1.0))
