@@ -77,7 +77,7 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache, adm
     elements = Elements(triangulate(STADIUM, SPACING_MM))
     response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
     assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
-    for place in range(1, 11):
+    for place in (1, 4, 7, 10):
         solved = elements.solve(SOFT_PLATE, admittance, 50.0 * place, elements.forces(ACTUATOR_MM))
         velocity = 2j * np.pi * 50.0 * place * elements.values_at(np.array([[-8.0, 3.0]]), solved)[0]
         assert np.linalg.norm(response[:, place] - velocity) < 3e-3 * np.linalg.norm(velocity)

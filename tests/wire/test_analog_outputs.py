@@ -176,18 +176,30 @@ def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(
     assert not is_open_after(mirror.close)
 
 
-def test_a_shutter_that_opens_at_a_low_level_and_a_line_that_another_task_has(box):
+def test_a_shutter_that_opens_at_a_low_level_is_moved_by_one_driver_on_its_own_box(box):
     shutter = box.shutter(opens_when_high=False)
     assert isinstance(shutter, Shutter)
     assert set(SHUTTERS.all()) == {"nidaqmx"}
-    for act, level in ((shutter.block_beam, 1.0), (shutter.open_beam, 0.0), (shutter.block_beam, 1.0)):
+    for act, level in ((shutter.block_beam, 1.0), (shutter.open_beam, 0.0)):
         act()
         assert box.level(LINE) == level
     with pytest.raises(InstrumentError, match="-50103") as refused:
         box.shutter()
     assert not isinstance(refused.value, InstrumentLostError)
-    shutter.open_beam()
-    assert box.level(LINE) == 0.0
+    shutter.block_beam()
+    box.server.stop()
+    other = NiServer(Tone(), "USB-6211", address=box.server.address, serial_number=0x0BADCAFE)
+    other.start()
+    with pytest.raises(InstrumentError, match="serial number 0BADCAFE answers instead of"):
+        shutter.reconnect()
+    with pytest.raises(InstrumentLostError, match="reconnect first"):
+        shutter.open_beam()
+    assert "WriteDigitalLines" not in other.log
+    other.stop()
+    box.server.start()
+    shutter.reconnect()
+    shutter.block_beam()
+    assert box.level(LINE) == 1.0
     shutter.close()
     with pytest.raises(InstrumentError):
         shutter.open_beam()
@@ -239,24 +251,6 @@ def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(box, opene
     assert taken.verdict == "fail"
     assert LINE in taken.remedy
     assert list(shutter_findings(RigConfig.model_validate({}))) == []
-
-
-def test_another_box_under_same_name_then_shutter_is_not_moved_until_its_own_is_back(box):
-    shutter = box.shutter()
-    shutter.open_beam()
-    box.server.stop()
-    other = NiServer(Tone(), "USB-6211", address=box.server.address, serial_number=0x0BADCAFE)
-    other.start()
-    with pytest.raises(InstrumentError, match="serial number 0BADCAFE answers instead of"):
-        shutter.reconnect()
-    with pytest.raises(InstrumentLostError, match="reconnect first"):
-        shutter.open_beam()
-    assert "WriteDigitalLines" not in other.log
-    other.stop()
-    box.server.start()
-    shutter.reconnect()
-    shutter.block_beam()
-    assert box.level(LINE) == 0.0
 
 
 # -- the rig file, and a program that ends -------------------------------------------------------------

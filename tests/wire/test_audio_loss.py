@@ -86,23 +86,6 @@ def loss_of(player):
                 player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
 
 
-def test_server_that_is_killed_in_play_then_waiting_says_lost_and_player_closes(bench):
-    server = bench.serve()
-    player = bench.player(server)
-    start_playing(player)
-    server.kill()
-    lost = loss_of(player)
-    assert "unplugged, switched off, or its server ended" in lost.cause
-    assert "then reconnect" in lost.remedy
-    assert (lost.instrument, lost.operation) == ("player wavefocus interface", "playing on channels [0]")
-    player.mute()
-    for refused in (lambda: player.play({0: np.full(9, 0.5)}, RATE_HZ), player.identify):
-        with pytest.raises(InstrumentLostError, match="its server ended"):
-            refused()
-    player.close()
-    assert not alive(player.process_id)
-
-
 def test_a_server_that_is_killed_while_nothing_plays_then_the_next_play_says_lost(bench):
     server = bench.serve()
     player = bench.player(server)
@@ -122,7 +105,14 @@ def test_device_is_away_then_reconnecting_says_so_until_it_is_back_and_then_it_p
     player = bench.player(server)
     start_playing(player)
     server.kill()
-    loss_of(player)
+    lost = loss_of(player)
+    assert "unplugged, switched off, or its server ended" in lost.cause
+    assert "then reconnect" in lost.remedy
+    assert (lost.instrument, lost.operation) == ("player wavefocus interface", "playing on channels [0]")
+    player.mute()
+    for refused in (lambda: player.play({0: np.full(9, 0.5)}, RATE_HZ), player.identify):
+        with pytest.raises(InstrumentLostError, match="its server ended"):
+            refused()
     for _ in range(2):
         with pytest.raises(InstrumentLostError, match="there is no host API 'JACK Audio Connection Kit'"):
             player.reconnect()

@@ -74,7 +74,7 @@ _VIBROMETER, _SUM, _BOTH = "vibrometer", "sum", "both"
 
 
 class PatchBay:
-    """Plugs one source at a time into the response input; safe to share between threads.
+    """Plugs one source at a time into the response input.
 
     The words are ``"vibrometer"`` (as for a campaign), ``"output K"`` (output K of the player), ``"sum"`` (all
     outputs that drive actuators, through a summing box of gain 1) and ``"both"`` (the loopback, which the reference
@@ -82,25 +82,19 @@ class PatchBay:
 
     actuator_outputs: Outputs of the player that drive actuators.
     loopback_output: The output that is looped back to the reference input.
+
+    word: What is plugged in now.
     """
 
     def __init__(self, actuator_outputs: Sequence[int], loopback_output: int) -> None:
         self._actuator_outputs = tuple(actuator_outputs)
         self._loopback_output = loopback_output
-        self._word = _VIBROMETER
-        self._lock = threading.Lock()
-
-    @property
-    def word(self) -> str:
-        """What is plugged in now."""
-        with self._lock:
-            return self._word
+        self.word = _VIBROMETER
 
     def connect(self, word: str) -> None:
         """Plug in something else. Raises ValueError."""
-        _ = self._outputs_of(word)
-        with self._lock:
-            self._word = word
+        self._outputs_of(word)
+        self.word = word
 
     @property
     def outputs(self) -> tuple[int, ...] | None:
