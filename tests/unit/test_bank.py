@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.lab_files import attribute, put, without, write_bank
@@ -71,6 +71,7 @@ def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_pat
         open_bank(path)
 
 
+@settings(max_examples=15)
 @given(
     dtype=st.sampled_from(["<f2", "<f4", "<f8", ">f4", ">f8", "<i2", ">i2", "u1"]),
     options=st.sampled_from([{}, {"chunks": (2, 1, 3)}, {"compression": "gzip"}, {"shuffle": True, "chunks": True}]),
