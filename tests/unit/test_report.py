@@ -20,10 +20,7 @@ from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.figures import _label_clock
 from wavefocus.rendering.report.movie import (
-    Foci,
-    colour_limit,
     plan_frames,
-    read_frames,
     snapshots,
     surface_of,
     write_movie,
@@ -213,22 +210,6 @@ def test_given_foci_then_the_movie_is_of_them_and_of_what_was_asked_for_else(fie
             plan_frames(field, None, from_s=5.0)
         with pytest.raises(InputError, match="lower --slow"):
             plan_frames(field, None, slow=1e5)
-
-
-def test_given_a_field_then_frames_hold_it_and_the_scale_goes_to_the_largest_focus(field_file):
-    sample = np.array([0, 117, 193])
-    with FieldRowReader(field_file) as field:
-        frames = read_frames(field, sample)
-        focus, at, peak = Foci.of(drive()).seen(field)
-    assert np.array_equal(frames, values()[:, sample].T)
-    found = {focus: (at, peak) for focus, at, peak in zip(focus.tolist(), at.tolist(), peak.tolist(), strict=True)}
-    assert sorted(found) == [0, 1, 2, 3]
-    assert (np.diff(at) >= 0).all()
-    assert (found[0][0], found[2][0]) == (117, 193)
-    assert [found[index][1] for index in range(4)] == [100.0, 6.0, 100.0, 12.0]
-    assert colour_limit(frames, peak) == 100.0
-    assert colour_limit(frames, None) <= 100.0
-    assert colour_limit(np.zeros((2, 3), np.float32), None) == 1.0
 
 
 def test_given_a_movie_then_the_gif_has_its_frames(field_file, tmp_path):

@@ -38,11 +38,6 @@ class Band:
     kept: int
     single: bool = False
 
-    @classmethod
-    def whole(cls, fft_samples: int, *, single: bool = False) -> Band:
-        """All bins."""
-        return cls(fft_samples, fft_samples // 2 + 1, single)
-
     @property
     def bins(self) -> int:
         """Bins of the whole spectrum."""

@@ -75,7 +75,8 @@ class BlockAccumulator:
 
         Raises InputError: a row on a path cannot be used.
         """
-        spectra = RowSpectra(self._rows, Band.whole(self.block_samples, single=self._single), self._device)
+        band = Band(self.block_samples, self.block_samples // 2 + 1, self._single)
+        spectra = RowSpectra(self._rows, band, self._device)
         self.statistics, errors = np.zeros_like(self.statistics), 0.0
         # A sample lies in so many blocks.
         overlap = -(-self.block_samples // self._hop)

@@ -65,11 +65,6 @@ class QuietFigures:
     energy: float
     warnings: tuple[str, ...]
 
-    @property
-    def tracks(self) -> tuple[QuietTrack, ...]:
-        """The places, as drive files keep them."""
-        return tuple(level.track for level in self.levels)
-
 
 def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple[SampledScene, QuietRows]:
     """The scene as the accumulator takes it, and its rows.

@@ -20,6 +20,7 @@ from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource, drive_unit
 from wavefocus.rendering.report.render_report import RenderReport, report_render
 from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.quiet_places import places_of
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
 from wavefocus.storage.drive_file import Drive, drive_in_blocks
 from wavefocus.storage.errors import InputError
@@ -80,7 +81,7 @@ class SceneRenderer:
         self._rate = None if interface is None else InterfaceRate(self._rate_hz, interface.rate_hz)
         self.sampled = sample_scene(scene, bank, method)
         self._quiet: QuietRows | None = None
-        if scene.has_quiet_places:
+        if places_of(scene):
             from wavefocus.rendering.drive.quiet_scene import quiet_scene  # only such scenes wait for it
 
             self.sampled, self._quiet = quiet_scene(scene, bank, self.sampled)

@@ -135,8 +135,8 @@ class RenderReport:
 
     @property
     def quiet_tracks(self) -> tuple[QuietTrack, ...]:
-        """The places that are kept quiet."""
-        return () if self.quiet is None else self.quiet.tracks
+        """The places that are kept quiet, as drive files keep them."""
+        return () if self.quiet is None else tuple(level.track for level in self.quiet.levels)
 
     @property
     def scale(self) -> float:

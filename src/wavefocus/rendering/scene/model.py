@@ -119,11 +119,6 @@ class Scene:
     quiet: Sequence[QuietPlace] = ()
 
     @property
-    def has_quiet_places(self) -> bool:
-        """Whether any source is to be quiet anywhere."""
-        return bool(self.quiet) or (self.regularisation.independent and len(self.sources) > 1)
-
-    @property
     def of_earlier_versions(self) -> Scene | None:
         """The scene with "nearest", their default; None where the scene names its interpolation."""
         if "interpolation" in self.output.model_fields_set:
