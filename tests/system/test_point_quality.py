@@ -22,27 +22,13 @@ def _captured(lab, capsys):
     return bank, events_of(told.out), told.err
 
 
-@pytest.mark.parametrize(
-    ("fault", "name", "remedy", "bit"),
-    [
-        ('kind = "clipped"\nlevel_db = -0.45', "clipping", "amplitude", 2),
-        ('kind = "lost_sample"', "unsteady", "lost samples", 4),
-        ('kind = "hum"\nlevel_db = -40.0', "hum", "ground loop", 4),
-        ('kind = "dark"', "dropout", "light", 4),
-    ],
-)
-def test_given_a_defect_in_one_record_then_it_is_named_with_its_remedy_and_not_valid(
-    lab, capsys, fault, name, remedy, bit
-):
-    with_faults(lab, f"{READ}{fault}\nposition = 2\nrecord = 1\ncount = 99")
+def test_a_defect_in_one_record_is_named_with_its_remedy_and_its_position_not_valid(lab, capsys):
+    with_faults(lab, f'{READ}kind = "clipped"\nlevel_db = -0.45\nposition = 2\nrecord = 1\ncount = 99')
     bank, events, told = _captured(lab, capsys)
     committed = [event for event in of_kind(events, "position_committed") if event["position"] == 2]
-    assert committed[0]["defects"] == [name]
-    assert remedy in str(committed[0]["reason"])
-    status = held(bank)
-    assert status[2] & bit
-    assert not status[2] & 1
-    assert status[:2] + status[3:] == [1] * 5
+    assert committed[0]["defects"] == ["clipping"]
+    assert "amplitude" in str(committed[0]["reason"])
+    assert held(bank) == [1, 1, 2, 1, 1, 1]
     last = told.splitlines()[-1]
     assert "1 of 6 positions are not valid: 2;" in last
     assert f"wavefocus remeasure {bank}" in last
@@ -55,11 +41,8 @@ def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid
         green = file["green"][:]
     low_v = float(np.sort(peak_v)[-2:].mean())  # the loudest position alone is over it
     reference.unlink()
-    (lab / "rig.toml").write_text(
-        (lab / "rig.toml").read_text(encoding="utf-8")
-        + f"\n[recorder]\nresponse_range_v = {low_v}\nresponse_ranges_v = [{low_v}, {2 * low_v}, 10.0]\n",
-        encoding="utf-8",
-    )
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write(f"\n[recorder]\nresponse_range_v = {low_v}\nresponse_ranges_v = [{low_v}, {2 * low_v}, 10.0]\n")
     bank, events, _ = _captured(lab, capsys)
     loudest = int(np.argmax(peak_v))
     repeated = of_kind(events, "position_repeated")

@@ -22,14 +22,23 @@ name = "virtual"
 [actuators]
 position_mm = [[119.0, 0.0], [0.0, 69.0], [-119.0, 0.0], [0.0, -69.0]]
 """
+SMALL_RIG = """
+[rig]
+name = "virtual"
+[surface]
+kind = "rectangle"
+length_mm = 130.0
+width_mm = 100.0
+[actuators]
+position_mm = [[64, 3], [35, 49], [2, 48], [-64, -5], [-37, -49], [4, -48]]
+"""
 RUN = """
 rig = "rig.toml"
 [grid]
-spacing_mm = 40.0
-check_positions = 0
+{grid}
 [sweep]
 duration_s = 0.3
-amplitude_v = 3.0
+{sweep}
 [capture]
 averages = 2
 decay_s = 0.1
@@ -41,20 +50,39 @@ excitation = "{schedule}"
 seed = 5
 noise_v = {noise_v}
 """
+
+
+def lab_of(folder, rig, **keys):
+    """Write rig and run file into a new folder."""
+    folder.mkdir()
+    (folder / "rig.toml").write_text(rig, encoding="utf-8")
+    values = {"sweep": "", "quality": "", "schedule": "staggered", "noise_v": 5e-5, **keys}
+    (folder / "run.toml").write_text(RUN.format(**values), encoding="utf-8")
+    return folder / "run.toml"
+
+
+def planned_looks(run_file, capsys):
+    capsys.readouterr()
+    assert run(["plan", str(run_file), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    return facts["second_looks"], facts["positions"]
+
+
 FAULTY = (1, 4, 5, 9)
 
 
 def captured(folder, schedule, records, *, look, level_db=0.0, noise_v=0.0001):
-    folder.mkdir()
-    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    text = RUN.format(schedule=schedule, quality='second_look = "twice"' if look else "", noise_v=noise_v)
-    for position, record in records.items():
-        text += (
-            f'[[virtual.fault_plan]]\nrole = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {level_db}\n'
-            f'position = {position}\nrecord = {record}\ncount = 1\npurpose = "capture"\n'
-        )
-    (folder / "run.toml").write_text(text, encoding="utf-8")
-    assert run(["capture", str(folder / "run.toml"), "--bank", str(folder / "plate.h5")]) == 0
+    run_file = lab_of(
+        folder, RIG, grid="spacing_mm = 40.0\ncheck_positions = 0", sweep="amplitude_v = 3.0", schedule=schedule,
+        quality='second_look = "twice"' if look else "", noise_v=noise_v,
+    )  # fmt: skip
+    with run_file.open("a", encoding="utf-8") as text:
+        for position, record in records.items():
+            text.write(
+                f'[[virtual.fault_plan]]\nrole = "recorder"\noperation = "read"\nkind = "drift"\n'
+                f'level_db = {level_db}\nposition = {position}\nrecord = {record}\ncount = 1\npurpose = "capture"\n'
+            )
+    assert run(["capture", str(run_file), "--bank", str(folder / "plate.h5")]) == 0
     with h5py.File(folder / "plate.h5", "r") as file:
         return file["green"][...].astype(np.float64), file["status"][...]
 
@@ -64,7 +92,9 @@ def gains(rows, clean):
     return np.sum(rows * clean, axis=2) / np.sum(clean * clean, axis=2)
 
 
-@pytest.mark.parametrize(("schedule", "level_db"), [("sequential", -0.5), ("staggered", -20.0)])
+@pytest.mark.parametrize(
+    ("schedule", "level_db"), [("sequential", -0.5), pytest.param("staggered", -20.0, marks=pytest.mark.long)]
+)
 def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(tmp_path, schedule, level_db):
     clean, _ = captured(tmp_path / "clean", schedule, {}, look=False, noise_v=0.0)
     strength = np.linalg.norm(clean, axis=2)
@@ -80,10 +110,13 @@ def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(t
     assert gains(twice, clean)[strength > 0.2 * strength.max(axis=1, keepdims=True)] == pytest.approx(1.0, abs=0.02)
 
 
-# All of the grid's 14 positions are marked before the pass begins.
-def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(tmp_path):
+# With fewer positions than neighbours all 14 are marked, as planned, before the pass begins.
+def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(tmp_path, capsys):
     captured(tmp_path / "quiet", "staggered", {}, look=True)
-    quiet = (tmp_path / "quiet" / "plate.h5").read_bytes()
+    with h5py.File(tmp_path / "quiet" / "plate.h5", "r") as file:
+        assert (file["quality/attempts"][...] == 4).all()
+        positions = len(file["status"])
+    assert planned_looks(tmp_path / "quiet" / "run.toml", capsys) == (positions, positions)
     bank = tmp_path / "killed.h5"
     with Lines("capture", tmp_path / "quiet" / "run.toml", "--bank", bank, "--json") as killed:
         for _ in range(19):
@@ -92,61 +125,17 @@ def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(tmp_path)
     with h5py.File(bank, "r", locking=False) as file:
         assert (file["status"][...] != 0).all()
     assert run(["resume", str(bank)]) == 0
-    assert bank.read_bytes() == quiet
+    assert bank.read_bytes() == (tmp_path / "quiet" / "plate.h5").read_bytes()
 
 
-def test_fewer_positions_than_neighbours_are_measured_twice_as_planned(tmp_path, capsys):
-    captured(tmp_path / "lab", "sequential", {}, look=True)
-    with h5py.File(tmp_path / "lab" / "plate.h5", "r") as file:
-        assert (file["quality/attempts"][...] == 4).all()
-        positions = len(file["status"])
-    capsys.readouterr()
-    assert run(["plan", str(tmp_path / "lab" / "run.toml"), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["second_looks"] == facts["positions"] == positions
-
-
-COARSE_RIG = """
-[rig]
-name = "virtual"
-[surface]
-kind = "rectangle"
-length_mm = 130.0
-width_mm = 100.0
-[actuators]
-position_mm = [[64, 3], [35, 49], [2, 48], [-64, -5], [-37, -49], [4, -48]]
-"""
-COARSE_RUN = """
-rig = "rig.toml"
-[grid]
-{grid}
-[sweep]
-duration_s = 0.3
-[capture]
-averages = 2
-decay_s = 0.1
-taps = 1000
-excitation = "staggered"
-[virtual]
-seed = 5
-noise_v = 5e-5
-"""
 LEVEL, SWAPPED, MOVED, CHECKED = 12, 20, 31, 42
-
-
-def coarse_lab(folder, grid):
-    folder.mkdir()
-    (folder / "rig.toml").write_text(COARSE_RIG, encoding="utf-8")
-    (folder / "run.toml").write_text(COARSE_RUN.format(grid=grid), encoding="utf-8")
-    return folder / "run.toml"
 
 
 @pytest.fixture(scope="module")
 def coarse(tmp_path_factory):
     """A bank of a grid of 14 mm, more than a wavelength at the band's end, as a campaign without faults leaves it."""
-    run_file = coarse_lab(
-        tmp_path_factory.mktemp("coarse") / "lab", "spacing_mm = 14.0\nmargin_mm = 10.0\ncheck_positions = 4"
-    )
+    grid = "spacing_mm = 14.0\nmargin_mm = 10.0\ncheck_positions = 4"
+    run_file = lab_of(tmp_path_factory.mktemp("coarse") / "lab", SMALL_RIG, grid=grid)
     bank = run_file.with_name("plate.h5")
     assert run(["capture", str(run_file), "--bank", str(bank)]) == 0
     return bank
@@ -158,7 +147,7 @@ def spoiled(coarse, tmp_path_factory):
     blueprint = blueprint_from_bank(coarse)
     plan = blueprint.plan
     lab = tmp_path_factory.mktemp("coarse") / "aside"
-    run_file = coarse_lab(lab, 'positions_file = "positions.csv"\n[quality]\nsecond_look = "never"')
+    run_file = lab_of(lab, SMALL_RIG, grid='positions_file = "positions.csv"', quality='second_look = "never"')
     write_positions(lab, [plan.position_mm[MOVED] + [2.4, -3.2]])
     assert run(["capture", str(run_file), "--bank", str(lab / "plate.h5")]) == 0
     bank = lab / "spoiled.h5"
@@ -179,8 +168,7 @@ def test_a_sound_coarse_grid_has_no_second_look_and_none_is_planned(coarse, caps
     with h5py.File(coarse, "r") as file:
         assert (file["status"][...] == 1).all()
         assert (file["quality/attempts"][...] == 1).all()
-    assert run(["plan", str(coarse.with_name("run.toml")), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["second_looks"] == 0
+    assert planned_looks(coarse.with_name("run.toml"), capsys)[0] == 0
 
 
 @pytest.fixture(scope="module")

@@ -41,20 +41,10 @@ def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_say
         assert scan.attrs["start_s"] == field.attrs["start_s"]
 
 
-def test_given_some_positions_then_only_those_are_scanned(lab, bank):
-    assert _verify(lab, bank, "--positions", "1,4") == 0
-    with h5py.File(lab / "verify" / "scan.h5", "r") as file:
-        assert list(file["position_index"]) == [1, 4]
-
-
 def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, bank, capsys):
-    rig = lab / "rig.toml"
-    finger = "[emulation.finger]\nplace_mm = [0.0, 0.0]\nmass_kg = 2e-4\n"
-    rig.write_text(rig.read_text(encoding="utf-8") + finger, encoding="utf-8")
-    scene = lab / "scene.toml"
-    scene.write_text(
-        scene.read_text(encoding="utf-8").replace("step_mm", "amplitude = 3e-4\nstep_mm"), encoding="utf-8"
-    )
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write("[emulation.finger]\nplace_mm = [0.0, 0.0]\nmass_kg = 2e-4\n")
+    change_text(lab / "scene.toml", "step_mm", "amplitude = 3e-4\nstep_mm")
     assert _verify(lab, bank, "--correct", "2") == 1
     printed = json.loads(capsys.readouterr().out)["correction"]
     before, *after = [found["error"] for found in printed["rounds"]]
@@ -71,29 +61,23 @@ def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, b
     assert "Correction of the drive" in (lab / "verify" / "report.html").read_text(encoding="utf-8")
 
 
-def test_given_a_silent_scene_then_it_is_refused_before_anything_plays(lab, bank, capsys):
-    change_text(lab / "scene.toml", "step_mm", "amplitude = 0.0\nstep_mm")
+@pytest.mark.parametrize(
+    ("file", "old", "new", "options", "words"),
+    [
+        ("scene.toml", "step_mm", "amplitude = 0.0\nstep_mm", ("--correct", "1"), "is silent"),
+        ("rig.toml", "110.0, 0.0", "109.0, 0.0", (), "actuators.position_mm"),
+        ("scene.toml", "limit_v = 1.0", "", (), "output.limit_v"),
+    ],
+    ids=["a silent scene to correct", "other actuators", "beyond the rig's limit"],
+)
+def test_what_cannot_be_verified_is_refused_before_anything_plays(lab, bank, capsys, file, old, new, options, words):
+    change_text(lab / file, old, new)
     capsys.readouterr()
-    assert _verify(lab, bank, "--correct", "1") == 2
-    assert "is silent" in capsys.readouterr().err
-    assert "sentinel" not in (lab / "verify" / "verify.events.jsonl").read_text(encoding="utf-8")
-
-
-def test_given_a_rig_with_other_actuators_then_it_is_refused(lab, bank, capsys):
-    rig = lab / "rig.toml"
-    change_text(rig, "110.0, 0.0", "109.0, 0.0")
-    capsys.readouterr()
-    assert _verify(lab, bank) == 2
-    assert "actuators.position_mm" in capsys.readouterr().err
-
-
-def test_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_plays(lab, bank, capsys):
-    scene = lab / "scene.toml"
-    change_text(scene, "limit_v = 1.0", "")
-    capsys.readouterr()
-    assert _verify(lab, bank) == 2
-    assert "output.limit_v" in capsys.readouterr().err
+    assert _verify(lab, bank, *options) == 2
+    assert words in capsys.readouterr().err
     assert not (lab / "verify" / "scan.h5").exists()
+    log = lab / "verify" / "verify.events.jsonl"
+    assert not log.exists() or "sentinel" not in log.read_text(encoding="utf-8")
 
 
 def test_given_a_scan_with_a_lost_player_then_exit_3(lab, capsys):
@@ -165,7 +149,7 @@ def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(
     assert not journal.exists()
 
 
-def test_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it(lab, bank, capsys):
+def test_what_another_scan_left_only_force_drops_and_chosen_positions_are_scanned(lab, bank, capsys):
     (lab / "verify").mkdir()
     with ScanJournal(lab / "verify" / "scan.unfinished", "another", 5) as journal:
         response = np.zeros(5, np.float32)
@@ -173,7 +157,9 @@ def test_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it
     assert _verify(lab, bank) == 2
     assert "--force" in capsys.readouterr().err
     (lab / "verify" / "scan.unfinished").write_bytes(b"somebody's")
-    assert _verify(lab, bank, "--force") == 0
+    assert _verify(lab, bank, "--force", "--positions", "1,4") == 0
+    with h5py.File(lab / "verify" / "scan.h5", "r") as file:
+        assert list(file["position_index"]) == [1, 4]
 
 
 def test_given_a_louder_actuator_then_cause_and_remedy_stand_first_in_the_report(lab, bank, capsys):

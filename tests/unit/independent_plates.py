@@ -28,6 +28,28 @@ def mirror_images(places_mm, actuator_mm, hertz, *, speed_m_s=6.0, loss=0.1, ord
     return found * np.asarray(hertz)
 
 
+def free_disk(wavenumber, points_mm, sources_mm, radius_mm, orders):
+    """Point sources in a disk with a free rim: H0 and what the rim adds, order by order (addition theorem)."""
+    (r, at), (r0, at0) = ((np.hypot(*some.T), np.arctan2(some[:, 1], some[:, 0])) for some in (points_mm, sources_mm))
+    gap_mm = points_mm[:, None] - sources_mm
+    distance_mm = np.maximum(np.hypot(gap_mm[..., 0], gap_mm[..., 1]), 1.0)
+    found = scipy.special.hankel2(0, wavenumber * distance_mm)
+    for order in range(orders + 1):
+        slopes = (slope(order, wavenumber * radius_mm) for slope in (scipy.special.h2vp, scipy.special.jvp))
+        added = -scipy.special.jv(order, wavenumber * r0) * np.divide(*slopes) * (2 if order else 1)
+        turn = np.cos(order * (at[:, None] - at0))
+        found = found + scipy.special.jv(order, wavenumber * r)[:, None] * added * turn
+    return found
+
+
+def lattice(spacing_mm, radius_mm):
+    """Places of a square lattice within a circle, none of them in its middle."""
+    count = int(radius_mm / spacing_mm) + 1
+    side = np.arange(-count, count + 1) * spacing_mm + 0.3
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    return points[np.hypot(*points.T) < radius_mm]
+
+
 @cache
 def _bessel_zeros():
     return [(order, zero) for order in range(18) for zero in scipy.special.jn_zeros(order, 9)]

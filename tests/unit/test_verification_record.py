@@ -20,6 +20,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import write_field
 
 NOT_SCANNED = 3
+NAMES = {"scene_file": "line.toml", "bank": "plate.h5", "rig": "virtual"}
 
 
 def known_but_one():
@@ -48,12 +49,7 @@ def record_file(tmp_path):
     write_field(tmp_path / "prediction.h5", prediction)
     write_field(tmp_path / "scan.h5", scan)
     write_record(
-        tmp_path,
-        verification=verification,
-        scene=scene_of(),
-        prediction=prediction,
-        bank=known_but_one(),
-        names={"scene_file": "line.toml", "bank": "plate.h5", "rig": "virtual"},
+        tmp_path, verification=verification, scene=scene_of(), prediction=prediction, bank=known_but_one(), names=NAMES
     )
     return tmp_path / RECORD_NAME
 
@@ -103,8 +99,7 @@ def test_path_between_positions_then_record_has_point_asked_for_and_position_use
     verification = compare(
         prediction, prediction, drive, bank(), interpolation_error=report.interpolation_errors.overall
     )
-    names = {"scene_file": "line.toml", "bank": "plate.h5", "rig": "virtual"}
-    write_record(tmp_path, verification=verification, scene=scene, prediction=prediction, bank=bank(), names=names)
+    write_record(tmp_path, verification=verification, scene=scene, prediction=prediction, bank=bank(), names=NAMES)
     record = read_record(tmp_path / RECORD_NAME)
     assert [focus.at_mm[1] for focus in record.foci] == pytest.approx([1.5] * len(record.foci))
     assert all(GRID_MM[focus.position, 1] == 0.0 for focus in record.foci)

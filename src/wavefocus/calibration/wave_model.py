@@ -21,10 +21,10 @@ import numpy as np
 
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 
-DISK_RADIUS = 1.15
+_DISK_RADIUS = 1.15
 """Radius a of the disk, in wave numbers: room for what the damping smears."""
-MIN_DIRECTIONS = 16
-MAX_GROWTH = 8.0
+_MIN_DIRECTIONS = 16
+_MAX_GROWTH = 8.0
 """Nepers over a patch beyond which damping cannot be measured: waves from one edge do not reach the other."""
 
 
@@ -116,7 +116,7 @@ class PatchKernel:
     def _covariance(
         self, waves: Complex128Array, points_mm: Float64Array, others: Complex128Array, others_mm: Float64Array
     ) -> Complex128Array:
-        disk = disk_kernel(DISK_RADIUS * np.abs(self._wavenumber)[:, None, None] * _apart_mm(points_mm, others_mm))
+        disk = disk_kernel(_DISK_RADIUS * np.abs(self._wavenumber)[:, None, None] * _apart_mm(points_mm, others_mm))
         return np.asarray((1.0 - self._share) * _ring(waves, others) + self._share * disk)
 
 
@@ -131,9 +131,9 @@ def disk_kernel(radians: Float64Array) -> Float64Array:
 def _resolved(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:
     """Wave numbers, damped no more than a patch can resolve, and enough directions (2, n) for it."""
     reach_mm = max(float(np.hypot(offset_mm[..., 0], offset_mm[..., 1]).max()), 1e-300)
-    wavenumber = wavenumber_rad_mm.real + 1j * np.maximum(wavenumber_rad_mm.imag, -MAX_GROWTH / reach_mm)
+    wavenumber = wavenumber_rad_mm.real + 1j * np.maximum(wavenumber_rad_mm.imag, -_MAX_GROWTH / reach_mm)
     # The trapezoidal rule over directions is exact once it resolves exp(j k d.x) across the patch.
-    count = 2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + MIN_DIRECTIONS
+    count = 2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + _MIN_DIRECTIONS
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     return wavenumber, np.stack([np.cos(angle), np.sin(angle)])
 
@@ -154,18 +154,18 @@ def _apart_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:
     return np.asarray(np.hypot(gap_mm[..., 0], gap_mm[..., 1]))
 
 
-SCANNED_RADIANS = np.geomspace(0.1, 3.6, 24)
+_SCANNED_RADIANS = np.geomspace(0.1, 3.6, 24)
 """Wave numbers tried, times the grid spacing: from 60 positions per wavelength to fewer than two."""
 SCAN_DAMPING, SCAN_SHARE, SCAN_RIDGE = 0.1, 0.1, 1e-4
 FIT_SHARE, FIT_RIDGE = 0.01, 1e-4
 """Little of the disk, so that only the right wave number explains what is there; a ridge, so that it must."""
-SHARES = (1e-3, 1e-2, 0.1, 1.0)
-RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-EVALUATIONS = 45
+_SHARES = (1e-3, 1e-2, 0.1, 1.0)
+_RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+_EVALUATIONS = 45
 EVERY = 2
-LEFT_OUT = 5
+_LEFT_OUT = 5
 """Positions of each patch that are left out: the first and its nearest, which still have others all round."""
-MARGIN = 1.02
+_MARGIN = 1.02
 """A larger share of the disk is taken where it leaves at most this much more unexplained: it claims less."""
 
 
@@ -283,11 +283,11 @@ class _LeftOutErrors:
         # On a grid few distances differ.
         self._stacks = [(stack, *np.unique(_apart_mm(stack, stack), return_inverse=True)) for stack in stacks]
         self._latest: tuple[complex, list[tuple[Complex128Array, Float64Array]]] | None = None
-        self.scanned = lru_cache(len(SCANNED_RADIANS))(self.at)
+        self.scanned = lru_cache(len(_SCANNED_RADIANS))(self.at)
         """`at`, kept for the wave numbers that are tried at every frequency."""
 
     def at(self, wavenumber: complex, share: float, ridge: float) -> list[Complex128Array]:
-        """The error at position i is row i times the values of a patch, (LEFT_OUT, n), for each shape."""
+        """The error at position i is row i times the values of a patch, (_LEFT_OUT, n), for each shape."""
         if self._latest is None or self._latest[0] != wavenumber:
             self._latest = wavenumber, [self._parts(wavenumber, *stack) for stack in self._stacks]
         found = []
@@ -296,7 +296,7 @@ class _LeftOutErrors:
             count = covariance.shape[1]
             covariance[:, range(count), range(count)] += ridge
             # Columns of the inverse, which is Hermitian: (C^-1 g)_i / (C^-1)_ii is the error at position i.
-            for column in np.linalg.solve(covariance, np.eye(count, min(LEFT_OUT, count))):
+            for column in np.linalg.solve(covariance, np.eye(count, min(_LEFT_OUT, count))):
                 own = column[range(column.shape[1]), range(column.shape[1])].real
                 found.append(column.conj().T / own[:, None])
         return found
@@ -311,7 +311,7 @@ class _LeftOutErrors:
         """
         resolved, directions = _resolved(np.array([wavenumber]), offset_mm)
         waves = _plane_waves(resolved, directions, offset_mm)
-        disk = disk_kernel(DISK_RADIUS * np.abs(resolved) * apart_mm)[inverse]
+        disk = disk_kernel(_DISK_RADIUS * np.abs(resolved) * apart_mm)[inverse]
         return _ring(waves, waves), disk.reshape(*waves.shape[:2], -1)
 
 
@@ -323,11 +323,11 @@ class _Fit:
 
     def __init__(self, errors_of: _LeftOutErrors, values: Sequence[Complex128Array]) -> None:
         self._errors_of, self._values = errors_of, [values[shape] for shape in errors_of.order]
-        self._whole = sum(float(np.square(np.abs(value[:LEFT_OUT])).sum()) for value in values)
+        self._whole = sum(float(np.square(np.abs(value[:_LEFT_OUT])).sum()) for value in values)
 
     def wavenumber(self, spacing_mm: float) -> complex:
         """The wave number that leaves least, found by itself."""
-        scanned = SCANNED_RADIANS / spacing_mm
+        scanned = _SCANNED_RADIANS / spacing_mm
         tried = [self._errors_of.scanned(complex(k, -SCAN_DAMPING * k), SCAN_SHARE, SCAN_RIDGE) for k in scanned]
         misfits = [self._wrong(errors) for errors in tried]
         start = float(scanned[int(np.argmin(misfits))])
@@ -355,15 +355,15 @@ class _Fit:
 
         first = np.array([1.0, -wavenumber.imag / unit])
         simplex = first + np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.03]])
-        options: Any = {"maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-3, "initial_simplex": simplex}
+        options: Any = {"maxfev": _EVALUATIONS, "xatol": 1e-4, "fatol": 1e-3, "initial_simplex": simplex}
         best = minimize(misfit, first, method="Nelder-Mead", options=options).x
         return complex(unit * best[0], -unit * abs(best[1]))
 
-    def chosen(self, wavenumber: complex, shares: tuple[float, ...] = SHARES) -> tuple[float, float]:
+    def chosen(self, wavenumber: complex, shares: tuple[float, ...] = _SHARES) -> tuple[float, float]:
         """Share of the disk and ridge."""
-        choices = [(share, ridge) for share in shares for ridge in RIDGES]
+        choices = [(share, ridge) for share in shares for ridge in _RIDGES]
         misfits = [self._misfit(wavenumber, *choice) for choice in choices]
-        enough = MARGIN**2 * min(misfits)
+        enough = _MARGIN**2 * min(misfits)
         return max(choice for choice, misfit in zip(choices, misfits, strict=True) if misfit <= enough)
 
     def _misfit(self, wavenumber: complex, share: float, ridge: float) -> float:

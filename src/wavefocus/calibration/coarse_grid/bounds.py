@@ -12,13 +12,13 @@ from wavefocus.calibration.numerics import evenly_spread
 MIN_CHECKS, SURE_CHECKS = 12, 24
 """Positions that state a bound of 90 %, and of 95 %: a quantile L needs at least 1 / (1 - L) of them, 10 and 20 (Lee,
 Barber, Willett, arXiv 2306.06342), and some more to vary little from draw to draw."""
-JUDGED = 64
+_JUDGED = 64
 """Frequencies at which errors are judged; they may come and go within 25 Hz."""
 
 
 def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
     """Indices of the frequencies at which errors are judged."""
-    return [int(index) for index in evenly_spread(len(frequency_hz), JUDGED)]
+    return [int(index) for index in evenly_spread(len(frequency_hz), _JUDGED)]
 
 
 def judged(

@@ -36,19 +36,19 @@ from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.coarse_grid.waves import distances_mm, outgoing, outgoing_each, waves_of_actuators
 from wavefocus.calibration.wave_model import disk_kernel
 
-SHARE_LIMITS = ((-12.0, 0.5), (-25.0, 2.0), (-16.0, 0.0), (-24.0, 0.0))
+_SHARE_LIMITS = ((-12.0, 0.5), (-25.0, 2.0), (-16.0, 0.0), (-24.0, 0.0))
 """Of log (rho1, rho2, n1, n2). A rim reflects no more than arrives: rho1 is below 1.6."""
-WAVENUMBER_LIMITS = ((-5.0, 5.0), (-60.0, 0.0))
+_WAVENUMBER_LIMITS = ((-5.0, 5.0), (-60.0, 0.0))
 """Of the wave number, in percent: log |k| relative to where the search starts, and Im k / |k|."""
-PERCENT = 0.01
+_PERCENT = 0.01
 """A wave number changes the evidence so strongly that it is searched for in percent."""
 FIRST_SHARES = np.array([-2.0, -10.0, -10.0, -14.0])
-OWN_SHARE = 100.0
+_OWN_SHARE = 100.0
 """Prior power of an actuator's own wave over what was measured: large, so that it is free."""
 SMEARED_SHARE, SMEARED_SHARE_OF_A_SOLID = 1.0, 1e-4
 """The same of the waves of other frequencies. A solid has 18 of them per actuator: free, they fit the noise of 64
 positions."""
-DERIVATIVE_STEP = 1e-5
+_DERIVATIVE_STEP = 1e-5
 """Relative step in k of the central difference; waves of 100 rad then err by 1e-6."""
 
 
@@ -86,7 +86,7 @@ class FrequencyWaves:
         self._image = met / (met @ seen)[:, None]
         self._even = 1.0 / seen.sum()
         smeared = SMEARED_SHARE_OF_A_SOLID if pressure_share else SMEARED_SHARE
-        shares = np.where(np.arange(len(self._own)) < count, OWN_SHARE, smeared)
+        shares = np.where(np.arange(len(self._own)) < count, _OWN_SHARE, smeared)
         self._own_variance = shares[:, None] / np.square(np.abs(self._own)).mean(axis=1)
 
     def evidence(self, theta: Float64Array) -> tuple[float, Float64Array]:
@@ -95,13 +95,13 @@ class FrequencyWaves:
         theta, float64 (6,): log (rho1, rho2, n1, n2); in percent, log of |k| over where it starts, and Im k / |k|.
         """
         start = abs(self.wavenumber)
-        size, sine = np.exp(PERCENT * theta[4]) * start, PERCENT * theta[5]
+        size, sine = np.exp(_PERCENT * theta[4]) * start, _PERCENT * theta[5]
         cosine = np.sqrt(1.0 - sine**2)
         k = size * (cosine + 1j * sine)
-        slopes = PERCENT * np.array([k, size * (1j - sine / cosine)])
+        slopes = _PERCENT * np.array([k, size * (1j - sine / cosine)])
         sources, first = outgoing_each([(k, 0), (k, 1)], self._to_ring_mm)
         source_slope = -self._to_ring_mm * first  # of H0(k r) by k
-        step = DERIVATIVE_STEP * k
+        step = _DERIVATIVE_STEP * k
         (own, after, before), _ = waves_of_actuators(
             [k, k + step, k - step], self._share, self._points_mm, self._actuator_mm
         )
@@ -136,8 +136,8 @@ class FrequencyWaves:
 
     def fitted(self, starts: Sequence[Float64Array], evaluations: int) -> tuple[complex, Float64Array, float]:
         """Wave number and shares of greatest evidence, and the value of `evidence`; starts are of shares (4,)."""
-        limits = (*SHARE_LIMITS, *WAVENUMBER_LIMITS)
-        sine = self.wavenumber.imag / abs(self.wavenumber) / PERCENT
+        limits = (*_SHARE_LIMITS, *_WAVENUMBER_LIMITS)
+        sine = self.wavenumber.imag / abs(self.wavenumber) / _PERCENT
         options: Any = {"maxfun": evaluations, "ftol": 1e-6, "gtol": 1e-4}
 
         def search(start: Float64Array) -> Any:
@@ -147,7 +147,7 @@ class FrequencyWaves:
         with ThreadPoolExecutor(len(starts)) as pool:
             tries = list(pool.map(search, starts))
         best = min(tries, key=lambda result: float(result.fun))
-        size, sine = np.exp(PERCENT * best.x[4]), PERCENT * best.x[5]
+        size, sine = np.exp(_PERCENT * best.x[4]), _PERCENT * best.x[5]
         k = complex(size * abs(self.wavenumber) * (np.sqrt(1.0 - sine**2) + 1j * sine))
         return k, np.asarray(best.x[:4]), float(best.fun)
 
@@ -246,12 +246,12 @@ def _inverse_of(low: Complex128Array) -> Complex128Array:
 
 REST_JUDGED, REST_POSITIONS = 16, 400
 """Frequencies at which the rest is judged, and positions that judge it, at most."""
-NO_REST = (0.0, 1.0)
-REST_RIDGES = tuple(np.geomspace(1e-6, 1.0, 13).tolist())
+_NO_REST = (0.0, 1.0)
+_REST_RIDGES = tuple(np.geomspace(1e-6, 1.0, 13).tolist())
 REST_RADIUS, REST_RESOLVED = 1.15, (0.5, 1.0)
 """Radius of the rest's disk in wave numbers; or in shares of what the positions resolve, pi over their spacing. Half of
 it averages noise and still holds the near fields of bending waves, which all of it does not tell from noise."""
-MAX_REST = 0.95
+_MAX_REST = 0.95
 """Where left-out positions keep more than this share of the residuals, in the median and in the mean square, there is
 no rest."""
 
@@ -270,12 +270,12 @@ def choose_rest(
     resolved: Largest wave number that the positions resolve.
     """
     if wavenumber > resolved:
-        return NO_REST
+        return _NO_REST
     tries = []
     for radius in (REST_RADIUS * wavenumber, *(share * resolved for share in REST_RESOLVED)):
         size, turn = eigh(disk_kernel(radius * apart_mm))
         seen = np.square(np.abs(turn.T @ residual))
-        for ridge in REST_RIDGES:
+        for ridge in _REST_RIDGES:
             power = np.maximum(size, 0.0) + ridge
             by_actuator = np.maximum((seen / power[:, None]).mean(axis=0), 1e-300)
             cost = np.log(power).mean() + np.log(by_actuator).mean()
@@ -284,7 +284,7 @@ def choose_rest(
     missed = np.linalg.norm(left_out_rest(disk_kernel(radius * apart_mm), ridge, residual)[0], axis=1)
     there = np.maximum(np.linalg.norm(residual, axis=1), 1e-300)
     left = min(float(np.median(missed / there)), float(np.linalg.norm(missed) / np.linalg.norm(there)))
-    return (radius, ridge) if left < MAX_REST else NO_REST
+    return (radius, ridge) if left < _MAX_REST else _NO_REST
 
 
 def left_out_rest(

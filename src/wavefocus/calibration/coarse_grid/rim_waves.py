@@ -47,15 +47,15 @@ from wavefocus.calibration.wave_model import disk_kernel
 
 Result = TypeVar("Result")
 
-FAINT_POWER = 3e-3
+_FAINT_POWER = 3e-3
 """Knots have at least this share of the loudest frequency's power: at the faint edges of a band nothing is learnt."""
 RING_WAVELENGTHS, RING_OFFSET_WAVELENGTHS = 0.46, 1.05
 """Distance of the ring's sources from one another and from everything else, in wavelengths at the highest knot."""
-MAX_RING_SHARE = 0.025
+_MAX_RING_SHARE = 0.025
 """The same distance at most, relative to the extent of all positions and actuators."""
-EXPLAINED = 0.02
+_EXPLAINED = 0.02
 """Share of the energy that scalar waves may leave without a solid's being tried."""
-ELASTIC_GAIN = 0.5
+_ELASTIC_GAIN = 0.5
 """A solid's waves are tried where they leave at most this share of what scalar waves leave."""
 MIN_POSITIONS = 12
 
@@ -69,8 +69,8 @@ class _Effort(NamedTuple):
     evaluations: int
 
 
-INTERPOLATING = _Effort(8, 240, 4, 60)
-JUDGING = _Effort(5, 120, 2, 25)
+_INTERPOLATING = _Effort(8, 240, 4, 60)
+_JUDGING = _Effort(5, 120, 2, 25)
 """A twentieth of the time; rows that are left out are predicted with errors of 1 to 4 %, enough to tell wrong ones."""
 
 
@@ -258,7 +258,7 @@ class _Fit:
         transfer: Complex128Array,
         band_hz: tuple[float, float] | None,
         workers: int | None,
-        effort: _Effort = INTERPOLATING,
+        effort: _Effort = _INTERPOLATING,
     ) -> None:
         self._effort = effort
         low_hz, high_hz = band_hz or (0.0, np.inf)
@@ -277,7 +277,7 @@ class _Fit:
 
     def run(self) -> RimWaves:
         """Fit everything; left-out positions judge the errors, for want of others."""
-        knots = self.find_waves()
+        knots = self._find_waves()
         rest_at = sorted({*evenly_spread(len(self._frequency_hz), REST_JUDGED).tolist(), *knots})
         self._rest_choice = dict(zip(rest_at, self.each(rest_at, self._chosen_rest), strict=True))
         solved = self.each(range(len(self._frequency_hz)), self._solve)
@@ -293,7 +293,7 @@ class _Fit:
             "left-out positions",
         )  # fmt: skip
 
-    def find_waves(self) -> list[int]:
+    def _find_waves(self) -> list[int]:
         """Find wave number and shares at all frequencies; returns the knots."""
         knots = self._knots()
         law = self._law(knots)
@@ -310,7 +310,7 @@ class _Fit:
         """Indices of the frequencies at which the hyperparameters are found, dense where waves are long."""
         power = self._power.mean(axis=1)
         power = np.where(self._measured, power, 0.0) if self._measured.any() else power
-        loud = np.flatnonzero(power > FAINT_POWER * power.max())
+        loud = np.flatnonzero(power > _FAINT_POWER * power.max())
         low_hz, high_hz = self._frequency_hz[loud[0]], self._frequency_hz[loud[-1]]
         wanted_hz = np.linspace(np.sqrt(low_hz), np.sqrt(high_hz), self._effort.knots) ** 2
         nearest = [int(loud[np.argmin(np.abs(self._frequency_hz[loud] - hz))]) for hz in wanted_hz]
@@ -322,10 +322,10 @@ class _Fit:
         seen, places = self._transfer[knots][:, some][:, :, every], (self._position_mm[some], self._actuator_mm[every])
         measured = self._frequency_hz[knots], *places, seen, self._spacing_mm
         scalar = dispersion_of_own_waves(*measured)
-        if scalar[2] < EXPLAINED:
+        if scalar[2] < _EXPLAINED:
             return scalar[0]
         elastic = dispersion_of_own_waves(*measured, scalar[0])
-        if elastic[2] >= ELASTIC_GAIN * scalar[2]:
+        if elastic[2] >= _ELASTIC_GAIN * scalar[2]:
             return scalar[0]
         costs = []
         for law, share, _ in (scalar, elastic):
@@ -341,8 +341,8 @@ class _Fit:
         everything_mm = np.vstack([self._position_mm, self._actuator_mm])
         size_mm = float(np.ptp(everything_mm, axis=0).max())
         shortest_mm = 2.0 * np.pi / abs(law.wavenumber(self._frequency_hz[knots[-1:]])[0])
-        spacing_mm = min(RING_WAVELENGTHS * shortest_mm, MAX_RING_SHARE * size_mm)
-        offset_mm = min(RING_OFFSET_WAVELENGTHS * shortest_mm, 2.0 * MAX_RING_SHARE * size_mm)
+        spacing_mm = min(RING_WAVELENGTHS * shortest_mm, _MAX_RING_SHARE * size_mm)
+        offset_mm = min(RING_OFFSET_WAVELENGTHS * shortest_mm, 2.0 * _MAX_RING_SHARE * size_mm)
         self._ring_mm = rim_ring(everything_mm, offset_mm, spacing_mm)
 
     def _fitted(
@@ -430,8 +430,8 @@ def judging_waves(
 
     Arguments as of `RimWaves.fit`.
     """
-    fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, None, 1, JUDGING)
-    fit.find_waves()
+    fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, None, 1, _JUDGING)
+    fit._find_waves()
     return fit.waves
 
 

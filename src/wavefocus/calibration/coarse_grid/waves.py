@@ -18,11 +18,11 @@ from scipy.special import hankel2
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 
-MIN_DISTANCE_MM = 1.0
+_MIN_DISTANCE_MM = 1.0
 """Actuators have a radius: no point is nearer to one."""
-ENVELOPE_NODES = 120
+_ENVELOPE_NODES = 120
 """Nodes of the spline of a Hankel function's envelope; it is right to 1e-6 from 1 to 300 mm."""
-HULL_DIRECTIONS = 48
+_HULL_DIRECTIONS = 48
 
 
 def grid_spacing_mm(position_mm: Float64Array) -> float:
@@ -31,9 +31,9 @@ def grid_spacing_mm(position_mm: Float64Array) -> float:
 
 
 def distances_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:
-    """Distances (points, others), at least `MIN_DISTANCE_MM`."""
+    """Distances (points, others), at least `_MIN_DISTANCE_MM`."""
     gap_mm = points_mm[:, None] - others_mm[None]
-    return np.asarray(np.maximum(np.hypot(gap_mm[..., 0], gap_mm[..., 1]), MIN_DISTANCE_MM))
+    return np.asarray(np.maximum(np.hypot(gap_mm[..., 0], gap_mm[..., 1]), _MIN_DISTANCE_MM))
 
 
 def outgoing(wavenumber: complex, distance_mm: Float64Array) -> Complex128Array:
@@ -51,9 +51,9 @@ def outgoing_each(waves: Sequence[tuple[complex, int]], distance_mm: Float64Arra
     wavenumber = np.array([k for k, _ in waves], dtype=np.complex128)
     order = np.array([order for _, order in waves])
     each = (slice(None), *(None for _ in distance_mm.shape))
-    if distance_mm.size <= 4 * ENVELOPE_NODES:
+    if distance_mm.size <= 4 * _ENVELOPE_NODES:
         return np.asarray(hankel2(order[each], wavenumber[each] * distance_mm))
-    nodes_mm = np.geomspace(distance_mm.min() * 0.999, distance_mm.max() * 1.001, ENVELOPE_NODES)
+    nodes_mm = np.geomspace(distance_mm.min() * 0.999, distance_mm.max() * 1.001, _ENVELOPE_NODES)
     k = wavenumber[:, None]
     envelope = hankel2(order[:, None], k * nodes_mm) * np.exp(1j * k * nodes_mm) * np.sqrt(nodes_mm)
     if not np.isfinite(envelope).all():
@@ -65,11 +65,11 @@ def outgoing_each(waves: Sequence[tuple[complex, int]], distance_mm: Float64Arra
     return np.asarray(found)
 
 
-TABLE_STEP_RAD = 0.15
+_TABLE_STEP_RAD = 0.15
 """Step of a table of H0(2) in radians of the shortest wave; cubics between its nodes are right to 1e-5."""
-TABLE_STEP_SHARE = 0.1
+_TABLE_STEP_SHARE = 0.1
 """Step at most, in shares of the least distance: towards 0 H0(2) is a logarithm, however long the waves."""
-SMEARED = (0.3, 0.6, 0.85, 1.1, 1.2, 1.3)
+_SMEARED = (0.3, 0.6, 0.85, 1.1, 1.2, 1.3)
 """Of the wave number: waves of other frequencies, which a bank's first tap, cutting off what comes before, mixes in."""
 
 
@@ -79,7 +79,7 @@ def outgoing_at_all(wavenumbers: Complex128Array, distance_mm: Float64Array) -> 
     All are interpolated from tables over r with the same weights, which is a product with one sparse matrix.
     """
     low_mm, high_mm = float(distance_mm.min()), float(distance_mm.max())
-    step_mm = min(TABLE_STEP_RAD / float(np.abs(wavenumbers).max()), TABLE_STEP_SHARE * low_mm)
+    step_mm = min(_TABLE_STEP_RAD / float(np.abs(wavenumbers).max()), _TABLE_STEP_SHARE * low_mm)
     nodes_mm = low_mm + step_mm * np.arange(-1, int((high_mm - low_mm) / step_mm) + 4)
     nodes_mm = np.maximum(nodes_mm, 1e-3 * step_mm)
     waves = [(k, 0) for k in wavenumbers.tolist()]
@@ -123,9 +123,9 @@ def waves_of_actuators(
     Returns complex128 (wave numbers, waves, points, actuators), and the count.
     """
     if pressure_share:
-        found = _waves_of_a_solid(wavenumbers, (1.0, pressure_share, *SMEARED), points_mm, actuator_mm)
-        return found, found.shape[1] * 2 // (2 + len(SMEARED))
-    waves = [(share * k, 0) for k in wavenumbers for share in (1.0, *SMEARED)]
+        found = _waves_of_a_solid(wavenumbers, (1.0, pressure_share, *_SMEARED), points_mm, actuator_mm)
+        return found, found.shape[1] * 2 // (2 + len(_SMEARED))
+    waves = [(share * k, 0) for k in wavenumbers for share in (1.0, *_SMEARED)]
     found = outgoing_each(waves, distances_mm(points_mm, actuator_mm))
     return found.reshape(len(wavenumbers), -1, *found.shape[1:]), 1
 
@@ -137,7 +137,7 @@ def waves_of_actuators_at_all(
     if pressure_share:
         each = (waves_of_actuators([k], pressure_share, points_mm, actuator_mm)[0][0] for k in wavenumbers.tolist())
         return np.stack([waves.astype(np.complex64) for waves in each])
-    shares = np.array([1.0, *SMEARED])
+    shares = np.array([1.0, *_SMEARED])
     found = outgoing_at_all((wavenumbers[:, None] * shares).ravel(), distances_mm(points_mm, actuator_mm))
     return found.reshape(len(wavenumbers), len(shares), len(points_mm), len(actuator_mm))
 
@@ -157,7 +157,7 @@ def _waves_of_a_solid(
 
 def rim_ring(points_mm: Float64Array, offset_mm: float, spacing_mm: float) -> Float64Array:
     """Points (n, 2) along the convex hull of all points, moved outwards by an offset, about a spacing apart."""
-    turn = np.exp(2j * np.pi * np.arange(HULL_DIRECTIONS) / HULL_DIRECTIONS)
+    turn = np.exp(2j * np.pi * np.arange(_HULL_DIRECTIONS) / _HULL_DIRECTIONS)
     circle_mm = offset_mm * np.stack([turn.real, turn.imag], axis=1)
     wide_mm = (points_mm[:, None] + circle_mm).reshape(-1, 2)
     corner = ConvexHull(wide_mm).vertices
@@ -197,7 +197,7 @@ class Dispersion:
         return np.array([np.log(self.speed_mm_s), np.log(self.loss_per_s), self.slope, self.loss_slope])
 
     @classmethod
-    def of_vector(cls, vector: Float64Array, middle_hz: float) -> Dispersion:
+    def _of_vector(cls, vector: Float64Array, middle_hz: float) -> Dispersion:
         """From what is fitted."""
         log_c, log_b, slope, loss_slope = vector.tolist()
         return cls(
@@ -208,23 +208,23 @@ class Dispersion:
         """The law nearest to some wave numbers, relative to them, by least squares."""
 
         def misfit(vector: Float64Array) -> float:
-            law = Dispersion.of_vector(vector, self.middle_hz).wavenumber(frequency_hz)
+            law = Dispersion._of_vector(vector, self.middle_hz).wavenumber(frequency_hz)
             return float(1e4 * np.square(np.abs(law / wavenumber - 1.0)).sum())
 
-        return Dispersion.of_vector(_simplex(misfit, self.vector, [0.01, 0.2, 0.05, 0.1], 2000), self.middle_hz)
+        return Dispersion._of_vector(_simplex(misfit, self.vector, [0.01, 0.2, 0.05, 0.1], 2000), self.middle_hz)
 
 
-SCANNED_SPEEDS = 160
-SCANNED_SLOPES = (0.0, 0.5)
+_SCANNED_SPEEDS = 160
+_SCANNED_SLOPES = (0.0, 0.5)
 MIN_WAVELENGTH_SPACINGS, MAX_WAVELENGTH_SIZES = 0.4, 12.0
 """Wavelengths looked for at the highest frequency, in grid spacings and in sizes of the surface."""
-PRESSURE_SHARE = 0.5
+_PRESSURE_SHARE = 0.5
 """Pressure over shear wave number of a solid, where the search starts."""
-ELASTIC_SPEEDS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5)
+_ELASTIC_SPEEDS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5)
 """Speeds of shear waves over that of the scalar waves, from which the search starts."""
-MAX_LOSS = 0.5
+_MAX_LOSS = 0.5
 """Im k over |k| at the highest frequency: what fades faster is no wave, and explains a few positions by chance."""
-SCANNED_LOSS = 0.25
+_SCANNED_LOSS = 0.25
 """Loss b of the first scan over w0: waves that fade a little, as all do."""
 
 
@@ -245,18 +245,18 @@ def dispersion_of_own_waves(
     Returns the law, the share of wave numbers of the second wave, and the share of the energy that is left unexplained.
     """
     middle_hz = float(np.sqrt(frequency_hz[0] * frequency_hz[-1]))
-    pressure_share = 0.0 if elastic_near is None else PRESSURE_SHARE
+    pressure_share = 0.0 if elastic_near is None else _PRESSURE_SHARE
     values = transfer.transpose(0, 2, 1)
     energy = np.square(np.abs(values)).sum()
     weight = 1.0 / np.maximum(np.square(np.abs(values)).sum(axis=(1, 2)), 1e-300)
 
     def left(vector: Float64Array) -> float:
-        wavenumber = Dispersion.of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
+        wavenumber = Dispersion._of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
         # No plate's wave number falls with frequency, or grows with more than its square.
         length_mm = 2.0 * np.pi / max(abs(wavenumber[-1]), 1e-300)
         if not (abs(vector[2]) <= 1.0 and shortest_mm <= length_mm <= longest_mm):
             return 1.0
-        if not abs(wavenumber[-1].imag) <= MAX_LOSS * abs(wavenumber[-1]):
+        if not abs(wavenumber[-1].imag) <= _MAX_LOSS * abs(wavenumber[-1]):
             return 1.0
         explained = 0.0
         share = float(np.clip(vector[4], 0.02, 1.0)) if pressure_share else 0.0
@@ -272,21 +272,21 @@ def dispersion_of_own_waves(
     shortest_mm = MIN_WAVELENGTH_SPACINGS * spacing_mm
     longest_mm = MAX_WAVELENGTH_SIZES * float(np.hypot(*np.ptp(points_mm, axis=0)))
     if elastic_near is None:
-        lengths_mm = np.geomspace(shortest_mm, longest_mm, SCANNED_SPEEDS)
-        loss = np.log(SCANNED_LOSS * 2.0 * np.pi * middle_hz)
+        lengths_mm = np.geomspace(shortest_mm, longest_mm, _SCANNED_SPEEDS)
+        loss = np.log(_SCANNED_LOSS * 2.0 * np.pi * middle_hz)
         highest_hz = frequency_hz[-1]
         starts = [
             np.array([np.log(length * highest_hz * (highest_hz / middle_hz) ** -slope), loss, slope, 0.0, 0.0])
-            for slope in SCANNED_SLOPES
+            for slope in _SCANNED_SLOPES
             for length in lengths_mm
         ]
     else:
-        starts = [np.array([*elastic_near.vector, PRESSURE_SHARE]) for _ in ELASTIC_SPEEDS]
-        for start, ratio in zip(starts, ELASTIC_SPEEDS, strict=True):
+        starts = [np.array([*elastic_near.vector, _PRESSURE_SHARE]) for _ in _ELASTIC_SPEEDS]
+        for start, ratio in zip(starts, _ELASTIC_SPEEDS, strict=True):
             start[0] += np.log(ratio)
     best = _simplex(left, min(starts, key=left), [0.03, 0.5, 0.1, 0.3, 0.02], 300)
     share = float(np.clip(best[4], 0.02, 1.0)) if pressure_share else 0.0
-    return Dispersion.of_vector(best[:4], middle_hz), share, left(best)
+    return Dispersion._of_vector(best[:4], middle_hz), share, left(best)
 
 
 def _simplex(misfit: Any, start: Float64Array, step: list[float], evaluations: int) -> Float64Array:

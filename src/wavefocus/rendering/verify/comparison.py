@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 # Positions per step of the pass: a few MB for seconds of signal.
-CHUNK_POSITIONS = 64
+_CHUNK_POSITIONS = 64
 
 
 # Frequencies at which causes of a difference are looked for: those at which the drive is loudest.
-MAX_FREQUENCIES = 128
+_MAX_FREQUENCIES = 128
 MIN_POWER = 1e-6
 """Quieter bins say nothing."""
 
 
 @dataclass(frozen=True, slots=True)
-class FieldSpectra:
+class _FieldSpectra:
     """Both fields, limited to the band, and the drive, at some frequencies (K,), for each compared position (P,).
 
     drive, complex128 (actuators, K); predicted, scanned, complex64 (P, K): Sums over samples from the first on.
@@ -90,7 +90,7 @@ class FieldComparison:
     waveform_index: Int64Array
     predicted_waveform: Float32Array
     scanned_waveform: Float32Array
-    spectra: FieldSpectra
+    spectra: _FieldSpectra
 
     @property
     def correlation_median(self) -> float:
@@ -129,8 +129,8 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     cross = np.zeros(band.bins, np.complex128)
     chosen, drive_spectra = _loudest(drive, band)
     at_chosen = np.zeros((2, rows.size, chosen.size), np.complex64)
-    for first in range(0, rows.size, CHUNK_POSITIONS):
-        part = slice(first, first + CHUNK_POSITIONS)
+    for first in range(0, rows.size, _CHUNK_POSITIONS):
+        part = slice(first, first + _CHUNK_POSITIONS)
         predicted = prediction.field[in_prediction[part]]
         scanned = scan.field[in_scan[part]]
         raw_error += float(np.sum(_energy(scanned - predicted)))
@@ -174,7 +174,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
         waveform_index=waveform_index,
         predicted_waveform=waveforms[0],
         scanned_waveform=waveforms[1],
-        spectra=FieldSpectra(
+        spectra=_FieldSpectra(
             frequency_hz=np.asarray(band.frequency_hz[chosen], np.float64),
             drive=drive_spectra,
             predicted=at_chosen[0],
@@ -188,7 +188,7 @@ def _loudest(drive: Drive, band: BandLimit) -> tuple[Int64Array, Complex128Array
     """Frequency bins at which the drive is loudest within the band, and its spectra there, (actuators, bins)."""
     spectra = np.stack([band.spectrum(signal) for signal in drive.drive_v]).astype(np.complex128)
     power = np.square(np.abs(spectra)).sum(axis=0)
-    loudest = np.sort(np.argsort(power)[::-1][:MAX_FREQUENCIES])
+    loudest = np.sort(np.argsort(power)[::-1][:_MAX_FREQUENCIES])
     chosen = loudest[power[loudest] > MIN_POWER * power.max()]
     chosen = chosen if chosen.size else np.zeros(1, np.int64)
     return chosen, spectra[:, chosen]

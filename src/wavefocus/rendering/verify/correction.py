@@ -37,13 +37,13 @@ from wavefocus.storage.errors import InputError
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
-NO_BETTER = 0.95
+_NO_BETTER = 0.95
 """A round that leaves more than this of the error is the last."""
 HELD_OUT, MIN_CONTROLS = 5, 10
 """Of so many control places one is held out, from so many on: two are the least that say anything."""
 MAX_ENERGY = 5.0
 """Energy of corrected drives over that of the uncorrected one, by default."""
-MAX_MATRIX_BYTES = 2 << 30
+_MAX_MATRIX_BYTES = 2 << 30
 
 
 def correct_drive(
@@ -83,13 +83,13 @@ def correct_drive(
             break
         found.append(state)
         if best_index is None or _is_better(state, found[best_index], 1.0):
-            better = best_index is None or _is_better(state, found[best_index], NO_BETTER)
+            better = best_index is None or _is_better(state, found[best_index], _NO_BETTER)
             best, best_index = played, number
         else:
             better = False
         if not better:
             earlier = found[:-1]
-            fits = state.error <= NO_BETTER * min(one.error for one in earlier)
+            fits = state.error <= _NO_BETTER * min(one.error for one in earlier)
             stopped = "held out" if fits and state.held_out is not None else "no better"
             break
         if state.error**2 <= 2.0 * state.noise**2:
@@ -125,10 +125,10 @@ def require_correctable(drive: Drive, bank: GreenSource, rows: Int64Array) -> No
         raise InputError("the scene is silent, so there is nothing to correct; give a source an amplitude above 0")
     bins = _bins(drive, bank)[1].size
     needed = 16 * bins * rows.size * len(drive.drive_v)
-    if needed > MAX_MATRIX_BYTES:
+    if needed > _MAX_MATRIX_BYTES:
         raise InputError(
             f"a correction at {rows.size} control places takes {needed / 2**30:.1f} GiB for a scene of this "
-            f"length, more than {MAX_MATRIX_BYTES / 2**30:g}; shorten the scene"
+            f"length, more than {_MAX_MATRIX_BYTES / 2**30:g}; shorten the scene"
         )
 
 
@@ -143,7 +143,7 @@ def _bins(drive: Drive, bank: GreenSource) -> tuple[int, Int64Array]:
     return length, np.flatnonzero(power > 1e-4 * power.max())
 
 
-STOPPED_WORDS = {
+_STOPPED_WORDS = {
     "rounds": "all corrections that were asked for are made",
     "noise": "what is left is the scan's noise",
     "no better": "the last correction made it no better",
@@ -164,7 +164,7 @@ def correction_lines(correction: Correction) -> list[str]:
         for number, state in enumerate(correction.rounds)
     ]
     kept = "the uncorrected drive is kept" if not correction.best else f"correction {correction.best} is kept"
-    return [*lines, f"{STOPPED_WORDS[correction.stopped]}; {kept}"]
+    return [*lines, f"{_STOPPED_WORDS[correction.stopped]}; {kept}"]
 
 
 def _held_out_words(state: CorrectionRound) -> str:

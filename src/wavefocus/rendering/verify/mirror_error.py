@@ -20,10 +20,10 @@ from wavefocus.storage.bank.ledger import Status
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
-MAX_OUTSIDE = 0.75
+_MAX_OUTSIDE = 0.75
 """Grid spacings from the nearest measured position beyond which a field is not known: places of a full square grid lie
 within half a diagonal, 0.71."""
-START_STEPS = (-1.0, -0.5, 0.5, 1.0)
+_START_STEPS = (-1.0, -0.5, 0.5, 1.0)
 """Shifts in grid spacings that the search starts from; turned or scaled, the rim moves as far."""
 MIN_SPACINGS = TOLERANCE * 8 / (2 * np.pi)
 """Smaller displacements, 1/16, are not named: at eight positions a wavelength they are within the tolerance."""
@@ -82,9 +82,9 @@ class BankAsField:
         order = np.lexsort((offset_mm[:, 1], offset_mm[:, 0], np.hypot(*offset_mm.T).round(6)))
         return Patch(near[order], offset_mm[order], offset_mm[order].tobytes())
 
-    def is_known(self, place_mm: Float64Array) -> BoolArray:
+    def _is_known(self, place_mm: Float64Array) -> BoolArray:
         """Places (n, 2) that lie near enough to a measured position."""
-        return np.asarray(self._tree.query(place_mm)[0] <= MAX_OUTSIDE * self.spacing_mm)
+        return np.asarray(self._tree.query(place_mm)[0] <= _MAX_OUTSIDE * self.spacing_mm)
 
     @cached_property
     def waves(self) -> WaveModel:
@@ -168,16 +168,16 @@ class MirrorFit:
 
     def _starts(self) -> Iterator[Float64Array]:
         yield np.zeros(6)
-        spacing_mm, steps = self._surface.spacing_mm, (0.0, *START_STEPS)
+        spacing_mm, steps = self._surface.spacing_mm, (0.0, *_START_STEPS)
         yield from (spacing_mm * np.array([x, y, 0, 0, 0, 0]) for x in steps for y in steps if x or y)
         share = spacing_mm / float(np.hypot(*self._place_mm.T).max(initial=spacing_mm))
-        for step in START_STEPS:
+        for step in _START_STEPS:
             for shape in ((0, -1, 1, 0), (1, 0, 0, 1), (1, 0, 0, 0), (0, 0, 0, 1)):
                 yield step * share * np.array([0, 0, *shape])
 
     def _left(self, numbers: Float64Array, part: _Part) -> float:
         by_mm = _MirrorError.of(numbers).displacement_mm(self._place_mm)
-        known = self._surface.is_known(self._place_mm + by_mm)
+        known = self._surface._is_known(self._place_mm + by_mm)
         if np.mean(known) < MOST:
             return np.inf
         own = energy(self._block.difference[known][:, part[2]])
@@ -193,7 +193,7 @@ class MirrorFit:
         left = self._left(numbers, part)
         for _ in range(8):
             by_mm = _MirrorError.of(numbers).displacement_mm(self._place_mm)
-            known = self._surface.is_known(self._place_mm + by_mm)
+            known = self._surface._is_known(self._place_mm + by_mm)
             at = self._difference(by_mm, part)
             shift = [(self._difference(by_mm + STEP_MM * axis, part) - at) / STEP_MM for axis in np.eye(2)]
             stretch = [slope * along_mm[:, None] for slope in shift for along_mm in self._place_mm.T]
@@ -221,7 +221,7 @@ def displaced(surface: BankAsField, error: _MirrorError, block: Block, rows: Int
     field = _DisplacedField(surface, rows, frequency_hz)
     by_mm = error.displacement_mm(surface.place_mm[rows])
     green = field.at(by_mm, surface.green(field.used, frequency_hz))
-    known = surface.is_known(surface.place_mm[rows] + by_mm)[block.row_of]
+    known = surface._is_known(surface.place_mm[rows] + by_mm)[block.row_of]
     moved = block.with_green(np.moveaxis(green, 0, -1))
     return moved.of(np.flatnonzero(known)) if known.any() else moved
 
@@ -244,7 +244,7 @@ def sentinel_shift_mm(sentinel: Sentinel, bank: GreenSource) -> Float64Array | N
         green = field.at(np.asarray(by_mm)[None], values)[:, 0].T
         return energy(block.response - green * block.weight[:, None])
 
-    steps = surface.spacing_mm * np.array([0.0, *START_STEPS])
+    steps = surface.spacing_mm * np.array([0.0, *_START_STEPS])
     start = min((np.array([x, y]) for x in steps for y in steps), key=left)
     simplex = start + 0.25 * surface.spacing_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     options: Any = {"xatol": 0.01, "fatol": 1e-3 * excess, "initial_simplex": simplex}

@@ -59,7 +59,7 @@ PATH_POINTS = 401
 
 
 @dataclass(frozen=True)
-class RecordedFocus:
+class _RecordedFocus:
     """A focus instant that was compared: the grid position used, and the path point that was asked for."""
 
     source: int
@@ -85,7 +85,7 @@ class RecordedSource:
 
 
 @dataclass(frozen=True)
-class RecordedPositions:
+class _RecordedPositions:
     """Bank rows of the predicted positions, their places, and the errors there, NaN where nothing was compared."""
 
     index: tuple[int, ...]
@@ -95,7 +95,7 @@ class RecordedPositions:
 
 
 @dataclass(frozen=True)
-class ExcludedPosition:
+class _ExcludedPosition:
     """A scanned bank row that was not compared, and why."""
 
     position: int
@@ -130,12 +130,12 @@ class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", ta
     band_hz: tuple[float, float] | None
     spacing_mm: float | None
     figures: tuple[Figure, ...]
-    foci: tuple[RecordedFocus, ...]
+    foci: tuple[_RecordedFocus, ...]
     sources: tuple[RecordedSource, ...]
     outline_mm: tuple[PointMm, ...] | None
     actuator_mm: tuple[PointMm | None, ...]
-    positions: RecordedPositions
-    excluded: tuple[ExcludedPosition, ...]
+    positions: _RecordedPositions
+    excluded: tuple[_ExcludedPosition, ...]
     symptoms: tuple[Symptom, ...] = ()
     actuators: tuple[ActuatorFigures, ...] = ()
     source_figures: tuple[SourceFigures, ...] = ()
@@ -213,7 +213,7 @@ def write_record(
         spacing_mm=verification.spacing_mm,
         figures=verification.figures,
         foci=tuple(
-            RecordedFocus(
+            _RecordedFocus(
                 instant.source,
                 instant.row,
                 instant.sample / compared.sample_rate_hz,
@@ -226,13 +226,13 @@ def write_record(
         actuator_mm=tuple(
             point if np.isfinite(point).all() else None for point in _points(np.asarray(bank.actuator_mm, np.float64))
         ),
-        positions=RecordedPositions(
+        positions=_RecordedPositions(
             tuple(rows.tolist()),
             _points(position_mm[rows]),
             of_rows(compared.position_error),
             of_rows(compared.position_correlation),
         ),
-        excluded=tuple(ExcludedPosition(row, reason) for row, reason in compared.excluded),
+        excluded=tuple(_ExcludedPosition(row, reason) for row, reason in compared.excluded),
         symptoms=verification.symptoms,
         actuators=verification.actuators,
         source_figures=verification.sources,

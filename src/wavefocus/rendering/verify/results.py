@@ -167,7 +167,7 @@ UNITS: Mapping[SymptomCode, str] = {
     "mirror": "mm, °, share", "shifted": "mm", "rotated": "°", "scaled": "%", "damping": "1/s",
 }  # fmt: skip
 """Unit of a symptom's value; the others have none, or a plain number."""
-NOTED_DB = 0.5
+_NOTED_DB = 0.5
 """A change of level that is stated with a reversed polarity."""
 
 
@@ -247,7 +247,7 @@ def _cause(symptom: Symptom) -> str:
             moves, is_ = ("does", "its response is") if one else ("do", "the responses are")
             return f"{subject} {moves} not move: {is_} {number(-value, 'dB')} below those in the bank."
         case "polarity":
-            also = f" and the level is {_louder(value)}" if abs(value) >= NOTED_DB else ""
+            also = f" and the level is {_louder(value)}" if abs(value) >= _NOTED_DB else ""
             return f"The polarity of {who or 'all responses'} is reversed{also}."
         case "level":
             return f"{subject} {'are' if several else 'is'} {_louder(value)} than in the bank."

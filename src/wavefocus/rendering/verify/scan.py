@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
 
-MARKER_START_HZ = 20.0
+_MARKER_START_HZ = 20.0
 # Shortest silence from which noise is measured, and the part before the drive that is not used, in samples.
-MIN_SILENCE_SAMPLES = 50
-SILENCE_GUARD_SAMPLES = 8
+_MIN_SILENCE_SAMPLES = 50
+_SILENCE_GUARD_SAMPLES = 8
 
 
 def _scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64Array]:
@@ -73,8 +73,8 @@ def marker_v(setup: Setup, samples: int, rate_hz: float) -> Float64Array:
     amplitude_v = min(0.5 * setup.instruments.player.full_scale_v, 0.7 * setup.range_v[0] / setup.reference_gain)
     time_s = np.arange(samples) / rate_hz
     stop_hz = min(0.4 * rate_hz, 1000.0)
-    slope = (stop_hz - MARKER_START_HZ) / (samples / rate_hz)
-    sweep = np.sin(2.0 * np.pi * (MARKER_START_HZ + 0.5 * slope * time_s) * time_s)
+    slope = (stop_hz - _MARKER_START_HZ) / (samples / rate_hz)
+    sweep = np.sin(2.0 * np.pi * (_MARKER_START_HZ + 0.5 * slope * time_s) * time_s)
     fade = np.sin(0.5 * np.pi * np.clip(np.minimum(time_s, time_s[::-1]) / 0.02, 0.0, 1.0)) ** 2
     return np.asarray(amplitude_v * fade * sweep)
 
@@ -103,25 +103,25 @@ class _Alignment:
         reference, response = recording.volts
         fit = self._clock.fit(reference)
         on_clock = to_playback_clock(response, fit, self._samples, delay_samples=self._delay_samples)
-        start = int(fit.offset_samples + self._delay_samples) - SILENCE_GUARD_SAMPLES
-        end = int(fit.offset_samples + fit.ratio * self._samples) + SILENCE_GUARD_SAMPLES
+        start = int(fit.offset_samples + self._delay_samples) - _SILENCE_GUARD_SAMPLES
+        end = int(fit.offset_samples + fit.ratio * self._samples) + _SILENCE_GUARD_SAMPLES
         lead_in, tail = response[: max(start, 0)], response[end:]
-        silence = lead_in if lead_in.size >= MIN_SILENCE_SAMPLES else tail
-        noise_v = float(np.std(silence)) if silence.size >= MIN_SILENCE_SAMPLES else float("nan")
+        silence = lead_in if lead_in.size >= _MIN_SILENCE_SAMPLES else tail
+        noise_v = float(np.std(silence)) if silence.size >= _MIN_SILENCE_SAMPLES else float("nan")
         unit = self._setup.response_per_volt
         scanned = ScannedPosition(
             visit.row, int(status), visit.attempt, noise_v * abs(unit), fit.ratio,
             fit.gain / self._setup.reference_gain, (on_clock * unit).astype(np.float32),
         )  # fmt: skip
-        return scanned, self._dropouts.finds_one(response)
+        return scanned, self._dropouts._finds_one(response)
 
 
 # Share of a response's energy above the frequency from which it is taken to be only noise.
-QUIET_SHARE = 1e-5
+_QUIET_SHARE = 1e-5
 # A window is lost when it holds more than this many times the noise, and more than this share of the loudest
 # window of the response, both as rms.
-NOISE_FACTOR = 6.0
-RESPONSE_SHARE = 0.02
+_NOISE_FACTOR = 6.0
+_RESPONSE_SHARE = 0.02
 
 
 def quiet_above_hz(response: NDArray[np.floating], rate_hz: float, band_hz: tuple[float, float] | None) -> float:
@@ -131,7 +131,7 @@ def quiet_above_hz(response: NDArray[np.floating], rate_hz: float, band_hz: tupl
     """
     power = np.square(np.abs(scipy.fft.rfft(response, axis=1))).sum(axis=0)
     above = np.cumsum(power[::-1])[::-1]
-    quiet_hz = float(np.count_nonzero(above > QUIET_SHARE * above[0]) * rate_hz / response.shape[1])
+    quiet_hz = float(np.count_nonzero(above > _QUIET_SHARE * above[0]) * rate_hz / response.shape[1])
     return quiet_hz if band_hz is None else max(quiet_hz, 2 * band_hz[1])
 
 
@@ -149,7 +149,7 @@ class _DropoutCheck:
         # Where responses fill the spectrum, no bin is left for the check.
         self._outside = np.concatenate([outside.real, outside.imag], axis=1).astype(np.float32)
 
-    def finds_one(self, response_v: Float32Array) -> bool:
+    def _finds_one(self, response_v: Float32Array) -> bool:
         """The vibrometer lost the signal during a record."""
         windows = np.lib.stride_tricks.sliding_window_view(response_v, 2 * self._half)[:: self._half]
         if not self._outside.size or len(windows) < 8:
@@ -157,7 +157,7 @@ class _DropoutCheck:
         windows = np.ascontiguousarray(windows)
         loudest = float(_norm(windows).max()) / np.sqrt(2 * self._half)
         outside = _norm(windows @ self._outside)
-        return bool(outside.max() > max(NOISE_FACTOR * float(np.median(outside)), RESPONSE_SHARE * loudest))
+        return bool(outside.max() > max(_NOISE_FACTOR * float(np.median(outside)), _RESPONSE_SHARE * loudest))
 
 
 def _norm(rows: Float32Array) -> Float32Array:
@@ -165,7 +165,7 @@ def _norm(rows: Float32Array) -> Float32Array:
     return np.asarray(np.sqrt(np.einsum("rs,rs->r", rows, rows)))
 
 
-GIVE_UP_POSITIONS = 5
+_GIVE_UP_POSITIONS = 5
 """So many positions given up one after the other mean that the rig, and not a position, is at fault."""
 
 
@@ -365,7 +365,7 @@ class _ScanRun:
             self._visits.appendleft(replace(visit, attempt=visit.attempt + 1))
             return
         self._given_up_in_a_row += 1
-        if self._given_up_in_a_row >= GIVE_UP_POSITIONS:
+        if self._given_up_in_a_row >= _GIVE_UP_POSITIONS:
             raise failure
         self._faults[visit.row] = str(failure)
         self._scan.attempts[self._place[visit.row]] = visit.attempt

@@ -157,7 +157,7 @@ def energy(values: NDArray[Any]) -> float:
 TIE = 0.02
 """What explains as much within this share is not told apart: a cause is not named then, and of the delays of a tone,
 which repeats in each period, the smallest is taken."""
-WORTH_A_STEP = 0.01
+_WORTH_A_STEP = 0.01
 """Share of what is left that a step of the search must take off."""
 MIN_DB, MIN_DELAY_S = 20 * np.log10(1 + TOLERANCE), TOLERANCE / (2 * np.pi * 250)
 """Changes that are named, and apart from which two are one: 0.42 dB, and 0.03 ms at 250 Hz, make an error that a
@@ -253,7 +253,7 @@ def _best_step(blocks: Blocks) -> ActuatorErrors | None:
     gained = np.square(agreement) / safe - 2.0 * matched - own
     best = int(np.argmax(gained.max(axis=0)))
     column = gained[:, best]
-    if column.max() <= WORTH_A_STEP * squares_left(blocks):
+    if column.max() <= _WORTH_A_STEP * squares_left(blocks):
         return None
     good = np.flatnonzero(column >= (1.0 - TIE) * column.max())
     at = int(good[np.argmin(np.abs(delays_s[good]))])

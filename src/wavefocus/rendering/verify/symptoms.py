@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     from wavefocus.rendering.verify.comparison import FieldComparison
 
 MAX_ROWS, MIN_ROWS, MIRROR_ROWS = 48, 4, 36
-MAX_SENTINEL_ACTUATORS = 128
+_MAX_SENTINEL_ACTUATORS = 128
 """The sentinel's equations grow with the square of the number of actuators."""
 MAX_CAUSES = 3
-SPEEDS = (-0.08, -0.06, -0.04, -0.03, -0.02, -0.01, 0.0, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08)
-MIN_SPEED = TOLERANCE / (4 * 2 * np.pi)
+_SPEEDS = (-0.08, -0.06, -0.04, -0.03, -0.02, -0.01, 0.0, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08)
+_MIN_SPEED = TOLERANCE / (4 * 2 * np.pi)
 """Smaller changes, 0.2 %, are not named: four wavelengths away they make an error that a verification allows."""
 
 
@@ -203,7 +203,7 @@ class _Search:
             ),
         )
         self._rows: list[Int64Array] = [rows]
-        if sentinel is not None and bank.actuators <= MAX_SENTINEL_ACTUATORS:
+        if sentinel is not None and bank.actuators <= _MAX_SENTINEL_ACTUATORS:
             self._rows.append(np.array([sentinel.position]))
             blocks = (*blocks, sentinel_block(sentinel, bank))
         self.state = _State(blocks, ActuatorErrors(np.ones(bank.actuators), np.zeros(bank.actuators)))
@@ -313,16 +313,16 @@ def _speed_cause(state: _State, dispersion: Callable[[], float]) -> _Cause:
     from scipy.optimize import minimize_scalar  # slow to load
 
     some = tuple(block.some(8, 64) for block in state.blocks)
-    left = [_with_speed(some, change)[0] for change in SPEEDS]
-    middle = int(np.clip(np.argmin(left), 1, len(SPEEDS) - 2))
-    bounds = SPEEDS[middle - 1], SPEEDS[middle + 1]
+    left = [_with_speed(some, change)[0] for change in _SPEEDS]
+    middle = int(np.clip(np.argmin(left), 1, len(_SPEEDS) - 2))
+    bounds = _SPEEDS[middle - 1], _SPEEDS[middle + 1]
     found = minimize_scalar(
         lambda change: _with_speed(some, float(change))[0], bounds=bounds, method="bounded", options={"xatol": 2e-4}
     )
     change = float(found.x)
     left_everywhere, blocks = _with_speed(state.blocks, change)
-    speed = (1.0 + change) ** dispersion() - 1.0 if abs(change) >= MIN_SPEED else 0.0
-    symptoms = (Symptom("speed", value=100.0 * speed),) if abs(speed) >= MIN_SPEED else ()
+    speed = (1.0 + change) ** dispersion() - 1.0 if abs(change) >= _MIN_SPEED else 0.0
+    symptoms = (Symptom("speed", value=100.0 * speed),) if abs(speed) >= _MIN_SPEED else ()
     return _Cause(symptoms, left_everywhere, lambda: replace(state, blocks=blocks, change=change))
 
 
@@ -341,7 +341,7 @@ def _with_speed(blocks: Blocks, change: float) -> tuple[float, Blocks]:
 
 def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
     """Change of the wave speed in % that explains most of the sentinel's change; None where it explains little."""
-    if bank.actuators > MAX_SENTINEL_ACTUATORS:
+    if bank.actuators > _MAX_SENTINEL_ACTUATORS:
         return None
     nothing = ActuatorErrors(np.ones(bank.actuators), np.zeros(bank.actuators))
     state = _State((sentinel_block(sentinel, bank),), nothing)

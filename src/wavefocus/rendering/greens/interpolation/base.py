@@ -24,7 +24,7 @@ from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
 from wavefocus.storage.errors import InputError
 
-SLACK = 1e-9
+_SLACK = 1e-9
 """Rounding that is forgiven, relative to the grid spacing."""
 
 
@@ -177,7 +177,7 @@ def near(grid: PositionGrid, points_mm: Float64Array, spacings: float = 1.0) -> 
     """Nearest rows and distances. Raises OffGridError for a point further than some grid spacings from all."""
     rows, distance_mm = grid.nearest(points_mm)
     allowed_mm = spacings * grid.spacing_mm
-    far = distance_mm > allowed_mm * (1.0 + SLACK) + 1e-9
+    far = distance_mm > allowed_mm * (1.0 + _SLACK) + 1e-9
     if far.any():
         point = int(np.argmax(far))
         row = int(rows[point])
@@ -392,8 +392,8 @@ class Bilinear(GridInterpolation):
             site = (points_mm[:, axis] - self._lattice.origin_mm[axis]) / self._lattice.pitch_mm[axis]
             cell[axis] = np.clip(np.floor(site).astype(np.int64), 0, self._row_at.shape[axis] - 2)
             beyond = site - cell[axis]
-            outside |= (beyond < -SLACK) | (beyond > 1.0 + SLACK)
+            outside |= (beyond < -_SLACK) | (beyond > 1.0 + _SLACK)
             within = np.clip(beyond, 0.0, 1.0, out=part[axis])
-            within[within < SLACK] = 0.0
-            within[within > 1.0 - SLACK] = 1.0
+            within[within < _SLACK] = 0.0
+            within[within > 1.0 - _SLACK] = 1.0
         return cell, part, outside

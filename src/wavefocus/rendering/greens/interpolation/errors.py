@@ -30,7 +30,7 @@ from wavefocus.storage.ledger.reader import DamagedError
 
 MAX_POINTS = 128
 SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
-BANDS = 6
+_BANDS = 6
 EDGE_SHARE = 5e-3
 """Energy at either end of the emitted spectrum that the bands need not reach."""
 
@@ -130,7 +130,7 @@ def errors_at(
         return None
     points_mm = points_mm[evenly_spread(len(points_mm), MAX_POINTS)]
     spectrum, band_hz = _EmittedSpectrum(signals, float(bank.sample_rate_hz)), _bank_band_hz(bank)
-    frequency_hz = spectrum.bands_hz(band_hz, BANDS)
+    frequency_hz = spectrum._bands_hz(band_hz, _BANDS)
     try:
         found = kind.estimate(bank, points_mm, frequency_hz)
     except DamagedError:
@@ -201,7 +201,7 @@ class _EmittedSpectrum:
                     shaped = part / peak if short else window * (part / peak)
                     self._power += np.square(np.abs(np.fft.rfft(shaped, SIGNAL_BLOCK))) * min(peak, 1e100) ** 2
 
-    def bands_hz(self, within_hz: tuple[float, float], count: int) -> Float64Array:
+    def _bands_hz(self, within_hz: tuple[float, float], count: int) -> Float64Array:
         """Centres of bands over what is emitted within a band; over all of that band where nothing is."""
         inside = self._inside(within_hz)
         low_hz, high_hz = within_hz
@@ -228,7 +228,7 @@ class _EmittedSpectrum:
         return (self._bins_hz >= within_hz[0] - half_bin_hz) & (self._bins_hz <= within_hz[1] + half_bin_hz)
 
 
-KERNEL_ERROR = 0.02
+_KERNEL_ERROR = 0.02
 """Left-out error in the scene's band below which waves, which take minutes, are not asked."""
 ON_POSITION = 1e-6
 """Distance from a position, in grid spacings, up to which a place is on it."""
@@ -273,7 +273,7 @@ def choose_interpolation(
             estimate = method.estimate(bank, points_mm, frequency_hz)
             error = float(np.sqrt(emitted @ np.square(np.median(estimate.relative, axis=1))))
             found[name] = method, error, estimate.judged_by
-            if error < KERNEL_ERROR:
+            if error < _KERNEL_ERROR:
                 break
     method, error, judged_by = min(found.values(), key=lambda one: one[1], default=(nearest, np.inf, "nothing"))
     if method is not None and error < MOST:  # more of what is there is found than missed
@@ -289,7 +289,7 @@ def choose_interpolation(
 def _emitted_bands(bank: GreenSource, signals: Sequence[Float64Array]) -> tuple[Float64Array, Float64Array]:
     """Bands over what is emitted, and the share of each; without signals over the bank's band, all alike."""
     spectrum, band_hz = _EmittedSpectrum(signals, float(bank.sample_rate_hz)), _bank_band_hz(bank)
-    frequency_hz = spectrum.bands_hz(band_hz, BANDS)
+    frequency_hz = spectrum._bands_hz(band_hz, _BANDS)
     emitted = spectrum.shares(frequency_hz, band_hz)
     return frequency_hz, emitted / emitted.sum() if emitted.sum() > 0 else np.full(len(emitted), 1.0 / len(emitted))
 

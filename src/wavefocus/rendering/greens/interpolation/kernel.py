@@ -35,7 +35,7 @@ from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, RowReader, well_measured
 from wavefocus.storage.errors import InputError
 
-NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
+_NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
 
 
 class _RowValues:
@@ -112,7 +112,7 @@ def _left_out_estimate(
     wrong[unresolved:], there[unresolved:] = (strength + _square(taken))[unresolved:], strength[unresolved:].sum(axis=2)
     return Estimate(
         taken, np.sqrt(wrong), np.full(shape, np.nan), np.sqrt(there), "left-out positions",
-        NO_BOUND,
+        _NO_BOUND,
     )  # fmt: skip
 
 
@@ -126,7 +126,7 @@ def _square(values: Complex128Array) -> Float64Array:
     return np.asarray(np.square(values.real) + np.square(values.imag))
 
 
-ROWS_KEPT = 96
+_ROWS_KEPT = 96
 
 
 class _KernelRows(AddedRows):
@@ -140,7 +140,7 @@ class _KernelRows(AddedRows):
     """
 
     def __init__(self, measured: GreenSource, waves: WaveModel, neighbourhoods: Neighbourhoods) -> None:
-        super().__init__(measured, ROWS_KEPT)
+        super().__init__(measured, _ROWS_KEPT)
         self._reader = RowReader(measured)
         self._neighbourhoods = neighbourhoods
         self._anchor: list[int] = []
@@ -209,7 +209,7 @@ class _KernelRows(AddedRows):
         # All rows of one patch together: they share its neighbours' spectra.
         patch, together = self._neighbourhoods.patch(self._anchor[number]), self._at_anchor[self._anchor[number]]
         first = together.index(number)
-        numbers = together[first : first + ROWS_KEPT]
+        numbers = together[first : first + _ROWS_KEPT]
         points_mm = np.array([self._points_mm[one] for one in numbers])
         offset_mm = points_mm - np.asarray(self.measured.position_mm, dtype=np.float64)[patch.rows[0]]
         weights = self._kernel(patch).weights(offset_mm)
@@ -235,7 +235,7 @@ class _KernelRows(AddedRows):
         return np.ascontiguousarray(spectrum.T)
 
 
-BANDS_PER_OCTAVE = 3
+_BANDS_PER_OCTAVE = 3
 
 
 class KernelInterpolation(PathInterpolation):
@@ -330,10 +330,10 @@ def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array
     """Frequencies a third of an octave apart over the bank's band."""
     low_hz, high_hz = bank.band_hz if bank.band_hz is not None else _loud_hz(bank, neighbourhoods)
     high_hz = min(high_hz, 0.499 * bank.sample_rate_hz)
-    low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (16 / BANDS_PER_OCTAVE))
+    low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (16 / _BANDS_PER_OCTAVE))
     if low_hz >= high_hz:
         return np.array([high_hz])
-    count = int(np.ceil(BANDS_PER_OCTAVE * np.log2(high_hz / low_hz))) + 1
+    count = int(np.ceil(_BANDS_PER_OCTAVE * np.log2(high_hz / low_hz))) + 1
     return np.geomspace(low_hz, high_hz, max(count, 2))
 
 

@@ -15,16 +15,16 @@ from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.paths import Circle, Path
 from wavefocus.storage.bank.ledger import Status
 
-STENCIL = 4
+_STENCIL = 4
 """Nodes that make one point: a cubic polynomial in arc length."""
-INSET = 1e-6
+_INSET = 1e-6
 
 
 def node_spacing_mm(wavenumber_rad_mm: float, error: float) -> float:
     """Spacing at which a wave along the path is interpolated with an error."""
     # Rms error of that polynomial for exp(j k s) between its middle nodes, over (k spacing)**4: the root of the mean
     # of ((t + 1) t (t - 1) (t - 2) / 24)**2 over 0 < t < 1.
-    return float((error / 0.0177) ** (1.0 / STENCIL) / wavenumber_rad_mm)
+    return float((error / 0.0177) ** (1.0 / _STENCIL) / wavenumber_rad_mm)
 
 
 class PathNodes:
@@ -55,8 +55,8 @@ class PathNodes:
             step = spacing_mm if turn_mm > 0 else (end - begin) / steps
             nodes = np.append(begin + step * np.arange(steps), end)
             # A corner is exact to rounding: its two nodes lie safely on their own sides of it.
-            nodes[0] += INSET * step if begin > 0 else 0.0
-            nodes[-1] -= INSET * step if end < path.length_mm else 0.0
+            nodes[0] += _INSET * step if begin > 0 else 0.0
+            nodes[-1] -= _INSET * step if end < path.length_mm else 0.0
             self._first.append(sum(self._count))
             self._count.append(steps + 1)
             parts.append(nodes)
@@ -68,13 +68,13 @@ class PathNodes:
         Returns they sum to 1; 0 for nodes that a short piece does not have.
         """
         piece = np.clip(np.searchsorted(self._begins, arc_length_mm, side="right") - 1, 0, len(self._begins) - 1)
-        nodes = np.zeros((len(arc_length_mm), STENCIL), dtype=np.int64)
-        weights = np.zeros((len(arc_length_mm), STENCIL))
+        nodes = np.zeros((len(arc_length_mm), _STENCIL), dtype=np.int64)
+        weights = np.zeros((len(arc_length_mm), _STENCIL))
         for number in np.unique(piece).tolist():
             chosen = np.flatnonzero(piece == number)
             first, count = self._first[number], self._count[number]
             mine = self.arc_length_mm[first : first + count]
-            width = min(STENCIL, count)
+            width = min(_STENCIL, count)
             low = np.searchsorted(mine, arc_length_mm[chosen], side="right") - width // 2
             low = np.clip(low, 0, count - width)
             stencil = low[:, None] + np.arange(width)
@@ -133,7 +133,7 @@ PATH_ERROR = 1e-3
 """Relative error that interpolating along a path adds, at the bank's highest frequency."""
 
 
-SAME_MM = 1e-6
+_SAME_MM = 1e-6
 
 
 class AddedRows(ABC):
@@ -170,7 +170,7 @@ class AddedRows(ABC):
 
     def number(self, x_mm: float, y_mm: float) -> tuple[int, bool]:
         """Row of a point, counted from the first that was added, and whether it is new; a point is added once."""
-        key = (round(x_mm / SAME_MM), round(y_mm / SAME_MM))
+        key = (round(x_mm / _SAME_MM), round(y_mm / _SAME_MM))
         if new := key not in self._index:
             self._index[key] = len(self._points_mm)
             self._points_mm.append((x_mm, y_mm))

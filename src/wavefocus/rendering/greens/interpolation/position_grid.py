@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-LATTICE_SLACK = 1e-6
+_LATTICE_SLACK = 1e-6
 """Distance from their sites, in grid spacings, up to which positions are on a lattice."""
 FURTHEST_MM = 1e100
 """Points beyond are searched for from here: the squares of greater distances overflow."""
@@ -152,14 +152,14 @@ def _fit_lattice(unique_mm: Float64Array, row: Int64Array) -> tuple[Lattice | No
     pitch_mm = np.full(2, about_mm)  # across a line of positions there is one site
     for axis in (0, 1):
         steps = np.diff(np.unique(unique_mm[:, axis]))
-        steps = steps[steps > LATTICE_SLACK * about_mm]
+        steps = steps[steps > _LATTICE_SLACK * about_mm]
         if len(steps):
             pitch_mm[axis] = extent_mm[axis] / round(float(extent_mm[axis] / steps.min()))
     site = np.rint((unique_mm - origin_mm) / pitch_mm)
     shape = site.max(axis=0) + 1.0
     off_mm = np.abs(unique_mm - origin_mm - site * pitch_mm).max(axis=1)
     worst = int(row[np.argmax(off_mm)])
-    if off_mm.max() > LATTICE_SLACK * about_mm or shape.prod() > 100 * len(unique_mm) + 10_000:
+    if off_mm.max() > _LATTICE_SLACK * about_mm or shape.prod() > 100 * len(unique_mm) + 10_000:
         return None, worst
     row_at = np.full(shape.astype(np.int64), -1, dtype=np.int64)
     row_at[tuple(site.astype(np.int64).T)] = row
@@ -172,7 +172,7 @@ def _common_gap_mm(lattice: Lattice, positions: int) -> float:
     has_neighbour = np.zeros_like(there)
     gap_mm = min(lattice.pitch_mm[axis] for axis in (0, 1) if there.shape[axis] > 1)
     for axis in (0, 1):
-        if there.shape[axis] > 1 and lattice.pitch_mm[axis] <= gap_mm * (1.0 + LATTICE_SLACK):
+        if there.shape[axis] > 1 and lattice.pitch_mm[axis] <= gap_mm * (1.0 + _LATTICE_SLACK):
             pair = np.take(there, range(1, there.shape[axis]), axis) & np.take(
                 there, range(there.shape[axis] - 1), axis
             )

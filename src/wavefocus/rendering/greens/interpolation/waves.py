@@ -35,7 +35,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
 
 LOG = logging.getLogger("wavefocus")
-RECIPE = 6
+_RECIPE = 6
 """Raised when the same bank gives another model, so that no older file is used."""
 EDGE = 1.2
 """The band is modelled to this factor beyond its ends, where a bank still holds a little: a quarter octave."""
@@ -172,7 +172,7 @@ def _bank_waves(bank: GreenSource) -> _BankWaves:
 
 def _contents_sha256(bank: GreenSource) -> str:
     """Hash of all that the model depends on; every row that is used is read, so a damaged one is refused."""
-    digest = hashlib.sha256(f"{RECIPE} {bank.sample_rate_hz!r} {bank.taps} {bank.band_hz!r}".encode())
+    digest = hashlib.sha256(f"{_RECIPE} {bank.sample_rate_hz!r} {bank.taps} {bank.band_hz!r}".encode())
     used = well_measured(bank) | usable_checks(bank)
     for values in (bank.position_mm, bank.actuator_mm, used, is_check(bank)):
         digest.update(np.ascontiguousarray(values).tobytes())
