@@ -1,6 +1,6 @@
 """Values of the constants that decide a verdict, put from the code into the table of docs/reference/constants.md.
 
-``python tools/constants_page.py`` writes the page anew; tests/unit/test_constants.py holds it equal to the code.
+``python tools/constants_page.py`` writes the page anew; test_source_named_in_docs.py holds it equal to the code.
 """
 
 from __future__ import annotations

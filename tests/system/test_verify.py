@@ -18,9 +18,13 @@ from wavefocus.rendering.verify.record import read_record
 from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 
+def _command(lab, bank):
+    files = {"--bank": bank, "--rig": lab / "rig.toml", "--out": lab / "verify"}
+    return ["verify", str(lab / "scene.toml"), *(str(word) for pair in files.items() for word in pair)]
+
+
 def _verify(lab, bank, *more):
-    scene, rig, out = lab / "scene.toml", lab / "rig.toml", lab / "verify"
-    return run(["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out), "--json", *more])
+    return run([*_command(lab, bank), "--json", *more])
 
 
 def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_says_so(lab, bank, capsys):
@@ -130,8 +134,7 @@ def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(
     assert _verify(lab, bank) in (0, 1)
     undisturbed = (lab / "verify" / "scan.h5").read_bytes()
     shutil.rmtree(lab / "verify")
-    scene, rig, out = lab / "scene.toml", lab / "rig.toml", lab / "verify"
-    command = ["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out)]
+    command, out = _command(lab, bank), lab / "verify"
     journal = out / "scan.unfinished"
     _killed_in_scan(command, journal)
     if of_earlier_version:

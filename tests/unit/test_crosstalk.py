@@ -100,22 +100,23 @@ def test_a_campaign_without_a_leak_names_none_and_says_that_it_looked(clean):
 
 
 class LeakingSetup:
-    """A bank, and watches of leaks of any share into it."""
+    """A bank, and looks at leaks of any share into it."""
 
-    def __init__(self, path):
-        self.rig = virtual_rig(actuators=4, spacing_mm=60.0, run=RUN)
-        plan = blueprint_of(self.rig.configuration).plan
-        header = blueprint_of(self.rig.configuration).bank_header()
-        create_bank(path, header)
-        self.bank = BankWriter.open(path)
+    def __init__(self, path, worker):
+        rig, self.path, self._worker = virtual_rig(actuators=4, spacing_mm=60.0, run=RUN), path, worker
+        blueprint = blueprint_of(rig.configuration)
+        create_bank(path, blueprint.bank_header())
+        self.bank, self.plan, self.done = BankWriter.open(path), blueprint.plan, 0
         self.events: list[CrosstalkMeasured] = []
-        self.plan, self.done = plan, 0
 
     def watch(self, share, unvouched=()):
         settings = VirtualSettings(crosstalk=share, actuator_mm=tuple(map(tuple, self.plan.actuator_mm.tolist())))
         setup = setup_of(VirtualRig(settings))
         session = Session(setup.instruments.clock, self.events.append, StopRequest())
         return LeakWatch(self.plan, setup, self.bank, session, Recovery(setup, session), unvouched)
+
+    def look(self, watch):
+        return watch.look(self._worker)
 
     def commit(self, watch, count):
         """Commit rows as loud as 100 times 1e-4 of the loopback."""
@@ -128,49 +129,40 @@ class LeakingSetup:
         self.done += count
 
 
-def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(tmp_path):
-    bench = LeakingSetup(tmp_path / "plate.h5")
+@pytest.fixture
+def bench(tmp_path):
     with ThreadPoolExecutor(1) as worker:
-        before, after = bench.watch(0.0), bench.watch(1e-3)
-        before.look(worker)
-        bench.commit(before, 3)
-        assert before.look(worker) == ()
-        bench.commit(after, 2)
-        assert after.look(worker) == (3, 4)
-        assert after.found is not None
-        over = bench.watch(0.0, unvouched=(3, 4))
-        assert over.look(worker) == ()
-        assert over.found is None
+        made = LeakingSetup(tmp_path / "plate.h5", worker)
+        yield made
+        made.bank.close()
+
+
+def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(bench):
+    before, after, over = bench.watch(0.0), bench.watch(1e-3), bench.watch(0.0, unvouched=(3, 4))
+    bench.look(before)
+    bench.commit(before, 3)
+    assert bench.look(before) == ()
+    bench.commit(after, 2)
+    assert bench.look(after) == (3, 4)
+    assert after.found is not None
+    assert bench.look(over) == ()
+    assert over.found is None
     assert bench.bank.status[:5].tolist() == [1, 1, 1, 4, 4]
     assert bench.bank.record(4).leak_db == pytest.approx(-60.0, abs=0.5)
     assert [one.marked for one in bench.events] == [(), (), (3, 4), ()]
     assert "10 % of the median row" in bench.events[2].reason
-    bench.bank.close()
 
 
-def test_leak_at_the_beginning_is_judged_once_there_are_rows(tmp_path):
-    bench = LeakingSetup(tmp_path / "plate.h5")
-    with ThreadPoolExecutor(1) as worker:
-        watch = bench.watch(1e-3)
-        assert watch.look(worker) == ()
-        assert watch.found is None
-        bench.commit(watch, 2)
-        assert watch.look(worker) == (0, 1)
-    assert [one.named for one in bench.events] == [False, True]
-    bench.bank.close()
-
-
-def test_leak_of_a_third_of_a_percent_stands_in_the_events_and_marks_nothing(tmp_path):
-    bench = LeakingSetup(tmp_path / "plate.h5")
-    with ThreadPoolExecutor(1) as worker:
-        watch = bench.watch(3.3e-5)
-        watch.look(worker)
-        bench.commit(watch, 2)
-        assert watch.look(worker) == ()
-    assert [one.named for one in bench.events] == [False, False]
-    assert bench.events[-1].level_db == pytest.approx(20 * np.log10(3.3e-5), abs=2.0)
-    assert bench.bank.status[:2].tolist() == [1, 1]
-    bench.bank.close()
+@pytest.mark.parametrize(("share", "marked"), [(1e-3, (0, 1)), (3.3e-5, ())], ids=["10 %", "a third of a percent"])
+def test_leak_at_the_beginning_is_judged_once_there_are_rows(bench, share, marked):
+    watch = bench.watch(share)
+    assert bench.look(watch) == ()
+    assert watch.found is None
+    bench.commit(watch, 2)
+    assert bench.look(watch) == marked
+    assert [one.named for one in bench.events] == [False, bool(marked)]
+    assert bench.events[-1].level_db == pytest.approx(20 * np.log10(share), abs=2.0)
+    assert bench.bank.status[:2].tolist() == ([4, 4] if marked else [1, 1])
 
 
 @pytest.mark.long
@@ -185,15 +177,13 @@ def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean, tmp_path):
         assert np.allclose(estimated.quality["leak_db"], bank.quality["leak_db"], atol=0.01)
 
 
-def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(tmp_path):
-    bench = LeakingSetup(tmp_path / "plate.h5")
-    with ThreadPoolExecutor(1) as worker:
-        watch = bench.watch(0.0)
-        watch.look(worker)
-        bench.commit(watch, 4)
+def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(bench):
+    watch = bench.watch(0.0)
+    bench.look(watch)
+    bench.commit(watch, 4)
     bench.bank.amend(1, leak_db=-40.0)
     bench.bank.close()
-    named = [one for one in check_bank(tmp_path / "plate.h5") if one.message.startswith("crosstalk")]
+    named = [one for one in check_bank(bench.path) if one.message.startswith("crosstalk")]
     assert [(one.position, one.severity) for one in named] == [(1, "error")]
     assert "positions 1 were" in named[0].message
 
@@ -206,13 +196,8 @@ def test_leak_is_a_certain_symptom_only_where_it_explains_enough_of_the_excess(n
     leak = 1e-3 * np.exp(-2j * np.pi * np.outer(hertz, np.arange(2000) / RATE_HZ + 2e-4)) @ marker_v
     predicted = draw.standard_normal((positions, 60)) + 0j
     scanned = predicted + leak + noise * draw.standard_normal((positions, 60))
-    spectra = SimpleNamespace(
-        frequency_hz=hertz,
-        drive=draw.standard_normal((4, 60)) + 0j,
-        predicted=predicted,
-        scanned=scanned,
-        noise=np.full(positions, np.nan),
-    )
+    drive, unknown = draw.standard_normal((4, 60)) + 0j, np.full(positions, np.nan)
+    spectra = SimpleNamespace(frequency_hz=hertz, drive=drive, predicted=predicted, scanned=scanned, noise=unknown)
     fields = SimpleNamespace(spectra=spectra, sample_rate_hz=RATE_HZ)
     symptom = crosstalk_symptom(Crosstalk(1e-3, 2e-4, 1e-6), fields, marker_v)
     assert (symptom.code, symptom.certain, symptom.delay_s) == ("crosstalk", certain, 2e-4)

@@ -1,9 +1,11 @@
-"""Pages name the modules and functions that do what they explain; these are where the pages say."""
+"""Pages name modules, functions and constants that decide a verdict; these are where and what the pages say."""
 
 import re
 from pathlib import Path
 
 import pytest
+
+from tools.constants_page import PAGE, page
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "wavefocus"
@@ -21,3 +23,12 @@ def test_every_module_function_and_folder_that_a_page_names_is_there(page):
     packages = "acquisition|benchmarks|calibration|config|drivers|gui|mocks|rendering|src|storage|tests|tools"
     for folder in re.findall(rf"`((?:{packages})/[\w/]*)/?`", text):
         assert (PACKAGE / folder).is_dir() or (ROOT / folder).is_dir(), f"{page.name}: {folder}"
+
+
+def test_the_page_of_constants_has_the_code_s_values_and_five_cells_for_each():
+    text = PAGE.read_text(encoding="utf-8")
+    assert text == page()
+    rows = [line for line in text.splitlines() if line.startswith("| `")]
+    assert 30 <= len(rows) <= 40
+    assert len({row.split()[1] for row in rows}) == len(rows)
+    assert all(len([cell for cell in row.split(" | ") if cell.strip("| ")]) == 5 for row in rows)

@@ -7,10 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.lab_files import setup_of
 from tests.unit.line_verification import scan_of
-from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rendering.field.prediction import predict
@@ -52,21 +51,10 @@ def impulse_drive():
     return Drive(drive_v, RATE_HZ, start_s, "sampled", 1.0, 0.0, 0 * one, CENTRE * one, 0 * one)
 
 
-def setup_of(rig):
-    settings = rig.settings
-    return Setup(
-        instruments=rig.instruments,
-        mirror_map=MirrorMap.straight(1000.0),
-        actuator_channels=settings.channel_of_actuator,
-        loopback_channel=settings.channel_of_loopback,
-        range_v=(10.0, 10.0),
-        response_per_volt=settings.sensitivity_m_s_per_v,
-        inter_channel_delay_s=settings.inter_channel_delay_s,
-    )
-
-
 def scanned_at(plan, drive, **changes):
-    return scan(plan, setup_of(VirtualRig(dataclasses.replace(SETTINGS, **changes))), drive, bank())
+    rig = VirtualRig(dataclasses.replace(SETTINGS, **changes))
+    setup = setup_of(rig, inter_channel_delay_s=rig.settings.inter_channel_delay_s)
+    return scan(plan, setup, drive, bank())
 
 
 def scanned(plan, *faults, **changes):

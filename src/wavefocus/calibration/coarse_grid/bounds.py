@@ -12,13 +12,8 @@ from wavefocus.calibration.numerics import evenly_spread
 MIN_CHECKS, SURE_CHECKS = 12, 24
 """Positions that state a bound of 90 %, and of 95 %: a quantile L needs at least 1 / (1 - L) of them, 10 and 20 (Lee,
 Barber, Willett, arXiv 2306.06342), and some more to vary little from draw to draw."""
-_JUDGED = 64
+JUDGED = 64
 """Frequencies at which errors are judged; they may come and go within 25 Hz."""
-
-
-def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
-    """Indices of the frequencies at which errors are judged."""
-    return [int(index) for index in evenly_spread(len(frequency_hz), _JUDGED)]
 
 
 def judged(
@@ -58,7 +53,7 @@ def judged(
         bound = float(np.sqrt(np.quantile(score, stated, method="higher")))
         return typical(missed - noise_power, variance), bound, by_noise
 
-    at = judged_frequencies(model.frequency_hz)
+    at = evenly_spread(len(model.frequency_hz), JUDGED).tolist()
     error_scale, bound_scale, by_noise = (
         between(model.frequency_hz, at, part) for part in np.array(each(at, factors)).T
     )

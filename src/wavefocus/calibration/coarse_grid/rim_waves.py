@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
-from wavefocus.calibration.coarse_grid.bounds import MIN_CHECKS, between, judged, judged_frequencies, typical
+from wavefocus.calibration.coarse_grid.bounds import JUDGED, MIN_CHECKS, between, judged, typical
 from wavefocus.calibration.coarse_grid.posterior import (
     FIRST_SHARES,
     REST_JUDGED,
@@ -283,7 +283,7 @@ class _Fit:
         solved = self.each(range(len(self._frequency_hz)), self._solve)
         strength, radius, ridge, power, rest = (np.array(part) for part in zip(*solved, strict=True))
         self._strength, self._rest = strength, (radius, ridge, power)
-        at = judged_frequencies(self._frequency_hz)
+        at = evenly_spread(len(self._frequency_hz), JUDGED).tolist()
         scale = np.array(self.each(at, self._left_out_scale))
         none = np.full(len(self._frequency_hz), np.nan)
         return RimWaves(

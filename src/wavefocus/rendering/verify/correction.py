@@ -159,16 +159,13 @@ def correction_lines(correction: Correction) -> list[str]:
     """A line for each scan, and one for the end."""
     lines = [
         f"{'uncorrected' if not number else f'correction {number}'}: error {percent(state.error)} at "
-        f"{state.positions} control places (noise {percent(state.noise)}){_held_out_words(state)}, "
+        f"{state.positions} control places (noise {percent(state.noise)})"
+        f"{'' if state.held_out is None else f', {percent(state.held_out)} at those held out'}, "
         f"energy {state.energy:.3g} times, peak {state.peak_v:.3g} V"
         for number, state in enumerate(correction.rounds)
     ]
     kept = "the uncorrected drive is kept" if not correction.best else f"correction {correction.best} is kept"
     return [*lines, f"{_STOPPED_WORDS[correction.stopped]}; {kept}"]
-
-
-def _held_out_words(state: CorrectionRound) -> str:
-    return "" if state.held_out is None else f", {percent(state.held_out)} at those held out"
 
 
 def control_rows(drive: Drive, position_mm: Float64Array) -> Int64Array:

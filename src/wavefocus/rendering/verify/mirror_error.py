@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -30,29 +29,22 @@ MIN_SPACINGS = TOLERANCE * 8 / (2 * np.pi)
 STEP_MM = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _MirrorError:
-    """Each place x is shown as ``x + shift_mm + stretch x``; stretch is (2, 2), 0 of a sound mirror."""
+def displacement_mm(affine: Float64Array, place_mm: Float64Array) -> Float64Array:
+    """From places (n, 2) to the places that they show, with `affine` (2, 3) as of `Symptom`."""
+    return np.asarray(affine[:, 2] + place_mm @ affine[:, :2].T)
 
-    shift_mm: Float64Array
-    stretch: Float64Array
 
-    @classmethod
-    def of(cls, numbers: Float64Array) -> _MirrorError:
-        """From six numbers: the shift, and the stretch row by row."""
-        return cls(numbers[:2], numbers[2:].reshape(2, 2))
+def affine_value(affine: Float64Array) -> tuple[float, float, float]:
+    """Shift in mm, rotation in degrees, counter-clockwise, and change of scale, 0.01 for 1 %."""
+    (along, across), (turned, up) = np.eye(2) + affine[:, :2]
+    rotation_deg = float(np.degrees(np.arctan2(turned - across, along + up)))
+    scale = float(np.sqrt(abs(along * up - across * turned)))
+    return float(np.hypot(*affine[:, 2])), rotation_deg, scale - 1.0
 
-    def displacement_mm(self, place_mm: Float64Array) -> Float64Array:
-        """From places (n, 2) to the places that they show."""
-        return np.asarray(self.shift_mm + place_mm @ self.stretch.T)
 
-    @property
-    def value(self) -> tuple[float, float, float]:
-        """Shift in mm, rotation in degrees, counter-clockwise, and change of scale, 0.01 for 1 %."""
-        (along, across), (turned, up) = np.eye(2) + self.stretch
-        rotation_deg = float(np.degrees(np.arctan2(turned - across, along + up)))
-        scale = float(np.sqrt(abs(along * up - across * turned)))
-        return float(np.hypot(*self.shift_mm)), rotation_deg, scale - 1.0
+def _affine(numbers: Float64Array) -> Float64Array:
+    """From six numbers, the shift, and the stretch row by row."""
+    return np.column_stack([numbers[2:].reshape(2, 2), numbers[:2]])
 
 
 class BankAsField:
@@ -159,12 +151,12 @@ class MirrorFit:
         values = np.einsum("kua,ak->ku", green, self._block.drive[0][:, frequencies])
         return field, values[..., None], frequencies
 
-    def best(self) -> tuple[_MirrorError, float]:
-        """The error, and the share of the squares that it leaves where the field is known."""
+    def best(self) -> tuple[Float64Array, float]:
+        """The error, (2, 3), and the share of the squares that it leaves where the field is known."""
         numbers = min(self._starts(), key=lambda start: self._left(start, self._parts[0]))
         for part in self._parts:
             numbers = self._refined(numbers, part)
-        return _MirrorError.of(numbers), self._left(numbers, self._parts[1])
+        return _affine(numbers), self._left(numbers, self._parts[1])
 
     def _starts(self) -> Iterator[Float64Array]:
         yield np.zeros(6)
@@ -176,7 +168,7 @@ class MirrorFit:
                 yield step * share * np.array([0, 0, *shape])
 
     def _left(self, numbers: Float64Array, part: _Part) -> float:
-        by_mm = _MirrorError.of(numbers).displacement_mm(self._place_mm)
+        by_mm = displacement_mm(_affine(numbers), self._place_mm)
         known = self._surface._is_known(self._place_mm + by_mm)
         if np.mean(known) < MOST:
             return np.inf
@@ -192,7 +184,7 @@ class MirrorFit:
         """Gauss-Newton steps, halved where they do not help."""
         left = self._left(numbers, part)
         for _ in range(8):
-            by_mm = _MirrorError.of(numbers).displacement_mm(self._place_mm)
+            by_mm = displacement_mm(_affine(numbers), self._place_mm)
             known = self._surface._is_known(self._place_mm + by_mm)
             at = self._difference(by_mm, part)
             shift = [(self._difference(by_mm + STEP_MM * axis, part) - at) / STEP_MM for axis in np.eye(2)]
@@ -215,11 +207,11 @@ class MirrorFit:
         return numbers
 
 
-def displaced(surface: BankAsField, error: _MirrorError, block: Block, rows: Int64Array, change: float) -> Block:
+def displaced(surface: BankAsField, affine: Float64Array, block: Block, rows: Int64Array, change: float) -> Block:
     """A block with the Green's functions of displaced places, without the responses at which these are not known."""
     frequency_hz = block.frequency_hz / (1.0 + change)
     field = _DisplacedField(surface, rows, frequency_hz)
-    by_mm = error.displacement_mm(surface.place_mm[rows])
+    by_mm = displacement_mm(affine, surface.place_mm[rows])
     green = field.at(by_mm, surface.green(field.used, frequency_hz))
     known = surface._is_known(surface.place_mm[rows] + by_mm)[block.row_of]
     moved = block.with_green(np.moveaxis(green, 0, -1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -79,43 +79,6 @@ def marker_v(setup: Setup, samples: int, rate_hz: float) -> Float64Array:
     return np.asarray(amplitude_v * fade * sweep)
 
 
-class _Alignment:
-    """Brings the responses of one scan to the playback clock, in response units.
-
-    Safe to share between threads; a result depends only on its recording. `signals_v` are those of every record, from
-    `_scan_signals`, `rate_hz` their rate; above `quiet_hz` no response has energy to speak of.
-    """
-
-    def __init__(self, setup: Setup, signals_v: Mapping[int, Float64Array], rate_hz: float, quiet_hz: float) -> None:
-        self._setup = setup
-        marker_v = signals_v[setup.loopback_channel]
-        self._samples = marker_v.size
-        self._clock = ClockFitter(marker_v)
-        # The response channel is sampled later, so its samples of an instant come earlier in the record.
-        self._delay_samples = -setup.response_delay_s * rate_hz
-        self._dropouts = _DropoutCheck(rate_hz, quiet_hz)
-
-    def align(self, recording: Recording, visit: _Visit, status: Status) -> tuple[ScannedPosition, bool]:
-        """One recorded response on the playback clock, and whether the vibrometer lost the signal in it.
-
-        Raises ReferenceMissingError: the marker is not on the reference channel.
-        """
-        reference, response = recording.volts
-        fit = self._clock.fit(reference)
-        on_clock = to_playback_clock(response, fit, self._samples, delay_samples=self._delay_samples)
-        start = int(fit.offset_samples + self._delay_samples) - _SILENCE_GUARD_SAMPLES
-        end = int(fit.offset_samples + fit.ratio * self._samples) + _SILENCE_GUARD_SAMPLES
-        lead_in, tail = response[: max(start, 0)], response[end:]
-        silence = lead_in if lead_in.size >= _MIN_SILENCE_SAMPLES else tail
-        noise_v = float(np.std(silence)) if silence.size >= _MIN_SILENCE_SAMPLES else float("nan")
-        unit = self._setup.response_per_volt
-        scanned = ScannedPosition(
-            visit.row, int(status), visit.attempt, noise_v * abs(unit), fit.ratio,
-            fit.gain / self._setup.reference_gain, (on_clock * unit).astype(np.float32),
-        )  # fmt: skip
-        return scanned, self._dropouts._finds_one(response)
-
-
 # Share of a response's energy above the frequency from which it is taken to be only noise.
 _QUIET_SHARE = 1e-5
 # A window is lost when it holds more than this many times the noise, and more than this share of the loudest
@@ -124,40 +87,27 @@ _NOISE_FACTOR = 6.0
 _RESPONSE_SHARE = 0.02
 
 
-def quiet_above_hz(response: NDArray[np.floating], rate_hz: float, band_hz: tuple[float, float] | None) -> float:
-    """Frequency above which responses (positions, samples) have no energy to speak of, in Hz.
+def _dropout_filter(rate_hz: float, quiet_hz: float) -> Float32Array:
+    """What shows bursts of noise above a frequency in windows of a response, (window, bins); no bins: it cannot."""
+    # A dropout lasts some milliseconds (speckle crossing the spot); windows of 3.2 ms overlap by half.
+    half = max(round(0.0032 * rate_hz / 2), 1)
+    shape = np.kaiser(2 * half, 6.0)  # keeps all that lies more than two of its bins away below -60 dB
+    bins = np.arange(int(quiet_hz * 2 * half / rate_hz) + 1 + 2, half)
+    turn = np.exp(-1j * np.pi * np.outer(np.arange(2 * half), bins) / half)
+    outside = shape[:, None] * turn / np.sqrt(max(bins.size, 1) * np.square(shape).sum())
+    return np.concatenate([outside.real, outside.imag], axis=1).astype(np.float32)
 
-    Frequencies up to twice the bank's band belong to the signal in any case.
-    """
-    power = np.square(np.abs(scipy.fft.rfft(response, axis=1))).sum(axis=0)
-    above = np.cumsum(power[::-1])[::-1]
-    quiet_hz = float(np.count_nonzero(above > _QUIET_SHARE * above[0]) * rate_hz / response.shape[1])
-    return quiet_hz if band_hz is None else max(quiet_hz, 2 * band_hz[1])
 
-
-class _DropoutCheck:
-    """Looks for bursts of noise in recorded responses, above the frequency from which these are quiet."""
-
-    def __init__(self, rate_hz: float, quiet_hz: float) -> None:
-        # A dropout lasts some milliseconds (speckle crossing the spot); windows of 3.2 ms overlap by half.
-        half = max(round(0.0032 * rate_hz / 2), 1)
-        self._half = half
-        shape = np.kaiser(2 * half, 6.0)  # keeps all that lies more than two of its bins away below -60 dB
-        bins = np.arange(int(quiet_hz * 2 * half / rate_hz) + 1 + 2, half)
-        turn = np.exp(-1j * np.pi * np.outer(np.arange(2 * half), bins) / half)
-        outside = shape[:, None] * turn / np.sqrt(max(bins.size, 1) * np.square(shape).sum())
-        # Where responses fill the spectrum, no bin is left for the check.
-        self._outside = np.concatenate([outside.real, outside.imag], axis=1).astype(np.float32)
-
-    def _finds_one(self, response_v: Float32Array) -> bool:
-        """The vibrometer lost the signal during a record."""
-        windows = np.lib.stride_tricks.sliding_window_view(response_v, 2 * self._half)[:: self._half]
-        if not self._outside.size or len(windows) < 8:
-            return False
-        windows = np.ascontiguousarray(windows)
-        loudest = float(_norm(windows).max()) / np.sqrt(2 * self._half)
-        outside = _norm(windows @ self._outside)
-        return bool(outside.max() > max(_NOISE_FACTOR * float(np.median(outside)), _RESPONSE_SHARE * loudest))
+def _signal_lost(response_v: Float32Array, dropout_filter: Float32Array) -> bool:
+    """The vibrometer lost the signal during a record."""
+    window = len(dropout_filter)
+    windows = np.lib.stride_tricks.sliding_window_view(response_v, window)[:: window // 2]
+    if not dropout_filter.size or len(windows) < 8:
+        return False
+    windows = np.ascontiguousarray(windows)
+    loudest = float(_norm(windows).max()) / np.sqrt(window)
+    outside = _norm(windows @ dropout_filter)
+    return bool(outside.max() > max(_NOISE_FACTOR * float(np.median(outside)), _RESPONSE_SHARE * loudest))
 
 
 def _norm(rows: Float32Array) -> Float32Array:
@@ -286,7 +236,10 @@ class _ScanRun:
         samples = drive.drive_v.shape[1] + bank.taps - 1
         self._signals_v = _scan_signals(setup, drive, samples)
         quiet_hz = _quiet_above_hz(drive, bank, rows[usable(bank)[rows]])
-        self._alignment = _Alignment(setup, self._signals_v, drive.sample_rate_hz, quiet_hz)
+        self._dropout_filter = _dropout_filter(drive.sample_rate_hz, quiet_hz)
+        self._clock = ClockFitter(self._signals_v[setup.loopback_channel])
+        # The response channel is sampled later, so its samples of an instant come earlier in the record.
+        self._delay_samples = -setup.response_delay_s * drive.sample_rate_hz
         self._place = {int(row): index for index, row in enumerate(rows)}
         self._scan = Scan(
             field=np.zeros((rows.size, samples), np.float32),
@@ -334,13 +287,36 @@ class _ScanRun:
             self._visits.appendleft(_Visit(visit.row, visit.attempt + 1, clipped_before=True))
             return None
         status = Status.OVER_RANGE if clipped else Status.VALID
-        return visit, worker.submit(self._alignment.align, recording, visit, status)
+        return visit, worker.submit(self._align, recording, visit, status)
 
     def _record(self, visit: _Visit) -> Recording:
         x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
         point_at(self._setup, x_mm, y_mm)
         label = RecordLabel(position=visit.row, attempt=visit.attempt, record=0, purpose=self._plan.purpose)
         return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, label)
+
+    def _align(self, recording: Recording, visit: _Visit, status: Status) -> tuple[ScannedPosition, bool]:
+        """One recorded response on the playback clock, and whether the vibrometer lost the signal in it.
+
+        Runs in the worker; the result depends only on the recording.
+
+        Raises ReferenceMissingError: the marker is not on the reference channel.
+        """
+        reference, response = recording.volts
+        fit = self._clock.fit(reference)
+        samples = self._scan.field.shape[1]
+        on_clock = to_playback_clock(response, fit, samples, delay_samples=self._delay_samples)
+        start = int(fit.offset_samples + self._delay_samples) - _SILENCE_GUARD_SAMPLES
+        end = int(fit.offset_samples + fit.ratio * samples) + _SILENCE_GUARD_SAMPLES
+        lead_in, tail = response[: max(start, 0)], response[end:]
+        silence = lead_in if lead_in.size >= _MIN_SILENCE_SAMPLES else tail
+        noise_v = float(np.std(silence)) if silence.size >= _MIN_SILENCE_SAMPLES else float("nan")
+        unit = self._setup.response_per_volt
+        scanned = ScannedPosition(
+            visit.row, int(status), visit.attempt, noise_v * abs(unit), fit.ratio,
+            fit.gain / self._setup.reference_gain, (on_clock * unit).astype(np.float32),
+        )  # fmt: skip
+        return scanned, _signal_lost(response, self._dropout_filter)
 
     def _collect(self, pending: _Pending) -> None:
         visit, future = pending
@@ -385,10 +361,16 @@ class _ScanRun:
 
 
 def _quiet_above_hz(drive: Drive, bank: GreenSource, rows: Int64Array) -> float:
-    """Frequency above which the responses expected at these rows have no energy; half the rate where there are none."""
+    """Frequency above which the responses expected at these rows have no energy; half the rate where there are none.
+
+    Frequencies up to twice the bank's band belong to the signal in any case.
+    """
     if not rows.size:
         return drive.sample_rate_hz / 2
     # Positions whose predicted responses say from which frequency on a scan is quiet.
     some = rows[evenly_spread(rows.size, 16)]
     expected = predict(drive, bank, some.tolist(), dtype=np.float32).field
-    return quiet_above_hz(expected, drive.sample_rate_hz, bank.band_hz)
+    power = np.square(np.abs(scipy.fft.rfft(expected, axis=1))).sum(axis=0)
+    above = np.cumsum(power[::-1])[::-1]
+    quiet_hz = float(np.count_nonzero(above > _QUIET_SHARE * above[0]) * drive.sample_rate_hz / expected.shape[1])
+    return quiet_hz if bank.band_hz is None else max(quiet_hz, 2 * bank.band_hz[1])

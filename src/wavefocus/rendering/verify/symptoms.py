@@ -21,7 +21,14 @@ from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.calibration.evidence import CERTAIN_SHARE, MOST, SILENT, TOLERANCE
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.verify.mirror_error import MIN_SPACINGS, BankAsField, MirrorFit, displaced
+from wavefocus.rendering.verify.mirror_error import (
+    MIN_SPACINGS,
+    BankAsField,
+    MirrorFit,
+    affine_value,
+    displaced,
+    displacement_mm,
+)
 from wavefocus.rendering.verify.results import ActuatorFigures, Sentinel, Symptom, SymptomCode
 from wavefocus.rendering.verify.superposition import (
     MIN_DB,
@@ -127,7 +134,9 @@ def diagnose(
         return _explained(search.state, found), _actuator_figures(state)
     if model_error <= error_limit or state.left - state.noise <= state.responses:
         return (), _actuator_figures(state)
-    alike = _likeness(search, state)
+    few = (cause.left for cause in search.causes(state) if 0 < len(cause.symptoms) <= MAX_CAUSES)
+    # Share of the scan that the prediction resembles, after the cause that explains most.
+    alike = float(np.clip(1.0 - min([state.left, *few]) / state.size, 0.0, 1.0))
     if alike < MOST:
         # Something heavy on a stiff plate looks the same.
         return (Symptom("wrong_bank", (), fields.correlation_median, 1.0 - alike, certain=False),), ()
@@ -176,13 +185,6 @@ def _explained(first: _State, found: list[_Cause]) -> tuple[Symptom, ...]:
     )
 
 
-def _likeness(search: _Search, state: _State) -> float:
-    """Share of the scan that the prediction resembles, after the cause that explains most."""
-    few = (cause.left for cause in search.causes(state) if 0 < len(cause.symptoms) <= MAX_CAUSES)
-    left = min(few, default=state.left)
-    return float(np.clip(1.0 - min(left, state.left) / state.size, 0.0, 1.0))
-
-
 class _Search:
     """What all causes are looked for in: some of the compared positions, and the sentinel position."""
 
@@ -214,7 +216,7 @@ class _Search:
         if self._bank.actuators > 1:
             yield _exchange(state)
         if state.change == 0.0 and not state.displaced:
-            yield _speed_cause(state, self._dispersion)
+            yield _speed_cause(state, lambda: self._surface.dispersion if self._surface.usable else 1.0)
         if not state.displaced and self._surface.usable:
             yield self._mirror(state)
 
@@ -222,23 +224,19 @@ class _Search:
     def _surface(self) -> BankAsField:
         return BankAsField(self._bank)
 
-    def _dispersion(self) -> float:
-        return self._surface.dispersion if self._surface.usable else 1.0
-
     def _mirror(self, state: _State) -> _Cause:
         block = state.blocks[0].some(MIRROR_ROWS, len(state.blocks[0].frequency_hz))
         chosen = evenly_spread(len(self._rows[0]), MIRROR_ROWS)
         fit = MirrorFit(self._surface, block, self._rows[0][chosen], state.change)
-        error, left = fit.best()
-        moved_mm = error.displacement_mm(self._surface.place_mm[self._rows[0]])
+        affine, left = fit.best()
+        moved_mm = displacement_mm(affine, self._surface.place_mm[self._rows[0]])
         far_mm = float(np.sqrt(np.mean(np.square(moved_mm).sum(axis=1))))
         named = np.isfinite(left) and far_mm >= MIN_SPACINGS * self._surface.spacing_mm
-        affine = np.concatenate([error.stretch, error.shift_mm[:, None]], axis=1)
-        symptom = Symptom("mirror", (), error.value, affine=tuple(map(tuple, affine.tolist())))
+        symptom = Symptom("mirror", (), affine_value(affine), affine=tuple(map(tuple, affine.tolist())))
 
         def apply() -> _State:
             pairs = zip(state.blocks, self._rows, strict=True)
-            blocks = tuple(displaced(self._surface, error, block, rows, state.change) for block, rows in pairs)
+            blocks = tuple(displaced(self._surface, affine, block, rows, state.change) for block, rows in pairs)
             return replace(state, blocks=blocks, displaced=True)
 
         return _Cause((symptom,) if named else (), left * state.left if named else np.inf, apply)

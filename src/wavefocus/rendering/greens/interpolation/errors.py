@@ -53,7 +53,6 @@ class InterpolationErrors:
 
     kind: str
     found_by: str
-    points: int
     frequency_hz: Float64Array
     emitted: Float64Array
     median: Float64Array
@@ -68,7 +67,9 @@ class InterpolationErrors:
     @property
     def largest(self) -> tuple[float, float]:
         """Frequency and median error of the worst band that the scene uses."""
-        band = self._worst_band
+        # Bands with less of the scene's energy do not count.
+        used = np.flatnonzero(self.emitted >= 0.01)
+        band = int(used[np.argmax(self.median[used])]) if len(used) else int(np.argmax(self.emitted))
         return float(self.frequency_hz[band]), float(self.median[band])
 
     @property
@@ -104,12 +105,6 @@ class InterpolationErrors:
             "chosen_by": self.choice.judged_by, "compared": errors, "unsuited": dict(self.choice.unsuited),
         }  # fmt: skip
 
-    @property
-    def _worst_band(self) -> int:
-        # Bands with less of the scene's energy do not count.
-        used = np.flatnonzero(self.emitted >= 0.01)
-        return int(used[np.argmax(self.median[used])]) if len(used) else int(np.argmax(self.emitted))
-
 
 def judged_errors(
     scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array]
@@ -144,7 +139,7 @@ def errors_at(
         return None
     relative = found.relative
     return InterpolationErrors(
-        kind.name, found.judged_by, len(points_mm), frequency_hz, emitted / total, np.median(relative, axis=1),
+        kind.name, found.judged_by, frequency_hz, emitted / total, np.median(relative, axis=1),
         relative.max(axis=1), kind.choice,
     )  # fmt: skip
 

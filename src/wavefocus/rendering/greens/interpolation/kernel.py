@@ -108,18 +108,15 @@ def _left_out_estimate(
             apart[:, chosen] = _square(taken[:, chosen] - found)
     wrong, there = unsure + apart, (by_kernel + unsure).sum(axis=2)
     share = np.divide(unsure.sum(axis=2), there, out=np.ones_like(there), where=there > 0)
-    unresolved = _first_unresolved(np.median(np.sqrt(share), axis=1))
+    # From the first such band on the positions are too far apart for the waves: the result is chance.
+    missing = np.median(np.sqrt(share), axis=1)
+    bad = (band for band in np.flatnonzero(missing > MOST) if np.median(missing[band:]) > MOST)
+    unresolved = next(bad, len(missing))
     wrong[unresolved:], there[unresolved:] = (strength + _square(taken))[unresolved:], strength[unresolved:].sum(axis=2)
     return Estimate(
         taken, np.sqrt(wrong), np.full(shape, np.nan), np.sqrt(there), "left-out positions",
         _NO_BOUND,
     )  # fmt: skip
-
-
-def _first_unresolved(by_kernel: Float64Array) -> int:
-    """The first band from which on the positions are too far apart for the waves: the result is chance."""
-    bad = (band for band in range(len(by_kernel)) if by_kernel[band] > MOST)
-    return next((band for band in bad if np.median(by_kernel[band:]) > MOST), len(by_kernel))
 
 
 def _square(values: Complex128Array) -> Float64Array:
