@@ -77,7 +77,7 @@ def test_range_and_level_are_read_echo_or_not_and_the_port_is_free_again(driver,
 def test_given_too_little_light_or_another_identity_then_it_is_refused(driver, tmp_path):
     with controller(DEVICES[driver](signal_level={NEWER: 155, OLDER: 8}[driver]), tmp_path) as emulated:
         assert read(driver, emulated).signal_level == pytest.approx(0.2)
-        with pytest.raises(InstrumentError, match="20% of full, at least 50% is wanted"):
+        with pytest.raises(InstrumentError, match="20 % of full, at least 50 % is wanted"):
             read(driver, emulated, least_signal_level=0.5)
         with pytest.raises(InstrumentError, match="does not contain 'OFV-2500'"):
             read(driver, emulated, identity="OFV-2500")

@@ -152,7 +152,7 @@ class _Examination(RigFindings):
             return
         weak = level < WEAK_LIGHT
         remedy = "focus the laser, clean its window, put reflective film on the surface" if weak else ""
-        self.add("vibrometer", "signal level", "warn" if weak else "ok", f"{level:.0%} of full", remedy)
+        self.add("vibrometer", "signal level", "warn" if weak else "ok", f"{100 * level:.0f} % of full", remedy)
 
     def _check_mirror(self, setup: Setup) -> bool:
         """Send the mirror to the corners of the surface and back to its middle; True where it went there."""
@@ -363,7 +363,7 @@ def _check_loopback(setup: Setup, amplitude_v: float) -> list[Finding]:
         ),
         _figure(
             "loopback purity",
-            f"{-found.residual_db:.0f} dB above noise and distortion",
+            f"{-found.residual_db:z.0f} dB above noise and distortion",
             found.residual_db <= GOOD_RESIDUAL_DB,
             "look for hum, a loose cable or a range much too wide",
         ),

@@ -64,19 +64,19 @@ _HUM = (
 _KINDS = {
     "slip_db": (
         "dropout",
-        "the reference of {records} differs from what was played by {slip_db:.0f} dB: samples were lost in both "
+        "the reference of {records} differs from what was played by {slip_db:z.0f} dB: samples were lost in both "
         "channels, or the player slipped; if it stays, use another USB port, without a hub, or a lower rate",
         Cure.REPEAT,
     ),
     "tail_db": (
         "tail",
-        "the response is longer than its taps: {tail_db:.0f} dB come after the last one in {records}: raise "
+        "the response is longer than its taps: {tail_db:z.0f} dB come after the last one in {records}: raise "
         "capture.taps and decay_s in a new bank",
         Cure.NOTHING,
     ),
     "burst_db": (
         "dropout",
-        "a burst of {burst_db:.0f} dB at {burst_s:.3f} s in {records}: the laser lost the surface, the rig was "
+        "a burst of {burst_db:z.0f} dB at {burst_s:.3f} s in {records}: the laser lost the surface, the rig was "
         "knocked, or a channel lost samples; if it stays, focus the laser or treat the surface",
         Cure.REPEAT,
     ),
@@ -88,20 +88,20 @@ _KINDS = {
     ),
     "harmonic_db": (
         "clipping",
-        "clipped or distorted: third harmonic at {harmonic_db:.0f} dB at the loudest moment of {records}: lower "
+        "clipped or distorted: third harmonic at {harmonic_db:z.0f} dB at the loudest moment of {records}: lower "
         "sweep.amplitude_v or choose a wider range at the vibrometer",
         Cure.RANGE,
     ),
     "unsteady_db": (
         "unsteady",
-        "the sweeps of {records} differ by {unsteady_db:.0f} dB of the response, more than noise explains: gain, "
+        "the sweeps of {records} differ by {unsteady_db:z.0f} dB of the response, more than noise explains: gain, "
         "temperature or a contact changed meanwhile, or a channel lost samples; where it is so in every record, lower "
         "sweep.amplitude_v (coils heat) or let the rig warm up",
         Cure.REPEAT,
     ),
     "misfit_db": (
         "unexplained",
-        "all sweeps of {records} leave the same {misfit_db:.0f} dB that no linear response explains: lower "
+        "all sweeps of {records} leave the same {misfit_db:z.0f} dB that no linear response explains: lower "
         "sweep.amplitude_v; where that changes nothing, look at offset and range of amplifier, coil and vibrometer",
         Cure.NOTHING,
     ),
@@ -383,7 +383,7 @@ def _reference_level(
     worst = int(which[0])
     beyond = from_calibration[worst] > 1.0
     than, off_db = ("its calibration", levels_db[worst]) if beyond else ("before", levels_db[worst] - before_db)
-    steady = "; if it is so in every record, wavefocus calibrate, or correct recorder.reference_gain"
+    steady = "; if it is so in every record, run wavefocus calibrate, or correct recorder.reference_gain"
     sentence = (
         f"the reference is {abs(off_db):.2f} dB {'below' if off_db < 0 else 'above'} {than} in "
         f"{_listed(which)}: check the loopback cable, the output's level and the input range"

@@ -81,7 +81,7 @@ def crosstalk_finding(found: Crosstalk) -> Finding:
     if found.reaches(UNKNOWN_ROWS_SHARE):
         return Finding("recorder", "crosstalk", "fail", f"the loopback leaks into the response input: {found}", REMEDY)
     if not found.resolves(UNKNOWN_ROWS_SHARE):
-        what = f"the response input is too loud to see a leak of the loopback below {found.visible_db:.0f} dB"
+        what = f"the response input is too loud to see a leak of the loopback below {found.visible_db:z.0f} dB"
         return Finding("recorder", "crosstalk", "warn", what, "point the beam where light comes back, or play louder")
     return Finding("recorder", "crosstalk", "ok", str(found))
 
@@ -110,7 +110,7 @@ def check_pickup(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> lis
         what += f"{own[worst].level_db:.1f} dB re its voltage"
         return [Finding("recorder", "pickup", "fail", what, REMEDY)]
     visible_db = max(one.visible_db for one in own)
-    return [Finding("recorder", "pickup", "ok", f"none of {len(own)} outputs is picked up above {visible_db:.0f} dB")]
+    return [Finding("recorder", "pickup", "ok", f"none of {len(own)} outputs is picked up above {visible_db:z.0f} dB")]
 
 
 class LeakWatch:

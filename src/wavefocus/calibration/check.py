@@ -240,7 +240,7 @@ def _check_tails(tail_db: Float64Array) -> Iterator[BankProblem]:
     if len(long):
         worst = int(np.argmax(tail_db))
         message = (
-            f"the responses of {len(long)} of {len(tail_db)} positions are less than {-limit_db:.0f} dB down in their"
+            f"the responses of {len(long)} of {len(tail_db)} positions are less than {-limit_db:z.0f} dB down in their"
             f" last tenth, position {worst} only {-tail_db[worst]:.0f} dB; they are noisy or longer than the taps kept"
         )
         yield BankProblem(worst, None, message, "warning")

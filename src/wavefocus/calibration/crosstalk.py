@@ -61,7 +61,7 @@ class Crosstalk:
 
     def __str__(self) -> str:
         if not self.is_seen:
-            return f"below {self.visible_db:.0f} dB re the loopback"
+            return f"below {self.visible_db:z.0f} dB re the loopback"
         return f"{self.level_db:.1f} dB re the loopback, {1e3 * self.delay_s:.2f} ms late"
 
 

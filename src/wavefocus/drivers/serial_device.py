@@ -146,7 +146,7 @@ class SerialMirror(Mirror):
         self._check_open("identifying")
         self._dialogue.verify("identifying")
         at = f" at {self._bauds[0]} baud" if len(self._bauds) > 1 else ""
-        return f"{self._name}: {_words(self._identity or '')}{at}, within +-{self._settings.limit_mrad:g} mrad"
+        return f"{self._name}: {_words(self._identity or '')}{at}, within ±{self._settings.limit_mrad:g} mrad"
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
         doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
@@ -312,7 +312,7 @@ class SerialMirror(Mirror):
     def _check_reach(self, x_mrad: float, y_mrad: float, doing: str) -> None:
         limit = self._settings.limit_mrad
         if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
-            cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of +-{limit:g} mrad"
+            cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of ±{limit:g} mrad"
             raise InstrumentError(self._name, doing, cause, "choose a grid within the mirror's reach")
         if not self._dialect.reaches(x_mrad, y_mrad):
             cause = f"the device cannot point to ({x_mrad:g}, {y_mrad:g}) mrad"
@@ -389,7 +389,7 @@ class SerialVibrometer(ABC):
             dialogue.close()
         level = reading.signal_level
         if level is not None and level < self.least_signal_level and not any_level:
-            cause = f"it is {level:.0%} of full, at least {self.least_signal_level:.0%} is wanted"
+            cause = f"it is {100 * level:.0f} % of full, at least {100 * self.least_signal_level:.0f} % is wanted"
             remedy = "focus the laser; put reflective film on the surface"
             raise InstrumentError(instrument, "checking the signal level", cause, remedy)
         return reading

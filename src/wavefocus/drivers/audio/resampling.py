@@ -144,7 +144,7 @@ class PlayFrames:
             raise self._refusal(
                 doing,
                 f"the signal of channel {channel} has the shape {volts.shape} and reaches {peak_v:g} V",
-                f"give finite voltages within +-{full_scale_v:g} V, one row",
+                f"give finite voltages within ±{full_scale_v:g} V, one row",
             )
 
     def _convert(self, doing: str, channel: int, volts: Float64Array, ratio: Fraction) -> tuple[Float32Array, int]:

@@ -1,7 +1,7 @@
 """Galvanometer mirrors that follow a voltage, on two analog outputs of an NI device.
 
 Thorlabs GVS, Cambridge Technology, ScannerMAX; ASI and Optotune in their analogue mode. What a GVS takes (manual
-GVS201): +-10 V, 0.5, 0.8 or 1.0 V per mechanical degree by jumper, a step of 0.2 degrees in 0.4 ms. The beam turns by
+GVS201): ±10 V, 0.5, 0.8 or 1.0 V per mechanical degree by jumper, a step of 0.2 degrees in 0.4 ms. The beam turns by
 twice the mirror's angle.
 """
 
@@ -100,7 +100,7 @@ class _AnalogMirror(Mirror):
         driver = self._driver
         return (
             f"{self._name}: {self.identity}, {driver.x_output} and {driver.y_output} at {driver.volts_per_degree:g} V "
-            f"per degree, within +-{self._settings.limit_mrad:g} mrad"
+            f"per degree, within ±{self._settings.limit_mrad:g} mrad"
         )
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
@@ -108,7 +108,7 @@ class _AnalogMirror(Mirror):
         self._outputs.require_open(doing)
         limit = self._settings.limit_mrad
         if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
-            cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of +-{limit:g} mrad"
+            cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of ±{limit:g} mrad"
             raise InstrumentError(self._name, doing, cause, "choose a grid within the mirror's reach")
         self._go(self._volts_at(x_mrad, y_mrad, doing), doing)
 

@@ -111,7 +111,7 @@ class VirtualMirror(VirtualDevice, Mirror):
     """Points the virtual laser."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
-        super().__init__("mirror", settings.fault_plan, f"within +-{settings.limit_mrad:g} mrad")
+        super().__init__("mirror", settings.fault_plan, f"within ±{settings.limit_mrad:g} mrad")
         self._limit_mrad = settings.limit_mrad
         self._clock = clock
         self.motion = MirrorMotion(
@@ -124,7 +124,7 @@ class VirtualMirror(VirtualDevice, Mirror):
         limit = self._limit_mrad
         if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
             raise self._refusal(
-                doing, f"beyond the limit of +-{limit:g} mrad", "choose a grid within the mirror's reach"
+                doing, f"beyond the limit of ±{limit:g} mrad", "choose a grid within the mirror's reach"
             )
         self._faults.meet("move_to", doing)
         self.motion.start(float(x_mrad), float(y_mrad))

@@ -101,7 +101,7 @@ class VirtualPlayer(VirtualDevice, Player):
         reaches_v = float(np.abs(volts).max(initial=0.0))
         if volts.ndim != 2 or len(volts) != pieces.rows or not reaches_v <= self.full_scale_v:
             cause = f"a piece of shape {volts.shape} that reaches {reaches_v:g} V"
-            remedy = f"give {pieces.rows} rows within +-{self.full_scale_v:g} V"
+            remedy = f"give {pieces.rows} rows within ±{self.full_scale_v:g} V"
             raise self._refusal("playing piece by piece", cause, remedy)
         play, now_ns = pieces.play, self._clock.now_ns()
         if play.duration_s < pieces.ahead_s:
@@ -207,7 +207,7 @@ class VirtualPlayer(VirtualDevice, Player):
         if signal is None or not signal.peak_v <= self.full_scale_v:
             reaches = f" and reaches {signal.peak_v:g} V" if signal is not None else ""
             cause = f"the signal of channel {channel} has the shape {volts.shape}{reaches}"
-            raise self._refusal(doing, cause, f"give finite voltages within +-{self.full_scale_v:g} V, one row")
+            raise self._refusal(doing, cause, f"give finite voltages within ±{self.full_scale_v:g} V, one row")
         return signal
 
     def _begun(self) -> _Pieces:

@@ -55,7 +55,7 @@ class _VirtualRecorder(VirtualDevice, Recorder):
         synthesis: Synthesis,
         patch_bay: PatchBay,
     ) -> None:
-        limits = f"2 channels, ranges up to +-{settings.largest_range_v:g} V, 16 bit"
+        limits = f"2 channels, ranges up to ±{settings.largest_range_v:g} V, 16 bit"
         super().__init__("recorder", settings.fault_plan, limits)
         self._settings = settings
         self._clock = clock

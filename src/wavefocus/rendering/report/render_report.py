@@ -51,7 +51,7 @@ class ResponseTail:
         if self.last_tenth_db <= -40.0:
             return None
         return (
-            f"the last tenth of the Green's functions holds {self.last_tenth_db:.0f} dB of their energy (position"
+            f"the last tenth of the Green's functions holds {self.last_tenth_db:z.0f} dB of their energy (position"
             f" {self.position}); if they die away as they do until then, {100 * self.beyond_share:.3g} % of the"
             " response lies beyond the bank's window: measure with more taps, or look for noise or for what wraps round"
         )
