@@ -287,8 +287,8 @@ class Pictures:
         from wavefocus.config.messages.rig_checks import AskJog
 
         true, rng, calibration = MirrorMap(MIRROR_MAP), np.random.default_rng(1), tab.calibration
-        self.until(tab.calibration_page.options.start.isEnabled)
-        tab.calibration_page.options.start.click()
+        self.until(tab.calibration_page.start.isEnabled)
+        tab.calibration_page.start.click()
         while True:
             self.until(lambda: calibration.question is not None)
             ask = calibration.question

@@ -4,7 +4,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,7 +16,7 @@ os.environ.setdefault("QT_FONT_DPI", "96")
 
 from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt
 from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QAction, QApplication, QComboBox, QToolButton, QWidget
+from PyQt5.QtWidgets import QAction, QApplication, QToolButton, QWidget
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
@@ -32,7 +32,6 @@ from wavefocus.gui.window import Window, require_fonts
 from wavefocus.rendering.scene.model import Scene
 
 AnyTab = TypeVar("AnyTab", bound=Tab)
-Opens = Callable[..., Window]
 LEFT, NO_KEY = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 # What a busy machine may take; nothing is judged by it.
 SOON_MS = 90_000
@@ -73,54 +72,50 @@ def long_run(tmp_path):
 @pytest.fixture
 def memory(tmp_path):
     """What the windows of a test remember."""
-    return Settings(QSettings(str(tmp_path / "memory.ini"), QSettings.Format.IniFormat))
+    return remembered_in(tmp_path)
+
+
+def remembered_in(folder: Path) -> Settings:
+    return Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
 
 
 @pytest.fixture
 def open_window(qtbot, memory):
     """Opens windows, and fails when anything went wrong in them that the test did not ask for."""
-    opened: list[Window] = []
-    require_fonts()
+    with ExitStack() as opened:
 
-    def make(*files: Path) -> Window:
-        window = Window(memory)
-        opened.append(window)
-        for path in files:
-            window.open_file(path)
-        window.resize(1280, 800)  # whatever the platform thinks of its screen
-        window.show()
-        return window
+        def make(*files: Path) -> Window:
+            window = opened.enter_context(kept_window(memory))
+            for path in files:
+                window.open_file(path)
+            return window
 
-    yield make
-    for window in opened:
-        own = campaign_of(window).run.own
-        if own is not None and own.running:  # a test that failed leaves nothing running
-            own.interrupt()
-        window.close_at_once()
-        assert window.tracebacks == []
-        window.deleteLater()
+        yield make
 
 
 @pytest.fixture(scope="module")
 def shared_window(qapp, tmp_path_factory):
     """One window for the tests of a module that neither close nor crash it."""
-    with kept_window(tmp_path_factory.mktemp("window")) as window:
+    memory = remembered_in(folder := tmp_path_factory.mktemp("window"))
+    memory.keep("folder/.toml", str(folder))
+    with kept_window(memory) as window:
         yield window
 
 
 @contextmanager
-def kept_window(folder: Path) -> Generator[Window]:
-    """A window for several tests; `folder` has what it remembers."""
+def kept_window(memory: Settings) -> Generator[Window]:
+    """A window that leaves nothing running, and has no error that a test did not ask for."""
     require_fonts()
-    memory = Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
-    memory.keep("folder/.toml", str(folder))
     window = Window(memory)
-    window.resize(1280, 800)
+    window.resize(1280, 800)  # whatever the platform thinks of its screen
     window.show()
-    yield window
-    window.close_at_once()
-    assert window.tracebacks == []
-    window.deleteLater()
+    try:
+        yield window
+    finally:
+        campaign_of(window).run.interrupt()
+        window.close_at_once()
+        assert window.tracebacks == []
+        window.deleteLater()
 
 
 def tab_of(window: Window, kind: type[AnyTab]) -> AnyTab:
@@ -155,12 +150,6 @@ def press(qtbot: QtBot, button: QWidget | QAction) -> None:
         button = next(one for one in button.associatedWidgets() if isinstance(one, QToolButton))
     wait(qtbot, lambda: button.isVisible() and button.isEnabled())
     qtbot.mouseClick(button, LEFT)
-
-
-def choose(box: QComboBox, value: str) -> None:
-    """Choose a value in a box, as a user does."""
-    box.setCurrentIndex(box.findData(value))
-    box.activated.emit(box.currentIndex())
 
 
 def answer(window: Window, word: str) -> None:

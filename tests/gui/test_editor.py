@@ -9,8 +9,7 @@ import wavefocus as wf
 from tests.gui.conftest import answer, line_scene, shown_tab, wait, write_lab
 from wavefocus.config.scene import PathTable, SignalTable, tables_by_kind
 from wavefocus.gui.editor.document import TextDocument
-from wavefocus.gui.editor.tab import FilesTab
-from wavefocus.gui.editor.text_edit import insert_menu, source_on_path, source_with_signal
+from wavefocus.gui.editor.tab import FilesTab, insert_menu, source_on_path, source_with_signal
 from wavefocus.gui.files import FileKind
 from wavefocus.gui.scene.document import SceneDocument, scene_toml
 from wavefocus.gui.scene.tab import SceneTab

@@ -49,16 +49,9 @@ def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, 
     assert table in files["rig.toml"] + files["run.toml"]
     if word == "Virtual rig":
         wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
-
-
-def test_given_a_folder_that_holds_a_lab_then_a_new_lab_touches_nothing_in_it(qtbot, open_window, tmp_path):
-    run = write_lab(tmp_path / "lab", 4, 3)
-    before = run.read_bytes()
-    window = open_window()
-    window._make_lab(run.parent, "virtual")
-    wait(qtbot, lambda: str(run.parent) in window.messages.sentence)
-    assert run.read_bytes() == before
-    assert campaign_of(window).run_field.path is None
+        window._make_lab(lab, "virtual")  # nothing in it is touched
+        wait(qtbot, lambda: str(lab) in window.messages.sentence and "the lab is in" not in window.messages.sentence)
+        assert {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()} == files
 
 
 def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_bank(qtbot, open_window, tmp_path):
@@ -160,18 +153,6 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
         assert window.messages.sentence == ""  # it holds no longer
 
 
-def test_given_a_bank_that_is_gone_and_comes_back_then_the_message_goes(qtbot, open_window, finished):
-    window = open_window(finished)
-    tab = shown_tab(window, SceneTab)
-    wait(qtbot, lambda: tab.live.backdrop.surface is not None)
-    aside = finished.rename(finished.with_name("aside.h5"))
-    tab.live.read_bank()
-    wait(qtbot, lambda: "does not exist" in window.messages.sentence or "moved" in window.messages.sentence)
-    wait(qtbot, lambda: tab.live.backdrop.surface is None)
-    aside.rename(finished)
-    wait(qtbot, lambda: tab.live.backdrop.surface is not None and window.messages.sentence == "")
-
-
 def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(
     qtbot, open_window, tmp_path, memory
 ):
@@ -194,8 +175,8 @@ def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_s
     assert "[[source]]" in kept.value("scene/unsaved")
 
 
-def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, open_window):
-    window = open_window()
+def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, shared_window):
+    window = shared_window
     shown_tab(window, SceneTab)
     bars = window.findChildren(ColourBar)
     assert len(bars) >= 3
@@ -224,11 +205,8 @@ def test_given_another_run_file_then_the_bank_of_the_former_one_is_let_go(qtbot,
     assert tab.bank_field.path == finished
 
 
-def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(qtbot, open_window):
-    window = open_window()
-    scene = tab_of(window, SceneTab)
-    window._pages.setCurrentWidget(scene)
-    bar = scene.results
+def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(shared_window):
+    bar = shown_tab(shared_window, SceneTab).results
     for text, rig in (("virtual", "virtual"), ("rig.toml", str(Path("rig.toml").absolute())), ("virtual", "virtual")):
         bar.rig_field.line.setText(text)
         bar.rig_field.line.editingFinished.emit()

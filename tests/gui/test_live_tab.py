@@ -13,9 +13,8 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import NO_KEY, edit, line_scene, mouse, pixel, press, shown_tab, wait
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.gui.scene.document import changed
-from wavefocus.gui.scene.exports import IDLE
-from wavefocus.gui.scene.live_panel import LIVE, figures_of
-from wavefocus.gui.scene.live_surface import KEYS, MOUSE, LiveSurface
+from wavefocus.gui.scene.exports import IDLE, LIVE
+from wavefocus.gui.scene.live_panel import KEYS, MOUSE, LiveSurface, figures_of
 from wavefocus.gui.scene.tab import DRAW, SceneTab
 from wavefocus.gui.scene.tab import LIVE as LIVE_PAGE
 from wavefocus.gui.surface import VIRTUAL
@@ -94,9 +93,9 @@ def shown(tab: SceneTab) -> str:
 
 
 def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes(
-    qtbot, open_window, finished, tmp_path
+    qtbot, shared_window, finished, tmp_path
 ):
-    window = open_window()
+    window = shared_window
     tab = live_page(qtbot, window, finished)
     edit(tab.document, line_scene(amplitude=1000.0))
     tab.live_panel.records.setChecked(True)
@@ -166,8 +165,8 @@ def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(qtb
     assert os.waitstatus_to_exitcode(status) == 0
 
 
-def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_sounds(qtbot, open_window, finished):
-    window = open_window()
+def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_sounds(qtbot, shared_window, finished):
+    window = shared_window
     tab = live_page(qtbot, window, finished, VIRTUAL)  # it has 20 actuators, the bank three
     press(qtbot, tab.live_panel.buttons["start"])
     wait(qtbot, lambda: tab.live_run.state == IDLE)

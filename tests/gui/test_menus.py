@@ -4,23 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from PyQt5 import QtWidgets
 from PyQt5.QtCore import QObject, Qt, QUrl, pyqtSlot
 from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtTest import QTest
-from PyQt5.QtWidgets import (
-    QAbstractButton,
-    QAbstractItemView,
-    QAbstractSpinBox,
-    QAction,
-    QApplication,
-    QComboBox,
-    QFileDialog,
-    QLabel,
-    QMenu,
-    QPlainTextEdit,
-    QTabWidget,
-    QWidget,
-)
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import campaign_of, tab_of, wait
@@ -34,18 +21,18 @@ from wavefocus.gui.tab import Tab
 from wavefocus.gui.window import Window
 
 
-def menus(window: Window) -> dict[str, QMenu]:
+def menus(window: Window) -> dict[str, QtWidgets.QMenu]:
     bar = window.menuBar()
     assert bar is not None
     return {action.text().replace("&", ""): menu for action in bar.actions() if (menu := action.menu()) is not None}
 
 
-def actions(menu: QMenu) -> list[QAction]:
+def actions(menu: QtWidgets.QMenu) -> list[QtWidgets.QAction]:
     return [action for action in menu.actions() if not action.isSeparator() and action.menu() is None]
 
 
 def close_dialogs(window: Window) -> int:
-    dialogs = [dialog for dialog in window.findChildren(QFileDialog) if dialog.isVisible()]
+    dialogs = [dialog for dialog in window.findChildren(QtWidgets.QFileDialog) if dialog.isVisible()]
     for dialog in dialogs:
         dialog.reject()
     return len(dialogs)
@@ -70,7 +57,7 @@ def write_scene(folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("tabs", "with_files"), [((0,), False), ((0,), True), ((1, 2, 3), True)])
+@pytest.mark.parametrize(("tabs", "with_files"), [((0,), False), ((0, 1, 2, 3), True)], ids=["empty", "with files"])
 def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
     qtbot, open_window, finished, tabs, with_files
 ):
@@ -88,7 +75,7 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
                 window._pages.setCurrentIndex(tab)
                 window.refresh()
                 action.trigger()
-                QApplication.processEvents()
+                QtWidgets.QApplication.processEvents()
                 triggered += action.isEnabled()
                 close_dialogs(window)
                 assert window.tracebacks == [], action.text()
@@ -103,27 +90,27 @@ def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
     """Show each page of each tab, one after the other."""
     for tab in window.tabs:
         window._pages.setCurrentWidget(tab)
-        book = tab.findChild(QTabWidget)
+        book = tab.findChild(QtWidgets.QTabWidget)
         for page in range(1 if book is None else book.count()):
             if book is not None:
                 book.setCurrentIndex(page)
             yield tab, page
 
 
-def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(open_window):
-    window = open_window()
+def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(shared_window):
+    window = shared_window
     bar = window.menuBar()
     assert bar is not None
     for tab, page in each_page(window):
-        QApplication.processEvents()
-        parts = [one for one in tab.findChildren((QAbstractButton, QLabel)) if one.isVisible()]
+        QtWidgets.QApplication.processEvents()
+        parts = [one for one in tab.findChildren((QtWidgets.QAbstractButton, QtWidgets.QLabel)) if one.isVisible()]
         texts = [one.text() for one in (*bar.actions(), *parts)]
         letters = [text[text.index("&") + 1].lower() for text in texts if "&" in text[:-1] and "&nbsp" not in text]
         assert sorted(letters) == sorted(set(letters)), f"page {page} of {tab.title}"
 
 
-def test_given_help_then_the_documentation_beside_the_program_is_opened(open_window):
-    window, opened = open_window(), Opened()
+def test_given_help_then_the_documentation_beside_the_program_is_opened(shared_window):
+    window, opened = shared_window, Opened()
     QDesktopServices.setUrlHandler("file", opened.open)
     try:
         (documentation,) = actions(menus(window)["Help"])
@@ -145,7 +132,7 @@ def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(qtbot, open_windo
             window.activateWindow()
         window._pages.setCurrentIndex(tab)
         QTest.keyClick(window, Qt.Key.Key_O, Qt.KeyboardModifier.ControlModifier)
-        (dialog,) = (dialog for dialog in window.findChildren(QFileDialog) if dialog.isVisible())
+        (dialog,) = (dialog for dialog in window.findChildren(QtWidgets.QFileDialog) if dialog.isVisible())
     chosen = [str(finished.with_name("run.toml")), str(finished.with_name("rig.toml")), str(scene), str(finished)]
     dialog.filesSelected.emit(chosen)
     close_dialogs(window)
@@ -165,22 +152,29 @@ def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(qtbot
         assert not_reached(qtbot, window, tab) == [], f"page {page} of {tab.title}"
 
 
-def not_reached(qtbot: QtBot, window: Window, tab: QWidget) -> list[str]:
+def not_reached(qtbot: QtBot, window: Window, tab: QtWidgets.QWidget) -> list[str]:
     """Press Tab until the focus is where it was; the controls that never had it."""
     with qtbot.waitActive(window):
         window.activateWindow()
     window.refresh()
-    QApplication.processEvents()
-    reached: list[QWidget | None] = []
-    while (here := QApplication.focusWidget()) not in reached:
+    QtWidgets.QApplication.processEvents()
+    reached: list[QtWidgets.QWidget | None] = []
+    while (here := QtWidgets.QApplication.focusWidget()) not in reached:
         reached.append(here)
         QTest.keyClick(here or window, Qt.Key.Key_Tab)
-    kinds = QAbstractButton, QComboBox, QAbstractItemView, QPlainTextEdit, QAbstractSpinBox, SurfaceView
+    kinds = (
+        QtWidgets.QAbstractButton,
+        QtWidgets.QComboBox,
+        QtWidgets.QAbstractItemView,
+        QtWidgets.QPlainTextEdit,
+        QtWidgets.QAbstractSpinBox,
+        SurfaceView,
+    )
     wanted = [
         one
         for one in tab.findChildren(kinds)
         if one.isVisible() and one.isEnabled() and one.focusPolicy() & Qt.FocusPolicy.TabFocus
-        and not (isinstance(one, QAbstractButton) and one.autoExclusive() and not one.isChecked())  # by arrow keys
+        and not (isinstance(one, QtWidgets.QAbstractButton) and one.autoExclusive() and not one.isChecked())
     ]  # fmt: skip
     assert wanted
     return [one.accessibleName() for one in wanted if one not in reached]

@@ -1,4 +1,4 @@
-"""Numbers typed into the window's boxes, in every box and in three locales."""
+"""Numbers typed into the window's boxes: into every box where commas separate decimals, into one in other locales."""
 
 import pytest
 from PyQt5.QtCore import QEvent, QLocale, Qt
@@ -6,12 +6,10 @@ from PyQt5.QtGui import QKeyEvent
 from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWidget
 
-from tests.gui.conftest import kept_window, tab_of
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.widgets import NumberBox, typed_number
 
-LOCALES = ("C", "en_US", "de_DE")
 # Texts, and the number that each is; None for those that are refused.
 TYPED = {
     "0.2": 0.2, "0,2": 0.2, ".5": 0.5, ",5": 0.5, "1,5": 1.5, "1.5": 1.5, "0,05": 0.05, "0.05": 0.05, "3": 3.0,
@@ -23,13 +21,11 @@ TYPED = {
 ONCE_MORE = ("0,2", "3", "1.234,5", "nan")
 
 
-@pytest.fixture(scope="module", params=LOCALES)
-def window(qapp, request, tmp_path_factory):
-    """A window whose widgets have a locale."""
+@pytest.fixture
+def locale():
+    """Sets the locale of widgets that are made from then on."""
     former = QLocale()
-    QLocale.setDefault(QLocale(request.param))
-    with kept_window(tmp_path_factory.mktemp("window")) as window:
-        yield window
+    yield lambda name: QLocale.setDefault(QLocale(name))
     QLocale.setDefault(former)
 
 
@@ -45,7 +41,9 @@ def test_given_texts_then_point_and_comma_separate_decimals_and_all_else_is_refu
     assert {text: typed_number(text) for text in TYPED} == TYPED
 
 
-def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(qtbot, window):
+def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(locale, open_window):
+    locale("de_DE")
+    window = open_window()
     boxes = window.findChildren(QAbstractSpinBox)
     with_boxes = {type(tab) for tab in window.tabs if tab.findChildren(QAbstractSpinBox)}
     assert with_boxes >= {RigTab, SceneTab}, "the boxes of all tabs are there, shown or not"
@@ -73,7 +71,9 @@ def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(qtbo
             assert box.text() == f"{box.prefix()}{box.textFromValue(box.value())}{box.suffix()}", case
 
 
-def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reported(qtbot):
+@pytest.mark.parametrize("name", ["C", "en_US", "de_DE"])
+def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reported(qtbot, locale, name):
+    locale(name)
     box, values = NumberBox(3, 0.001, 4.0, suffix=" V"), []
     qtbot.addWidget(box)
     box.setValue(0.5)
@@ -90,11 +90,3 @@ def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reporte
     QTest.keyClicks(box, "0,25")
     assert values == []
     assert (box.value(), values) == (0.25, [0.25])  # used by a key, F5, before it was finished
-
-
-def test_given_numbers_of_the_last_session_then_the_boxes_show_them(qtbot, open_window):
-    first = open_window()
-    tab = tab_of(first, SceneTab)
-    tab.live_panel.look_ahead.setValue(120)
-    first.close()
-    assert tab_of(open_window(), SceneTab).live_panel.look_ahead.whole() == 120

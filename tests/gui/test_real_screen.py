@@ -85,7 +85,7 @@ def test_given_the_command_then_it_lives_until_it_is_ended_and_says_nothing(disp
         while window.poll() is None and not _catches(window.pid, signal.SIGTERM):
             assert time.monotonic() < latest_s, "it is not shown"
             time.sleep(0.05)
-        time.sleep(3.0)
+        time.sleep(1.0)
         assert window.poll() is None
         window.send_signal(signal.SIGTERM)
         _, told = window.communicate(timeout=30)

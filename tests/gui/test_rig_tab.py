@@ -43,6 +43,16 @@ def rig(tmp_path):
     return tmp_path / "rig.toml"
 
 
+@pytest.fixture
+def tab(shared_window, rig):
+    """The Rig tab with the rig file, as it is at first."""
+    shared_window.open_file(rig)
+    tab = shown_tab(shared_window, RigTab)
+    tab.pages.setCurrentWidget(tab.examination)
+    tab.calibration_page.choose("mirror")
+    return tab
+
+
 def in_hands(qtbot: QtBot, window: Window) -> RigTab:
     """The tab with the instruments in its hands."""
     tab = shown_tab(window, RigTab)
@@ -53,9 +63,8 @@ def in_hands(qtbot: QtBot, window: Window) -> RigTab:
 
 
 @pytest.mark.smoke
-def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(qtbot, open_window, rig):
-    window = open_window(rig)
-    tab, page = shown_tab(window, RigTab), shown_tab(window, RigTab).examination
+def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(qtbot, tab):
+    page = tab.examination
     press(qtbot, page.examine)
     wait(qtbot, lambda: page.findings and not tab.examination.command.running)
     good = sum(one.verdict == "ok" for one in page.findings)
@@ -70,13 +79,12 @@ def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(qtb
     assert page.buttons[row].text() == "Calibrate actuators…"
     press(qtbot, page.buttons[row])
     assert tab.pages.currentWidget() is tab.calibration_page
-    parts = tab.calibration_page.options.parts
+    parts = tab.calibration_page.parts
     assert [name for name, box in parts.items() if box.isChecked()] == ["actuators"]
 
 
-def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_back(qtbot, open_window, rig):
-    window = open_window(rig)
-    tab = in_hands(qtbot, window)
+def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_back(qtbot, tab):
+    window = in_hands(qtbot, tab.window()).window()
     jog, sound, hands = tab.manual_page.jog, tab.manual_page.sound, tab.session
     assert sound.level_v.maximum() == 2.0
     assert sound.actuator.count() == 6
@@ -126,12 +134,10 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     wait(qtbot, lambda: hands.state == "released")
 
 
-def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(qtbot, open_window, rig):
-    window = open_window(rig)
-    tab = shown_tab(window, RigTab)
-    page, calibration = tab.calibration_page, tab.calibration
+def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(qtbot, tab, rig):
+    window, page, calibration = tab.window(), tab.calibration_page, tab.calibration
     tab.pages.setCurrentWidget(page)
-    press(qtbot, page.options.start)
+    press(qtbot, page.start)
     for number in range(1, 8):
         meet(qtbot, window, number, off_mm=9.0 if number == 2 else 0.0)
     wait(qtbot, lambda: page.residuals.rowCount() == 7)
@@ -149,11 +155,10 @@ def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(qtb
     assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == file.name
 
 
-def test_a_wizard_without_moves_says_what_to_do_and_writes_nothing(qtbot, open_window, rig):
-    window = open_window(rig)
-    tab, page = shown_tab(window, RigTab), shown_tab(window, RigTab).calibration_page
+def test_a_wizard_without_moves_says_what_to_do_and_writes_nothing(qtbot, tab, rig):
+    window, page = tab.window(), tab.calibration_page
     tab.pages.setCurrentWidget(page)
-    press(qtbot, page.options.start)
+    press(qtbot, page.start)
     wait(qtbot, lambda: "Mark 1 of 7" in page.question.text())
     tab.examine()
     assert "being calibrated; wait for its end, or cancel it" in window.messages.sentence
@@ -181,10 +186,9 @@ def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(qt
     qtbot.waitUntil(lambda: _ended(pid), timeout=SOON_MS)
 
 
-def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_lives(qtbot, open_window, rig):
+def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_lives(qtbot, tab, rig):
+    window = tab.window()
     rig.write_text(RIG + "[mirror]\nlimit_mrad = -5\n", encoding="utf-8")
-    window = open_window(rig)
-    tab = shown_tab(window, RigTab)
     press(qtbot, tab.examination.examine)
     wait(qtbot, lambda: "mirror.limit_mrad" in window.messages.sentence)
     assert not tab.examination.findings
@@ -193,10 +197,9 @@ def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_li
     assert f"{rig}: not TOML" in window.messages.sentence
 
 
-def test_given_a_run_file_then_the_rig_that_it_names_is_taken(open_window, tmp_path):
+def test_given_a_run_file_then_the_rig_that_it_names_is_taken(tab, tmp_path):
     run = write_lab(tmp_path / "lab", 2, 2)
-    window = open_window(run)
-    tab = shown_tab(window, RigTab)
+    tab.window().open_file(run)
     assert tab.rig.path == run.parent / "rig.toml"
     assert tab.rig.actuator_mm == [(110.0, 0.0), (0.0, 60.0), (-110.0, 10.0)]
 

@@ -1,12 +1,27 @@
-"""Captures of the window and of others, orders, closing; the run in a real process."""
+"""Captures of the window and of others, what goes wrong, and what the tabs owe each other: instruments, closing."""
 
 import json
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
-from tests.gui.conftest import answer, campaign_of, press, wait, write_lab
-from tests.lab_files import change_text
-from wavefocus.__main__ import run
+import numpy as np
+import pytest
+
+from tests.gui.conftest import answer, campaign_of, edit, line_scene, press, shown_tab, tab_of, wait, write_lab
+from tests.lab_files import ABSENT_RIG, change_text
+from wavefocus.__main__ import run as wavefocus
+from wavefocus.campaign.control import read_heartbeat
+from wavefocus.gui.campaign.follower import Follower
+from wavefocus.gui.rig.tab import RigTab
+from wavefocus.gui.scene.exports import IDLE
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.verification.tab import VerificationTab
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.writer import create_bank
 from wavefocus.storage.ledger.owner import bank_owner
 
 HOLDER = """
@@ -16,6 +31,24 @@ with BankWriter.open(sys.argv[1]):
     print("mine", flush=True)
     sys.stdin.read()
 """
+
+
+@contextmanager
+def held_by_another(bank: Path) -> Iterator[int]:
+    """Another process owns a bank; its id."""
+    command = [sys.executable, "-c", HOLDER, str(bank)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
+        assert owner.stdout is not None
+        assert owner.stdout.readline().strip() == b"mine"
+        yield owner.pid
+        owner.communicate(timeout=20)
+
+
+@pytest.fixture
+def real_rig(tmp_path):
+    """A rig file of instruments that are not there."""
+    (tmp_path / "real.toml").write_text(ABSENT_RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
+    return tmp_path / "real.toml"
 
 
 def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_closing(qtbot, open_window, tmp_path):
@@ -35,42 +68,216 @@ def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_clo
     assert sorted(one["position"] for one in records if one["event"] == "position_committed") == list(range(40))
 
 
-def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(qtbot, open_window, finished):
-    window = open_window(finished)
-    tab = campaign_of(window)
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(finished)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as owner:
-        assert owner.stdout.readline().strip() == b"mine"
+def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(qtbot, shared_window, finished):
+    window, tab = shared_window, campaign_of(shared_window)
+    window.open_file(finished)
+    with held_by_another(finished) as owner:
         wait(qtbot, lambda: tab.progress.state.text() == "preparing")
         assert not tab.controls.buttons["resume"].isEnabled()
         # Even one who is quicker than the buttons harms nothing.
         tab.run.start(["resume", str(finished)], finished)
         wait(qtbot, lambda: "owned by process" in window.messages.sentence)
-        assert f"process {owner.pid}" in window.messages.sentence
-        owner.communicate(timeout=20)
+        assert f"process {owner}" in window.messages.sentence
 
 
-def test_given_orders_that_fail_then_their_sentences_are_messages(qtbot, open_window, finished, tmp_path):
-    window = open_window(finished)
-    campaign_of(window).run.order("pause", finished)
-    wait(qtbot, lambda: "no process owns the bank" in window.messages.sentence)
+def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, shared_window, finished, tmp_path):
+    window, tab = shared_window, campaign_of(shared_window)
+
+    def refused(words: str) -> None:
+        wait(qtbot, lambda: words in window.messages.sentence)
+        assert "Traceback" not in window.messages.sentence
+
+    (tmp_path / "no.h5").write_bytes(b"nothing of the kind" * 100)
+    window.open_file(tmp_path / "no.h5")
+    refused("no.h5")
+    window.open_file(finished)
+    tab.run.order("pause", finished)
+    refused("no process owns the bank")
     wrong = write_lab(tmp_path / "wrong", 2, 2)
     change_text(wrong, "taps = 1000", "taps = -3")
     window.open_file(wrong)
-    press(qtbot, campaign_of(window).controls.buttons["start"])
-    wait(qtbot, lambda: "capture.taps" in window.messages.sentence)
-    assert "Traceback" not in window.messages.sentence
+    press(qtbot, tab.controls.buttons["start"])
+    refused("capture.taps")
+
+
+def test_a_bank_deleted_under_the_window_is_told_and_followed_when_it_is_back(qtbot, open_window, finished):
+    window = open_window(finished)
+    tab, scene = campaign_of(window), tab_of(window, SceneTab)
+    wait(qtbot, lambda: tab.campaign.measured == 12 and scene.live.backdrop.surface is not None)
+    away = finished.rename(finished.with_name("away.h5"))
+    wait(qtbot, lambda: "deleted or moved" in window.messages.sentence)
+    tab.map_panel.map.show_position(3)
+    wait(qtbot, lambda: "plate.h5 does not exist" in window.messages.sentence)
+    shown_tab(window, SceneTab)  # reads its bank again
+    wait(qtbot, lambda: scene.live.backdrop.surface is None)
+    away.rename(finished)
+    wait(qtbot, lambda: scene.live.backdrop.surface is not None)
+    shown_tab(window, type(tab)).map_panel.map.show_position(4)
+    wait(qtbot, lambda: tab.position_panel.greens is not None and window.messages.sentence == "")
+
+
+def test_defect_while_bank_is_followed_then_window_says_so_and_goes_on_following(qtbot, open_window, finished):
+    broken = [True]
+    window = open_window()
+    tab = campaign_of(window)
+    tab.bank_field.show_path(finished)
+    tab.follower = Follower(finished, tab._report, lambda bank: 1 / 0 if broken else read_heartbeat(bank))
+    wait(qtbot, lambda: "is not followed" in window.messages.sentence)
+    assert [button.text() for button in window.messages.buttons] == ["Copy details"]
+    broken.clear()
+    wait(qtbot, lambda: window.messages.sentence == "")
+
+
+def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_busy(
+    qtbot, open_window, real_rig, tmp_path
+):
+    bank = tmp_path / "real.h5"
+    header = BankHeader(
+        sample_rate_hz=10_000.0, taps=100, position_mm=np.array([[0.0, 0.0], [1.5, 0.0]]),
+        actuator_mm=np.array([[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]), band_hz=(20.0, 500.0),
+        rig_json='{"mirror": {"driver": "asi-tiger"}}', run_json="{}", plan_sha256="0" * 64, software="a test",
+    )  # fmt: skip
+    create_bank(bank, header)
+    (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
+    with held_by_another(bank) as owner:
+        window = open_window(bank, real_rig)
+        rig, scene, verification = tab_of(window, RigTab), tab_of(window, SceneTab), tab_of(window, VerificationTab)
+        wait(qtbot, lambda: bool(campaign_of(window).run.held))
+        scene.results.rig_field.line.setText(str(real_rig))
+        form, start = verification.form, verification.row.start
+        paths = tmp_path / "scene.toml", bank, real_rig, tmp_path / "verify"
+        for field, path in zip((form.scene, form.bank, form.rig, form.out), paths, strict=True):
+            field.show_path(path)
+        for word, act in (
+            ("Examine", rig.examine), ("Open them", rig.take), ("Calibrate", lambda: rig.calibrate([])),
+            ("Play", scene.results.play), ("Verify", start.trigger),
+        ):  # fmt: skip
+            act()
+            assert f"process {owner} on " in window.messages.sentence
+            assert window.messages.sentence.endswith(f"measures {bank}, so the instruments are busy: stop it first")
+            assert [button.text() for button in window.messages.buttons] == [f"{word} anyway"]
+            window.messages.dismiss()
+        assert not any(one.running for one in (rig.examination.command, rig.session, rig.calibration, verification.run))
+        assert scene.results.playing.state == IDLE
+        form.rig.line.setText("virtual")  # instruments in software are for everybody
+        start.trigger()
+        assert verification.run.running
+        assert verification.run.held == ""
+        verification.run.cancel()
+        wait(qtbot, lambda: not verification.run.running)
+
+
+def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_word(
+    qtbot, open_window, real_rig, tmp_path
+):
+    run = write_lab(tmp_path / "lab", 4, 3)
+    text = run.read_text(encoding="utf-8").partition("[virtual]")[0]
+    run.write_text(text.replace('"rig.toml"', f'"{real_rig}"'), encoding="utf-8")
+    window = open_window(real_rig, run)
+    tab, rig = campaign_of(window), tab_of(window, RigTab)
+    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+    rig.take()
+    assert rig.session.running
+    press(qtbot, tab.controls.buttons["start"])
+    told = "the Rig tab has the instruments of real.toml, so the instruments are busy: stop it first"
+    assert window.messages.sentence == told
+    assert tab.run.own is None
+    answer(window, "Start anyway")
+    assert tab.run.own is not None
+    wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
+
+
+def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(qtbot, open_window, long_run):
+    window = open_window(long_run)
+    tab, bank, scene = campaign_of(window), long_run.with_name("plate.h5"), tab_of(window, SceneTab)
+    press(qtbot, tab.controls.buttons["start"])
+    wait(qtbot, lambda: tab.campaign.measured > 0)
+    edit(scene.document, line_scene(step_mm=4.0))
+    window.close()
+    assert "plate.h5 is being measured by a run of this window" in window.messages.sentence
+    answer(window, "Stop after this position")
+    assert "a new scene has unsaved changes" in window.messages.sentence
+    answer(window, "Do not close")
+    assert window.isVisible()
+    assert window.messages.sentence == ""  # nothing was ordered
+    assert tab.run.own is not None
+    window.close()
+    answer(window, "Stop after this position")
+    answer(window, "Close without saving")
+    wait(qtbot, lambda: not window.isVisible())
+    wait(qtbot, lambda: bank_owner(bank) is None)
+    assert "session_ended" in bank.with_suffix(".events.jsonl").read_text(encoding="utf-8")
 
 
 def test_given_an_own_run_then_closing_can_leave_it_to_continue(qtbot, open_window, long_run):
-    window = open_window(long_run)
-    tab, bank = campaign_of(window), long_run.with_name("plate.h5")
-    press(qtbot, tab.controls.buttons["start"])
-    wait(qtbot, lambda: tab.campaign.measured > 0)
+    window, bank = open_window(long_run), long_run.with_name("plate.h5")
+    press(qtbot, campaign_of(window).controls.buttons["start"])
+    wait(qtbot, lambda: campaign_of(window).campaign.measured > 0)
     assert not window.close()
     answer(window, "Continue in the background")
     wait(qtbot, lambda: not window.isVisible())
     assert bank_owner(bank) is not None
-    assert run(["stop", str(bank)]) == 0
+    assert wavefocus(["stop", str(bank)]) == 0
     wait(qtbot, lambda: bank_owner(bank) is None)
+
+
+def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(qtbot, open_window, finished, tmp_path):
+    other = write_lab(tmp_path / "other", 2, 2)
+    window = open_window(other)
+    tab, scene = campaign_of(window), tab_of(window, SceneTab)
+    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+    scene.bank_field.line.setText(str(finished))
+    scene.bank_field.line.editingFinished.emit()
+    wait(qtbot, lambda: "plate.h5 is not of run.toml" in tab.progress.faults.text())
+    assert str(finished) in tab.progress.faults.text()
+    wait(qtbot, lambda: not tab.controls.buttons["start"].isEnabled())
+    window.messages.note("something else")
+    assert tab.progress.faults.isVisible()
+    window.open_file(finished.with_name("run.toml"))  # the run of that bank
+    window.open_file(finished)
+    wait(qtbot, lambda: tab.progress.faults.text() == "")
+    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+
+
+WITHOUT = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+
+
+def refused_at_start(*words: str, code: str = "", **environment: str) -> None:
+    """The window's command ends with exit 2 and one sentence that has some words."""
+    start = f"{code}\nimport sys\nfrom wavefocus.__main__ import run\nsys.exit(run(['gui']))"
+    kept = {key: value for key, value in os.environ.items() if key not in WITHOUT} | environment
+    done = subprocess.run(
+        [sys.executable, "-c", start], env=kept, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("wavefocus: ")]
+    assert "Traceback" not in done.stderr
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="about X servers and fontconfig")
+@pytest.mark.may_skip("Windows and macOS always have a display and fonts")
+def test_given_no_display_a_dead_one_or_no_font_then_exit_2_and_what_to_do(tmp_path):
+    refused_at_start("needs a display", "DISPLAY")
+    refused_at_start("no X server answers at DISPLAY=:4711", DISPLAY=":4711")
+    none = tmp_path / "fonts.conf"
+    none.write_text("<?xml version='1.0'?><fontconfig></fontconfig>", encoding="utf-8")
+    environment = {"FONTCONFIG_FILE": str(none), "FONTCONFIG_PATH": str(tmp_path)}
+    refused_at_start("no font", "fonts-dejavu-core", QT_QPA_PLATFORM="offscreen", **environment)
+
+
+BROKEN_QT = """
+import sys
+class Broken:
+    def find_spec(self, name, path=None, target=None):
+        if name == "PyQt5.QtCore":
+            raise ImportError("libGL.so.1: cannot open shared object file: No such file or directory")
+sys.meta_path.insert(0, Broken())
+"""
+
+
+def test_given_no_pyqt5_or_a_library_that_it_misses_then_exit_2_and_what_to_install():
+    missing = "import sys\nsys.modules['PyQt5'] = None"
+    refused_at_start('pip install "wavefocus[window]"', code=missing, QT_QPA_PLATFORM="offscreen")
+    refused_at_start("libGL.so.1", "apt-get install", "libgl1", code=BROKEN_QT, QT_QPA_PLATFORM="offscreen")

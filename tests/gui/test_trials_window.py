@@ -2,7 +2,6 @@
 
 import os
 import signal
-from collections.abc import Callable
 
 import pytest
 from PyQt5.QtCore import QEvent, QPointF, Qt
@@ -11,7 +10,7 @@ from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, SOON_MS
+from tests.gui.conftest import LEFT, NO_KEY, wait
 from wavefocus.gui.trials.start import TrialsStart
 from wavefocus.gui.trials.window import TrialsWindow
 from wavefocus.gui.window import require_fonts
@@ -51,7 +50,6 @@ speed_mm_s = 90
 step_mm = 1.5
 amplitude = 0.005
 """
-Opens = Callable[..., TrialsWindow]
 
 
 @pytest.fixture
@@ -71,7 +69,7 @@ def start(qtbot, measured, tmp_path):
     yield make
     for window in opened:
         window.process.kill()
-        qtbot.waitUntil(lambda window=window: not window.process.running, timeout=SOON_MS)
+        wait(qtbot, lambda window=window: not window.process.running)
         window.close()
         assert window.tracebacks == []
         window.deleteLater()
@@ -79,13 +77,13 @@ def start(qtbot, measured, tmp_path):
 
 def waits_for(qtbot: QtBot, window: TrialsWindow, what: str) -> None:
     """Let the window live until the session waits for something."""
-    qtbot.waitUntil(lambda: window.waiting == what, timeout=SOON_MS)
+    wait(qtbot, lambda: window.waiting == what)
 
 
 def begin(qtbot: QtBot, window: TrialsWindow) -> None:
     """Go on from the first page to the first question."""
     while window.waiting != "answer":
-        qtbot.waitUntil(lambda: window.waiting in ("go_on", "answer"), timeout=SOON_MS)
+        wait(qtbot, lambda: window.waiting in ("go_on", "answer"))
         if window.waiting == "go_on":
             key(window, Qt.Key.Key_Space)
 
@@ -130,7 +128,7 @@ def test_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_input(
     for _ in range(2):
         begin(qtbot, window)
         key(window, Qt.Key.Key_Right)
-    qtbot.waitUntil(lambda: not window.process.running, timeout=SOON_MS)
+    wait(qtbot, lambda: not window.process.running)
     assert window.process.exit_code == 0
     rows = read_answers(tmp_path / "out")
     assert [(row.answer, row.by) for row in rows] == [
@@ -146,7 +144,7 @@ def test_it_is_closed_in_trial_then_second_window_resumes_there_and_shows_crash(
     key(window, Qt.Key.Key_Left)
     waits_for(qtbot, window, "answer")
     window.close()
-    qtbot.waitUntil(lambda: not window.isVisible(), timeout=SOON_MS)
+    wait(qtbot, lambda: not window.isVisible())
     assert window.process.exit_code == 130
     again = start()
     waits_for(qtbot, again, "go_on")
@@ -154,11 +152,11 @@ def test_it_is_closed_in_trial_then_second_window_resumes_there_and_shows_crash(
     assert "trial 2 of 6" in again.welcome.participant.text()
     begin(qtbot, again)
     key(again, Qt.Key.Key_Left)
-    qtbot.waitUntil(lambda: len(read_answers(tmp_path / "out")) == 2, timeout=SOON_MS)
+    wait(qtbot, lambda: len(read_answers(tmp_path / "out")) == 2)
     assert [row.trial for row in read_answers(tmp_path / "out")] == [1, 2]
     again.process.kill()
-    qtbot.waitUntil(again.notice.isVisible, timeout=SOON_MS)
-    qtbot.waitUntil(again.notice.button.isVisible, timeout=SOON_MS)
+    wait(qtbot, again.notice.isVisible)
+    wait(qtbot, again.notice.button.isVisible)
     assert again.process.failure in again.notice.text.text()
 
 
@@ -170,34 +168,34 @@ def test_trials_file_then_window_shows_what_is_left_and_starts_participants_wind
     key(window, Qt.Key.Key_Left)
     waits_for(qtbot, window, "answer")
     window.close()
-    qtbot.waitUntil(lambda: not window.isVisible(), timeout=SOON_MS)
+    wait(qtbot, lambda: not window.isVisible())
     main = open_window(measured / "plate.h5", measured / "rig.toml", tmp_path / "trials.toml")
     dialog = main.findChild(TrialsStart)
     assert dialog is not None
     assert dialog.isVisible()
     assert (dialog.bank.path, dialog.rig.path) == (measured / "plate.h5", measured / "rig.toml")
-    qtbot.waitUntil(lambda: "4 stimuli" in dialog.standing.text() or "code" in dialog.standing.text(), timeout=SOON_MS)
+    wait(qtbot, lambda: "4 stimuli" in dialog.standing.text() or "code" in dialog.standing.text())
     assert not dialog.start.isEnabled()
     dialog.out.line.setText(str(tmp_path / "out"))
     qtbot.keyClicks(dialog.participant, "P01")
-    qtbot.waitUntil(dialog.start.isEnabled, timeout=SOON_MS)
+    wait(qtbot, dialog.start.isEnabled)
     assert dialog.standing.text() == "participant P01: 1 of 6 trials are answered, 1 of 1 blocks are left"
     qtbot.keyClicks(dialog.participant, "+")
-    qtbot.waitUntil(lambda: "a code of 1 to 20 letters" in dialog.standing.text(), timeout=SOON_MS)
+    wait(qtbot, lambda: "a code of 1 to 20 letters" in dialog.standing.text())
     assert not dialog.start.isEnabled()
     dialog.participant.setText("P01")
-    qtbot.waitUntil(dialog.start.isEnabled, timeout=SOON_MS)
+    wait(qtbot, dialog.start.isEnabled)
     dialog.start.click()
     assert dialog.command.own is not None
     os.kill(dialog.command.own.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
-    qtbot.waitUntil(lambda: dialog.command.own is None, timeout=SOON_MS)
+    wait(qtbot, lambda: dialog.command.own is None)
     assert "the trials: process ended unexpectedly" in main.messages.sentence
 
 
 @pytest.mark.smoke
 def test_given_a_wrong_file_then_no_window_is_shown(start, qtbot):
     window = start(TRIALS.replace("question =", "ask ="))
-    qtbot.waitUntil(lambda: not window.process.running, timeout=SOON_MS)
+    wait(qtbot, lambda: not window.process.running)
     assert window.process.exit_code == 2
     assert "trials.question" in window.process.failure
     assert not window.notice.isVisible()

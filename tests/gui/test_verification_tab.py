@@ -12,6 +12,7 @@ import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, pixel, shown_tab, wait
 from tests.lab_files import with_check_rows
@@ -74,9 +75,14 @@ def other_bank(lab: Path, name: str, *, gain: float = 1.0, copies: int = 1) -> P
 @pytest.fixture
 def shown(qtbot, shared_window, verified):
     """The tab as it shows the verification; its state is that of a file just opened."""
-    tab = shown_tab(shared_window, VerificationTab)
+    return opened(qtbot, shared_window, verified / "verify" / "verify.json")
+
+
+def opened(qtbot: QtBot, window: Window, file: Path) -> VerificationTab:
+    """The tab with a verification that is read anew."""
+    tab = shown_tab(window, VerificationTab)
     former = tab.results
-    shared_window.open_file(verified / "verify" / "verify.json")
+    window.open_file(file)
     wait(qtbot, lambda: tab.results is not None and tab.results is not former)
     return tab
 
@@ -230,10 +236,9 @@ def test_long_scan_then_closing_asks_cancel_parks_and_killed_process_is_sentence
     assert "run the verification again" in window.messages.sentence
 
 
-def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(qtbot, open_window, lab):
-    window = open_window(lab / "verify" / "verify.json")
-    tab = shown_tab(window, VerificationTab)
-    wait(qtbot, lambda: tab.results is not None)
+def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(qtbot, shared_window, lab):
+    window = shared_window
+    tab = opened(qtbot, window, lab / "verify" / "verify.json")
     shown = tab.results
     record, scan = lab / "verify" / "verify.json", lab / "verify" / "scan.h5"
     scan.write_bytes(scan.read_bytes()[:3000])
@@ -251,22 +256,18 @@ def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(qtbot,
     assert "report.html is gone" in window.messages.sentence
 
 
-def test_check_positions_of_the_bank_then_they_are_rings_and_take_no_cells(qtbot, open_window, lab):
+def test_check_positions_of_the_bank_then_they_are_rings_and_take_no_cells(qtbot, shared_window, lab):
     record = lab / "verify" / "verify.json"
     content = json.loads(record.read_text(encoding="utf-8"))
     content["bank"] = str(with_check_rows(lab / "plate.h5", lab / "checked.h5", 5, 10))
     record.write_text(json.dumps(content), encoding="utf-8")
-    tab = shown_tab(open_window(record), VerificationTab)
-    wait(qtbot, lambda: tab.results is not None)
-    surface = tab.results.surface
+    surface = opened(qtbot, shared_window, record).results.surface
     assert list(surface.checks) == [5, 10]
     assert set(np.unique(surface.raster.index)) == {*range(13)} - {5, 10}  # the last one: no position
 
 
 def test_files_then_each_opens_or_belongs_to_a_field_and_the_next_window_has_them(qtbot, open_window, lab):
-    window = open_window(lab / "verify" / "scan.h5")
-    tab = shown_tab(window, VerificationTab)
-    wait(qtbot, lambda: tab.results is not None)
+    tab = opened(qtbot, open_window(), lab / "verify" / "scan.h5")
     assert (kind_of(lab / "verify" / "scan.h5"), kind_of(lab / "plate.h5")) == (FileKind.VERIFICATION, FileKind.BANK)
     tab.form.take_bank(lab / "plate.h5")
     tab.form.out.show_path(lab / "empty")
@@ -280,9 +281,9 @@ def test_files_then_each_opens_or_belongs_to_a_field_and_the_next_window_has_the
     assert again.form.positions.text() == "path"
 
 
-def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(open_window, lab):
-    tab = ready(open_window(), lab / "plate.h5")
-    form = tab.form
+def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(shared_window, lab):
+    form = ready(shared_window, lab / "plate.h5").form
+    form.positions.clear()
 
     def options() -> list[str]:
         arguments = form.arguments(Path("out"))

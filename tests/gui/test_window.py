@@ -1,6 +1,9 @@
 """The window's frame: errors, messages, files, size, theme, settings, accessibility, fast start."""
 
+import ast
+import importlib
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +24,7 @@ from PyQt5.QtWidgets import (
     QTableView,
 )
 
+import wavefocus.gui
 from tests.gui.conftest import campaign_of, shown_tab, tab_of, wait, write_lab
 from tests.system.test_process_of_a_command import loaded_by
 from wavefocus.gui.field_map import Plot
@@ -45,8 +49,9 @@ assert len(window.tabs) == 5
 """
 
 
-def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(qtbot, open_window, finished):
-    window = open_window(finished)
+def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(qtbot, shared_window, finished):
+    window = shared_window
+    window.open_file(finished)
 
     def slip() -> None:
         raise KeyError("a slip")
@@ -70,8 +75,8 @@ def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives
     wait(qtbot, lambda: campaign_of(window).campaign.measured == 12)
 
 
-def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(qtbot, open_window):
-    window = open_window()
+def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(qtbot, shared_window):
+    window = shared_window
     messages, button, answers = window.messages, campaign_of(window).run_field.browse, []
     place = button.mapTo(window, button.rect().center())
     for sentence in ("short", "a longer sentence that fills more than two lines " * 20):
@@ -126,8 +131,9 @@ def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen
         QApplication.setFont(font)
 
 
-def test_given_a_screen_of_1280_by_800_then_no_page_scrolls(open_window, finished):
-    window = open_window(finished)
+def test_given_a_screen_of_1280_by_800_then_no_page_scrolls(shared_window, finished):
+    window = shared_window
+    window.open_file(finished)
     heights = {tab.title: tab.minimumSizeHint().height() for tab in window.tabs}
     assert max(heights.values()) <= 800 - 150, heights  # menus, tabs, messages and the screen's own bars
     window.resize(1280, 800)
@@ -166,7 +172,7 @@ def test_given_size_run_and_bank_then_the_next_window_has_them_again(qtbot, open
     again.close_at_once()
 
 
-def test_splitters_that_were_moved_then_next_window_has_them_in_their_own_direction(open_window, memory):
+def test_splitters_and_numbers_then_next_window_has_them_and_each_its_own_direction(open_window, memory):
     window = open_window()
     splitters = {name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QSplitter)}
     assert len(splitters) >= 6
@@ -174,11 +180,13 @@ def test_splitters_that_were_moved_then_next_window_has_them_in_their_own_direct
         window._pages.setCurrentWidget(next(tab for tab in window.tabs if tab.isAncestorOf(splitter)))
         sizes = splitter.sizes()
         splitter.setSizes([sizes[0] + 40, sizes[1] - 40, *sizes[2:]])
+    tab_of(window, SceneTab).live_panel.look_ahead.setValue(120)
     moved = {name: (splitter.orientation(), splitter.saveState()) for name, splitter in splitters.items()}
     window.close()
     turned = QSplitter(Qt.Orientation.Vertical)
     memory.keep("scene/columns", turned.saveState())
     again = open_window()
+    assert tab_of(again, SceneTab).live_panel.look_ahead.whole() == 120
     for tab in again.tabs:
         for name, one in tab.remembered.items():
             if isinstance(one, QSplitter):
@@ -257,3 +265,27 @@ def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path):
         "wavefocus.rendering.drive.rendering",
         "wavefocus.rendering.scene.model",
     }
+
+
+def own_names(node: ast.AST, context: type[ast.expr_context]) -> set[str]:
+    """Names that are read (Load) or set (Store) of `self`."""
+    found = [one for one in ast.walk(node) if isinstance(one, ast.Attribute) and isinstance(one.ctx, context)]
+    return {one.attr for one in found if isinstance(one.value, ast.Name) and one.value.id == "self"}
+
+
+def test_given_all_classes_of_the_window_then_what_they_read_of_themselves_exists():
+    """PyQt5's types give QObject a `__getattr__`, so that the type checker lets any name pass."""
+    folder, nodes = Path(wavefocus.gui.__file__).resolve().parent, {}
+    for path in folder.rglob("*.py"):
+        parts = path.relative_to(folder).with_suffix("").parts
+        module = importlib.import_module(".".join(["wavefocus.gui", *parts]).removesuffix(".__init__"))
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                nodes[getattr(module, node.name)] = node
+    assert len(nodes) > 60
+    missing = {}
+    for kind, node in nodes.items():
+        held = set(dir(kind)).union(*(getattr(base, "__annotations__", ()) for base in kind.__mro__))
+        held = held.union(*(own_names(nodes[base], ast.Store) for base in kind.__mro__ if base in nodes))
+        missing[kind] = own_names(node, ast.Load) - held
+    assert {kind: names for kind, names in missing.items() if names} == {}

@@ -45,7 +45,7 @@ class TimeSlider(QWidget):
         self.slider.setMinimumWidth(120)
         self.slider.setToolTip("Arrow keys: one sample; Space: play")
         self.previous = _button("|◀", "Previous focus instant (Page Down)", lambda: self.to_mark(-1))
-        self.play = _button("▶", "Play (Space)", self.toggle)
+        self.play = _button("▶", "Play (Space)", self._toggle)
         self.next = _button("▶|", "Next focus instant (Page Up)", lambda: self.to_mark(1))
         self.slower = ui.named(QComboBox(), "How many times slower than real time the field is played", "Playing speed")
         for factor in SLOWER:
@@ -57,7 +57,7 @@ class TimeSlider(QWidget):
         self._timer.setInterval(50)
         self._timer.timeout.connect(self.advance)
         self.slider.valueChanged.connect(self._moved)
-        self.slider.pressed.connect(lambda key: self.toggle() if key == Qt.Key.Key_Space else self.to_mark(_WAYS[key]))
+        self.slider.pressed.connect(lambda key: self._toggle() if key == Qt.Key.Key_Space else self.to_mark(_WAYS[key]))
         self.show_samples(0.0, 1.0, 0)
 
     @property
@@ -111,7 +111,7 @@ class TimeSlider(QWidget):
         self._timer.stop()
         self.play.setText("▶")
 
-    def toggle(self) -> None:
+    def _toggle(self) -> None:
         """Play, or pause."""
         if self.playing:
             self.pause()

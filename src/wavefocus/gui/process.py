@@ -44,7 +44,6 @@ class CommandProcess(QObject):
 
     exit_code: None while the process runs; negative when a signal ended it.
     cancelled: Whether `kill` was called; only on processes that hold no instruments.
-    last_message: Last JSON object that it wrote.
     """
 
     received = pyqtSignal(dict)
@@ -68,7 +67,6 @@ class CommandProcess(QObject):
         self.cancelled = False
         self._name, self._advice, self._shown_as = name or f"wavefocus {arguments[0]}", advice, shown_as
         self._log_file = log_file
-        self.last_message: Message = {}
         self._last_line = ""
         self._process: subprocess.Popen[bytes] | None = None
         self._ended.connect(self._finish)
@@ -200,7 +198,6 @@ class CommandProcess(QObject):
                     with suppress(ValueError, RecursionError):
                         message = json.loads(line)
                         if isinstance(message, dict):
-                            self.last_message = message
                             self.received.emit(message)
             errors.join()
         code = process.wait()

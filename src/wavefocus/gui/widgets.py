@@ -8,34 +8,9 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from PyQt5 import QtWidgets
 from PyQt5.QtCore import QLocale, QObject, QSignalBlocker, Qt, QTimer
 from PyQt5.QtGui import QColor, QKeySequence, QValidator
-from PyQt5.QtWidgets import (
-    QAbstractButton,
-    QAbstractItemView,
-    QAction,
-    QApplication,
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QFrame,
-    QHBoxLayout,
-    QHeaderView,
-    QLabel,
-    QLayout,
-    QProgressBar,
-    QPushButton,
-    QScrollArea,
-    QSizePolicy,
-    QSplitter,
-    QTableWidget,
-    QTableWidgetItem,
-    QTabWidget,
-    QToolButton,
-    QToolTip,
-    QVBoxLayout,
-    QWidget,
-)
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.theme import Themed
@@ -53,7 +28,7 @@ def typed_number(text: str) -> float | None:
     return float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else None
 
 
-class NumberBox(QDoubleSpinBox):
+class NumberBox(QtWidgets.QDoubleSpinBox):
     """A number with its unit; what is typed counts when it is finished (Enter, Tab, or another widget is used).
 
     A text that is not a number, is out of range or, in a box for whole numbers, has a fraction, is refused as a whole:
@@ -91,7 +66,7 @@ class NumberBox(QDoubleSpinBox):
         limits = f"{self.textFromValue(low)} to {self.textFromValue(high)}{self.suffix()}"
         allowed = kind if typed_number(typed) is None else f"{kind} from {limits}"
         sentence = f"“{typed}” is not a {allowed}; the value stays {self.textFromValue(super().value())}{self.suffix()}"
-        QToolTip.showText(self.mapToGlobal(self.rect().bottomLeft()), sentence, self)
+        QtWidgets.QToolTip.showText(self.mapToGlobal(self.rect().bottomLeft()), sentence, self)
         return text or ""
 
     def valueFromText(self, text: str | None) -> float:  # noqa: N802
@@ -115,12 +90,12 @@ class NumberBox(QDoubleSpinBox):
         return round(number, self.decimals()) if self.decimals() or number.is_integer() else None
 
 
-AnyWidget = TypeVar("AnyWidget", bound=QWidget)
-AnyBox = TypeVar("AnyBox", QHBoxLayout, QVBoxLayout)
+AnyWidget = TypeVar("AnyWidget", bound=QtWidgets.QWidget)
+AnyBox = TypeVar("AnyBox", QtWidgets.QHBoxLayout, QtWidgets.QVBoxLayout)
 # A widget, and its width or height in pixels.
-Part = tuple[QWidget, int]
+Part = tuple[QtWidgets.QWidget, int]
 # A part of a row or a column.
-Item = QWidget | QLayout | tuple[QWidget | QLayout, int] | int | None
+Item = QtWidgets.QWidget | QtWidgets.QLayout | tuple[QtWidgets.QWidget | QtWidgets.QLayout, int] | int | None
 Margins = tuple[int, int, int, int]
 _NO_MARGINS = (0, 0, 0, 0)
 PAGE_MARGINS = (4, 6, 4, 4)
@@ -128,9 +103,9 @@ PAGE_MARGINS = (4, 6, 4, 4)
 
 def action(
     owner: QObject, text: str, act: Callable[[], Any], *keys: QKeySequence.StandardKey | str, tip: str = ""
-) -> QAction:
+) -> QtWidgets.QAction:
     """Make an action with shortcuts; the first one stands in the tooltip."""
-    action = QAction(text, owner)
+    action = QtWidgets.QAction(text, owner)
     action.setShortcuts([QKeySequence(key) for key in keys])
     if tip:
         action.setToolTip(f"{tip} ({action.shortcut().toString()})" if keys else tip)
@@ -147,9 +122,9 @@ def later(owner: QObject, interval_ms: int, act: Callable[[], Any]) -> QTimer:
     return timer
 
 
-def button(action: QAction) -> QToolButton:
+def button(action: QtWidgets.QAction) -> QtWidgets.QToolButton:
     """Make a button of an action."""
-    button = QToolButton()
+    button = QtWidgets.QToolButton()
     button.setDefaultAction(action)
     button.setAccessibleName(action.text().replace("&", "").rstrip("…"))
     return button
@@ -157,7 +132,7 @@ def button(action: QAction) -> QToolButton:
 
 def named(widget: AnyWidget, tip: str, name: str = "") -> AnyWidget:
     """Give a widget a tooltip and an accessible name, by default the button's text."""
-    if not name and isinstance(widget, QAbstractButton):
+    if not name and isinstance(widget, QtWidgets.QAbstractButton):
         name = widget.text().replace("&", "")
     widget.setAccessibleName(name)
     widget.setToolTip(tip)
@@ -173,28 +148,28 @@ def number_box(
     return box
 
 
-def table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QTableWidget:
+def table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QtWidgets.QTableWidget:
     """Make a table that is only read; `stretched` columns share the width that the others leave."""
-    table = QTableWidget(0, len(titles))
+    table = QtWidgets.QTableWidget(0, len(titles))
     table.setHorizontalHeaderLabels(list(titles))
     table.setAccessibleName(name)
-    table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+    table.setEditTriggers(QtWidgets.QAbstractItemView.EditTrigger.NoEditTriggers)
+    table.setSelectionBehavior(QtWidgets.QAbstractItemView.SelectionBehavior.SelectRows)
     table.setAlternatingRowColors(True)
     table.setTabKeyNavigation(False)  # whoever has no mouse gets out again
     rows, columns = table.verticalHeader(), table.horizontalHeader()
     assert rows is not None
     assert columns is not None
     rows.hide()
-    rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-    columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+    rows.setSectionResizeMode(QtWidgets.QHeaderView.ResizeMode.ResizeToContents)
+    columns.setSectionResizeMode(QtWidgets.QHeaderView.ResizeMode.ResizeToContents)
     for column in stretched:
-        columns.setSectionResizeMode(column, QHeaderView.ResizeMode.Stretch)
+        columns.setSectionResizeMode(column, QtWidgets.QHeaderView.ResizeMode.Stretch)
     return table
 
 
 def fill_row(
-    table: QTableWidget,
+    table: QtWidgets.QTableWidget,
     row: int,
     texts: Sequence[str],
     colours: Mapping[int, str] = MappingProxyType({}),
@@ -204,7 +179,7 @@ def fill_row(
 ) -> None:
     """Set the texts of a row; `colours` by column, columns in `right` are aligned right; a text is its own tooltip."""
     for column, text in enumerate(texts):
-        item = QTableWidgetItem(text)
+        item = QtWidgets.QTableWidgetItem(text)
         item.setToolTip(tip or text)
         side = Qt.AlignmentFlag.AlignRight if column in right else Qt.AlignmentFlag.AlignLeft
         item.setTextAlignment(side | Qt.AlignmentFlag.AlignVCenter)
@@ -221,35 +196,35 @@ def label(
     wraps: bool = False,
     any_width: bool = False,
     selectable: bool = False,
-) -> QLabel:
+) -> QtWidgets.QLabel:
     """Make a label; `role` is ``"faint"`` or ``"strong"``, one of `any_width` never widens its parent."""
-    label = QLabel(text)
+    label = QtWidgets.QLabel(text)
     label.setAccessibleName(name)
     label.setProperty("role", role)
     label.setWordWrap(wraps)
     if any_width:
-        label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        label.setSizePolicy(QtWidgets.QSizePolicy.Policy.Ignored, QtWidgets.QSizePolicy.Policy.Preferred)
     if selectable:
         label.setTextInteractionFlags(Qt.TextInteractionFlags() | Qt.TextInteractionFlag.TextSelectableByMouse)
     return label
 
 
-def labelled(text: str, widget: QWidget) -> tuple[QLabel, QWidget]:
+def labelled(text: str, widget: QtWidgets.QWidget) -> tuple[QtWidgets.QLabel, QtWidgets.QWidget]:
     """Make a label whose key, after an ampersand, leads to a widget; return both."""
-    made = QLabel(text)
+    made = QtWidgets.QLabel(text)
     made.setBuddy(widget)
     return made, widget
 
 
-def choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QComboBox:
+def choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QtWidgets.QComboBox:
     """Make a box to choose one of several texts."""
-    choice = named(QComboBox(), tip, name)
+    choice = named(QtWidgets.QComboBox(), tip, name)
     choice.addItems(choices)
     choice.setCurrentIndex(chosen)
     return choice
 
 
-def fill_choice(choice: QComboBox, choices: Sequence[str]) -> None:
+def fill_choice(choice: QtWidgets.QComboBox, choices: Sequence[str]) -> None:
     """Offer other texts; the same place stays chosen, and nothing is reported."""
     place = max(0, min(choice.currentIndex(), len(choices) - 1))
     with QSignalBlocker(choice):
@@ -258,25 +233,25 @@ def fill_choice(choice: QComboBox, choices: Sequence[str]) -> None:
         choice.setCurrentIndex(place)
 
 
-def check(text: str, tip: str, name: str = "", *, on: bool = False) -> QCheckBox:
+def check(text: str, tip: str, name: str = "", *, on: bool = False) -> QtWidgets.QCheckBox:
     """Make a check box."""
-    box = named(QCheckBox(text), tip, name)
+    box = named(QtWidgets.QCheckBox(text), tip, name)
     box.setChecked(on)
     return box
 
 
-def push_button(text: str, tip: str, act: Callable[[], Any], name: str = "") -> QPushButton:
+def push_button(text: str, tip: str, act: Callable[[], Any], name: str = "") -> QtWidgets.QPushButton:
     """Make a button that calls `act`."""
-    button = named(QPushButton(text), tip, name)
+    button = named(QtWidgets.QPushButton(text), tip, name)
     button.clicked.connect(lambda _checked=False: act())
     return button
 
 
 def tool_button(
     text: str, tip: str, act: Callable[[], Any] = lambda: None, name: str = "", *, checkable: bool = False
-) -> QToolButton:
+) -> QtWidgets.QToolButton:
     """Make a flat button that calls `act`."""
-    button = QToolButton()
+    button = QtWidgets.QToolButton()
     button.setText(text)
     button.setCheckable(checkable)
     button.clicked.connect(lambda _checked=False: act())
@@ -285,7 +260,7 @@ def tool_button(
 
 def exclusive_buttons(
     choices: Sequence[tuple[str, str, str, str]], act: Callable[[str], object]
-) -> dict[str, QToolButton]:
+) -> dict[str, QtWidgets.QToolButton]:
     """Make buttons of which one is down, the first one at first; `act` receives the choice that was pressed.
 
     choices: Each choice, with its button's text, tooltip and accessible name.
@@ -299,9 +274,9 @@ def exclusive_buttons(
     return buttons
 
 
-def progress_bar(name: str, text: str = "") -> QProgressBar:
+def progress_bar(name: str, text: str = "") -> QtWidgets.QProgressBar:
     """Make a progress bar; `text` as of `QProgressBar.setFormat`."""
-    bar = QProgressBar()
+    bar = QtWidgets.QProgressBar()
     bar.setAccessibleName(name)
     bar.setFormat(text)
     bar.setTextVisible(bool(text))
@@ -309,20 +284,22 @@ def progress_bar(name: str, text: str = "") -> QProgressBar:
 
 
 def row(
-    *items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS, spacing: int | None = None
-) -> QHBoxLayout:
+    *items: Item, owner: QtWidgets.QWidget | None = None, margins: Margins = _NO_MARGINS, spacing: int | None = None
+) -> QtWidgets.QHBoxLayout:
     """Lay items out from left to right: widgets, layouts, (item, stretch), pixels of space, None for a stretch."""
-    return _fill(QHBoxLayout(), items, owner, margins, spacing)
+    return _fill(QtWidgets.QHBoxLayout(), items, owner, margins, spacing)
 
 
 def column(
-    *items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS, spacing: int | None = None
-) -> QVBoxLayout:
+    *items: Item, owner: QtWidgets.QWidget | None = None, margins: Margins = _NO_MARGINS, spacing: int | None = None
+) -> QtWidgets.QVBoxLayout:
     """Lay items out from top to bottom, as `row`."""
-    return _fill(QVBoxLayout(), items, owner, margins, spacing)
+    return _fill(QtWidgets.QVBoxLayout(), items, owner, margins, spacing)
 
 
-def _fill(box: AnyBox, items: Sequence[Item], owner: QWidget | None, margins: Margins, spacing: int | None) -> AnyBox:
+def _fill(
+    box: AnyBox, items: Sequence[Item], owner: QtWidgets.QWidget | None, margins: Margins, spacing: int | None
+) -> AnyBox:
     box.setContentsMargins(*margins)
     if spacing is not None:
         box.setSpacing(spacing)
@@ -332,7 +309,7 @@ def _fill(box: AnyBox, items: Sequence[Item], owner: QWidget | None, margins: Ma
             box.addStretch(1)
         elif isinstance(part, int):
             box.addSpacing(part)
-        elif isinstance(part, QLayout):
+        elif isinstance(part, QtWidgets.QLayout):
             box.addLayout(part, stretch)
         else:
             box.addWidget(part, stretch)
@@ -341,9 +318,9 @@ def _fill(box: AnyBox, items: Sequence[Item], owner: QWidget | None, margins: Ma
     return box
 
 
-def tab_pages(name: str, pages: Mapping[str, QWidget]) -> QTabWidget:
+def tab_pages(name: str, pages: Mapping[str, QtWidgets.QWidget]) -> QtWidgets.QTabWidget:
     """Make pages with tabs above them, by title."""
-    made = QTabWidget()
+    made = QtWidgets.QTabWidget()
     made.setDocumentMode(True)
     made.setAccessibleName(name)
     for title, page in pages.items():
@@ -351,18 +328,18 @@ def tab_pages(name: str, pages: Mapping[str, QWidget]) -> QTabWidget:
     return made
 
 
-def scrolling(part: QWidget) -> QScrollArea:
+def scrolling(part: QtWidgets.QWidget) -> QtWidgets.QScrollArea:
     """Put a widget into an area that scrolls where it is larger than its room."""
-    area = QScrollArea()
+    area = QtWidgets.QScrollArea()
     area.setWidgetResizable(True)
-    area.setFrameShape(QFrame.Shape.NoFrame)
+    area.setFrameShape(QtWidgets.QFrame.Shape.NoFrame)
     area.setWidget(part)
     return area
 
 
-def side_by_side(*parts: Part, growing: Sequence[int] = (), above: bool = False) -> QSplitter:
+def side_by_side(*parts: Part, growing: Sequence[int] = (), above: bool = False) -> QtWidgets.QSplitter:
     """Widgets from left to right, or one above the other; those numbered in `growing` take the additional room."""
-    splitter = QSplitter(Qt.Orientation.Vertical if above else Qt.Orientation.Horizontal)
+    splitter = QtWidgets.QSplitter(Qt.Orientation.Vertical if above else Qt.Orientation.Horizontal)
     splitter.setChildrenCollapsible(False)
     for part, _ in parts:
         splitter.addWidget(part)
@@ -372,13 +349,13 @@ def side_by_side(*parts: Part, growing: Sequence[int] = (), above: bool = False)
     return splitter
 
 
-class Badge(Themed, QLabel):
+class Badge(Themed, QtWidgets.QLabel):
     """A word on a coloured ground."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
         self.setAccessibleName(name)
-        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(QtWidgets.QSizePolicy.Policy.Preferred, QtWidgets.QSizePolicy.Policy.Fixed)
         self._colour = ""
 
     def show_word(self, word: str, colour: str) -> None:
@@ -400,6 +377,6 @@ def finish_text(finish_s: float) -> str:
 
 def copy_text(text: str) -> None:
     """Put a text on the clipboard."""
-    clipboard = QApplication.clipboard()
+    clipboard = QtWidgets.QApplication.clipboard()
     if clipboard is not None:
         clipboard.setText(text)

@@ -34,7 +34,7 @@ class Window(QMainWindow):
         self.messages = MessageBar()
         self.background = Background(self)
         self.context = TabContext(self.messages, self.background, settings, self)
-        self._error_hook = ErrorHook(self.report_error, self.close)
+        self._error_hook = ErrorHook(self._report_error, self.close)
         self._error_hook.install()
         application = QApplication.instance()
         assert isinstance(application, QApplication)
@@ -95,7 +95,7 @@ class Window(QMainWindow):
         for tab in self.tabs:
             tab.restore_settings()
 
-    def report_error(self, sentence: str, details: str) -> None:
+    def _report_error(self, sentence: str, details: str) -> None:
         """Report an error that nobody caught; `details` holds the traceback of a defect."""
         if not details:
             self.messages.fault(sentence)

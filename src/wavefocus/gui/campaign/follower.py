@@ -91,11 +91,18 @@ _LEDGER_EVERY_S = 1.0
 class Follower:
     """Follows one bank, which may not exist yet, until it is ended.
 
+    report: Called by `change` with why it cannot be read, empty when it can again, and the traceback of a defect.
     beats: Reads its heartbeat.
     """
 
-    def __init__(self, bank: Path, beats: Callable[[Path], Heartbeat | None] = read_heartbeat) -> None:
+    def __init__(
+        self,
+        bank: Path,
+        report: Callable[[str, str], object],
+        beats: Callable[[Path], Heartbeat | None] = read_heartbeat,
+    ) -> None:
         self.bank = bank
+        self._tell = report
         self._read_heartbeat = beats
         self._tail = LogTail(log_path(bank))
         self._found: queue.SimpleQueue[Change] = queue.SimpleQueue()
@@ -201,7 +208,7 @@ class Follower:
     def _report(self, sentence: str, details: str = "") -> None:
         if sentence != self._trouble:
             self._trouble = sentence
-            self._found.put(lambda campaign: campaign.show_trouble(sentence, details))
+            self._found.put(lambda _campaign: self._tell(sentence, details))
 
 
 def same_file(one: Path, other: Path) -> bool:

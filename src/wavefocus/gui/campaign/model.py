@@ -17,23 +17,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.campaign.status import GOING_ON, CampaignStatus
-from wavefocus.config.messages.campaign import (
-    CrosstalkMeasured,
-    Drift,
-    Event,
-    Fault,
-    Logged,
-    PositionCommitted,
-    PositionRepeated,
-    PositionStarted,
-    Progress,
-    ReconnectTried,
-    RecordTaken,
-    SessionStarted,
-    State,
-    StateChanged,
-    event_of,
-)
+from wavefocus.config.messages import campaign as events
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.theme import LIGHT, Theme
 from wavefocus.rendering.arrays import Float32Array
@@ -136,9 +120,9 @@ class EventLine:
     position: int = -1
 
 
-def read_record(record: Mapping[str, object]) -> Logged | EventLine:
+def read_record(record: Mapping[str, object]) -> events.Logged | EventLine:
     """Read a record of the log; one of another version becomes a line that holds whatever it says."""
-    logged = event_of(record)
+    logged = events.event_of(record)
     if logged is not None:
         return logged
     facts = ", ".join(f"{key} {value}" for key, value in record.items() if key not in ("at", "event", "time_s"))
@@ -155,28 +139,32 @@ def clock(at_s: float) -> str:
     return "" if math.isnan(at_s) else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
 
 
-def line_of(logged: Logged) -> EventLine | None:
+def line_of(logged: events.Logged) -> EventLine | None:
     """Line of an event; None for progress, which is shown otherwise."""
-    if isinstance(logged.event, Progress | RecordTaken):
+    if isinstance(logged.event, events.Progress | events.RecordTaken):
         return None
     position: int | None = getattr(logged.event, "position", None)
     row = -1 if position is None else position
     return EventLine(logged.at.timestamp(), _weight(logged.event), sentence(logged.event), row)
 
 
-def _weight(event: Event) -> Weight:
+def _weight(event: events.Event) -> Weight:
     match event:
-        case StateChanged(state=State.FAILED) | Fault() | CrosstalkMeasured(named=True):
+        case events.StateChanged(state=events.State.FAILED) | events.Fault() | events.CrosstalkMeasured(named=True):
             return Weight.FAULT
-        case StateChanged(state=State.RECOVERING | State.SUSPENDED) | PositionRepeated() | Drift(verdict="warn"):
+        case (
+            events.StateChanged(state=events.State.RECOVERING | events.State.SUSPENDED)
+            | events.PositionRepeated()
+            | events.Drift(verdict="warn")
+        ):
             return Weight.WARNING
-        case ReconnectTried(connected=False):
+        case events.ReconnectTried(connected=False):
             return Weight.WARNING
-        case Drift(verdict=verdict) if verdict != "steady":
+        case events.Drift(verdict=verdict) if verdict != "steady":
             return Weight.FAULT
-        case PositionCommitted(status=status):
+        case events.PositionCommitted(status=status):
             return Weight.DETAIL if status == Status.VALID else Weight.WARNING
-    return Weight.DETAIL if isinstance(event, PositionStarted) else Weight.NOTE
+    return Weight.DETAIL if isinstance(event, events.PositionStarted) else Weight.NOTE
 
 
 # A week of a campaign's events; older ones are in the log. Lines are dropped in blocks.
@@ -200,7 +188,7 @@ class Extra(StrEnum):
 class ShownState:
     """A state and its reason."""
 
-    word: State | Extra
+    word: events.State | Extra
     reason: str = ""
 
     @property
@@ -211,7 +199,7 @@ class ShownState:
     @property
     def going_on(self) -> bool:
         """Whether positions are measured now, so that a remaining time holds."""
-        return self.word is State.RUNNING
+        return self.word is events.State.RUNNING
 
 
 @dataclass(eq=False)
@@ -233,8 +221,6 @@ class CampaignModel:
     """As the log has it."""
     owner: Owner | None = None
     heartbeat: Heartbeat | None = None
-    trouble: tuple[str, str] = "", ""
-    """Why the bank or its log cannot be read, empty while they can; and the traceback of a defect."""
     revision: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "drift"), 0))
     _begun: set[int] = field(default_factory=set)
     """Positions begun since the last fault of an instrument."""
@@ -246,7 +232,7 @@ class CampaignModel:
         self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
         self._changed("surface", "map")
 
-    def add_records(self, records: Sequence[Logged | EventLine], *, anew: bool) -> None:
+    def add_records(self, records: Sequence[events.Logged | EventLine], *, anew: bool) -> None:
         """Add new records of the log; `anew` when the log was replaced."""
         if anew:
             self._forget_log()
@@ -267,16 +253,13 @@ class CampaignModel:
         self.drift = points
         self._changed("drift")
 
-    def show_trouble(self, why: str, details: str) -> None:
-        self.trouble = why, details
-
     @property
     def measured(self) -> int:
         return int(np.count_nonzero(self.status & ~np.uint8(DAMAGED)))
 
     def forget(self) -> None:
         """Reset everything: another bank will be followed."""
-        self.surface, self.owner, self.heartbeat, self.trouble = None, None, None, ("", "")
+        self.surface, self.owner, self.heartbeat = None, None, None
         self.status, self.figures, self.drift = np.zeros(0, np.uint8), {}, []
         self._forget_log()
         self._changed("surface", "drift")
@@ -310,7 +293,7 @@ class CampaignModel:
         self.session = CampaignStatus()
         self._changed("lines", "map")
 
-    def _take_record(self, record: Logged | EventLine) -> None:
+    def _take_record(self, record: events.Logged | EventLine) -> None:
         line = record if isinstance(record, EventLine) else line_of(record)
         if line is not None:
             self.lines.append(line)
@@ -319,24 +302,24 @@ class CampaignModel:
                 del self.lines[:-KEPT_LINES]
             self._changed("lines")
         self._logged_s = time.monotonic()
-        if isinstance(record, Logged):
+        if isinstance(record, events.Logged):
             former, self.session = self.session, self.session.after(record)
             if self.session.position != former.position:
                 self._changed("map")
             self._take_event(record.event, "" if line is None else line.text)
 
-    def _take_event(self, event: Event, text: str) -> None:
+    def _take_event(self, event: events.Event, text: str) -> None:
         match event:
-            case SessionStarted() | StateChanged(state=State.RUNNING):  # all instruments work
+            case events.SessionStarted() | events.StateChanged(state=events.State.RUNNING):  # all instruments work
                 self.instrument_faults.clear()
-            case ReconnectTried(instrument=name, connected=True):
+            case events.ReconnectTried(instrument=name, connected=True):
                 self.instrument_faults.pop(name, None)
-            case Fault(instrument=name) | ReconnectTried(instrument=name):
+            case events.Fault(instrument=name) | events.ReconnectTried(instrument=name):
                 self.instrument_faults[name] = text.removeprefix(f"{name}: ")
                 self._begun.clear()
-            case PositionStarted(position=position):
+            case events.PositionStarted(position=position):
                 self._begun.add(position)
-            case PositionCommitted(position=position, status=status):
+            case events.PositionCommitted(position=position, status=status):
                 self.commits[position] += 1
                 if position in self._begun:  # it used all instruments
                     self.instrument_faults.clear()

@@ -1,17 +1,25 @@
 """Panels around the map: buttons, progress, events with a filter, and instruments."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
+import numpy as np
+import pyqtgraph
+from numpy.typing import NDArray
+from PyQt5 import QtWidgets
 from PyQt5.QtCore import QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
-from PyQt5.QtGui import QColor, QStandardItem, QStandardItemModel
-from PyQt5.QtWidgets import QAbstractItemView, QAction, QHeaderView, QLineEdit, QTableView, QToolButton, QWidget
+from PyQt5.QtGui import QColor, QKeyEvent, QStandardItem, QStandardItemModel
 
 from wavefocus.campaign.status import GOING_ON, CampaignStatus
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.campaign.model import CampaignModel, EventLine, Extra, ShownState, Weight, clock
+from wavefocus.gui.campaign import model
+from wavefocus.gui.field_map import ColourBar
+from wavefocus.gui.surface import PlotSurface
+from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, draw_line, map_colours, rgba
 from wavefocus.gui.theme import Themed
+from wavefocus.rendering.arrays import Float32Array
+from wavefocus.storage.bank.ledger import Status
 
 # Name, text, key and tooltip.
 _BUTTONS = (
@@ -28,7 +36,7 @@ _BUTTONS = (
 PAUSED = (State.PAUSING, State.PAUSED)
 
 
-class Controls(QWidget):
+class Controls(QtWidgets.QWidget):
     """Row of buttons; `actions_by_name` are in the menu, too.
 
     acts: Action of each button.
@@ -36,9 +44,9 @@ class Controls(QWidget):
 
     def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
         super().__init__()
-        self.actions_by_name: dict[str, QAction] = {}
-        self.buttons: dict[str, QToolButton] = {}
-        parts: list[QWidget | int | None] = []
+        self.actions_by_name: dict[str, QtWidgets.QAction] = {}
+        self.buttons: dict[str, QtWidgets.QToolButton] = {}
+        parts: list[QtWidgets.QWidget | int | None] = []
         for name, text, key, tip in _BUTTONS:
             action = self.actions_by_name[name] = ui.action(self, text, acts[name], key, tip=tip)
             action.setEnabled(False)
@@ -47,7 +55,7 @@ class Controls(QWidget):
         ui.row(*parts, None, owner=self)
 
     def show_possible(
-        self, state: ShownState, *, has_run: bool, has_bank: bool, left: int, selected: int, poor: int
+        self, state: model.ShownState, *, has_run: bool, has_bank: bool, left: int, selected: int, poor: int
     ) -> None:
         """Enable what makes sense, and show how many positions would be measured again.
 
@@ -60,7 +68,7 @@ class Controls(QWidget):
             ("start", free and has_run, "Start"),
             ("resume", free and has_bank and left > 0, "Resume"),
             ("pause", orders, "Continue" if word in PAUSED else "Pause"),
-            ("stop", orders or word in (Extra.PREPARING, Extra.SILENT), "Stop after this position"),
+            ("stop", orders or word in (model.Extra.PREPARING, model.Extra.SILENT), "Stop after this position"),
             ("selected", free and has_bank and selected > 0, f"Remeasure selected{f' ({selected})' * (selected > 0)}"),
             ("poor", free and has_bank and poor > 0, f"Remeasure poor{f' ({poor})' * (poor > 0)}"),
         ):
@@ -70,7 +78,7 @@ class Controls(QWidget):
                 self.buttons[name].setAccessibleName(text)
 
 
-class ProgressRow(Themed, QWidget):
+class ProgressRow(Themed, QtWidgets.QWidget):
     """State, reason, progress bar and figures above the map."""
 
     def __init__(self) -> None:
@@ -84,11 +92,11 @@ class ProgressRow(Themed, QWidget):
         row = ui.row(self.state, (self.reason, 3), (self.bar, 3), self.figures, spacing=10)
         ui.column(row, self.faults, owner=self)
 
-    def show_state(self, state: ShownState, report: str, owner: str) -> None:
+    def show_state(self, state: model.ShownState, report: str, owner: str) -> None:
         """Show a state and its reason; `report` of the capture replaces the reason while it has none."""
         theme, word = self.theme, state.word
         colour = (
-            theme.fault if word in (State.FAILED, Extra.GONE, Extra.SILENT)
+            theme.fault if word in (State.FAILED, model.Extra.GONE, model.Extra.SILENT)
             else theme.warning if word in GOING_ON and word is not State.RUNNING
             else theme.good if state.measuring or word is State.FINISHED
             else theme.faint
@@ -103,7 +111,9 @@ class ProgressRow(Themed, QWidget):
         self.faults.setText("\n".join(f"▲ {fault}" for fault in faults))
         self.faults.setVisible(bool(faults))
 
-    def show_progress(self, measured: int, total: int, session: CampaignStatus, state: ShownState, plan: str) -> None:
+    def show_progress(
+        self, measured: int, total: int, session: CampaignStatus, state: model.ShownState, plan: str
+    ) -> None:
         """Show the progress of the bank, or of the session while it runs and has measured a position; else a plan."""
         paced = state.measuring and session.progress is not None
         done, of = (session.done, session.total) if paced else (measured, total)
@@ -129,7 +139,7 @@ class _EventFilter(QSortFilterProxyModel):
 
     def __init__(self, events: QStandardItemModel) -> None:
         super().__init__()
-        self.accepts: Callable[[EventLine], bool] = lambda _line: True
+        self.accepts: Callable[[model.EventLine], bool] = lambda _line: True
         self._events = events
         self.setSourceModel(events)
 
@@ -137,16 +147,16 @@ class _EventFilter(QSortFilterProxyModel):
         return self.accepts(_line_of(self._events.index(row, 0)))
 
 
-def _line_of(index: QModelIndex) -> EventLine:
+def _line_of(index: QModelIndex) -> model.EventLine:
     line = index.siblingAtColumn(0).data(Qt.ItemDataRole.UserRole)
-    assert isinstance(line, EventLine)
+    assert isinstance(line, model.EventLine)
     return line
 
 
-def _items(line: EventLine) -> list[QStandardItem]:
+def _items(line: model.EventLine) -> list[QStandardItem]:
     """A row of the table; its first item holds the line itself."""
-    colours = {Weight.FAULT: Themed.theme.fault, Weight.WARNING: Themed.theme.warning}
-    items = [QStandardItem(text) for text in (clock(line.at_s), line.weight.name.lower(), line.text)]
+    colours = {model.Weight.FAULT: Themed.theme.fault, model.Weight.WARNING: Themed.theme.warning}
+    items = [QStandardItem(text) for text in (model.clock(line.at_s), line.weight.name.lower(), line.text)]
     for item in items:
         item.setEditable(False)
         item.setToolTip(item.text())
@@ -156,12 +166,12 @@ def _items(line: EventLine) -> list[QStandardItem]:
     return items
 
 
-class EventList(Themed, QWidget):
+class EventList(Themed, QtWidgets.QWidget):
     """Events; a double click shows the position concerned."""
 
     position_wanted = pyqtSignal(int)
 
-    def __init__(self, campaign: CampaignModel) -> None:
+    def __init__(self, campaign: model.CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
         self._drawn = self._position = -1
@@ -171,15 +181,15 @@ class EventList(Themed, QWidget):
         self.lines = _EventFilter(self._table)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
         tip = "Events shown here (all are in the log next to the bank)"
-        self.weight = ui.choice("Least weight", tip, choices, Weight.NOTE)
-        self.text = ui.named(QLineEdit(), "Show only events that contain this text (Ctrl+F)", "Filter text")
+        self.weight = ui.choice("Least weight", tip, choices, model.Weight.NOTE)
+        self.text = ui.named(QtWidgets.QLineEdit(), "Show only events that contain this text (Ctrl+F)", "Filter text")
         self.text.setPlaceholderText("filter…")
         self.text.setClearButtonEnabled(True)
         self.of_position = ui.check("this position", "Show only events of the position that is shown above")
-        self.view = QTableView()
+        self.view = QtWidgets.QTableView()
         self.view.setModel(self.lines)
         self.view.setAccessibleName("Events")
-        self.view.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.view.setSelectionBehavior(QtWidgets.QAbstractItemView.SelectionBehavior.SelectRows)
         self.view.setShowGrid(False)
         self.view.setTabKeyNavigation(False)
         self.view.setWordWrap(False)
@@ -187,7 +197,7 @@ class EventList(Themed, QWidget):
         assert rows is not None
         assert columns is not None
         rows.hide()
-        rows.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        rows.setSectionResizeMode(QtWidgets.QHeaderView.ResizeMode.Fixed)
         rows.setDefaultSectionSize(metrics.height() + 5)
         columns.setStretchLastSection(True)
         self.view.setColumnWidth(0, metrics.horizontalAdvance("Wed 00:00:00") + 18)
@@ -230,3 +240,173 @@ class EventList(Themed, QWidget):
     def _want_position(self, index: QModelIndex) -> None:
         if (position := _line_of(index).position) >= 0:
             self.position_wanted.emit(position)
+
+
+class _SurfaceMap(SurfaceView):
+    """The map; arrow keys walk from position to position, Space selects, Ctrl+A selects all, Esc nothing.
+
+    A click shows a position, Ctrl-click selects it; a drag with Shift selects the rectangle, with Ctrl, too, adds it.
+    """
+
+    shown_changed = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        self.selected: set[int] = set()
+        self._status: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        super().__init__("Map of the surface")
+        self.setAccessibleDescription("Arrow keys go from position to position, Space selects")
+        self._marks = self.add_spots(40, "o", 7, self.theme.text, self.theme.base)
+        self._selection = self.add_spots(41, "s", 11, pyqtgraph.mkPen(MARK, width=2))
+        self._current = self.add_spots(42, "o", 17, pyqtgraph.mkPen(self.theme.text, width=3))
+        self._rectangle = self.add_line(100, pyqtgraph.mkPen(self.theme.text, style=Qt.PenStyle.DashLine))
+        self.picked.connect(self.show_position)
+
+    @property
+    def shown(self) -> int:
+        """The position whose details are shown, -1 for none."""
+        return self.marked
+
+    def show_surface(self, surface: PlotSurface | None) -> None:
+        super().show_surface(surface)
+        for item in (self._marks, self._current):
+            item.clear()
+        self.show_position(-1)
+        self.select([])
+
+    def _show_status(self, status: NDArray[np.uint8], colours: NDArray[np.uint8], current: int | None) -> None:
+        """Colour the positions, with shapes over those that are not good and a ring round the one being measured."""
+        self._status = status
+        self.paint(colours)
+        index = model.look_index(status)
+        bad = np.flatnonzero(index < len(model.LOOKS) - 2)
+        self._put(self._marks, bad, symbol=[model.LOOKS[look].symbol for look in index[bad]])
+        self._put(self._current, [] if current is None else [current])
+
+    def show_position(self, position: int) -> None:
+        """Mark the position whose details are shown; -1 for none."""
+        self.mark(position)
+        self.shown_changed.emit(position)
+
+    def select(self, positions: Iterable[int]) -> None:
+        """Select these and no others."""
+        self.selected = {int(position) for position in positions}
+        self._put(self._selection, sorted(self.selected))
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        key = event.key()
+        if key == Qt.Key.Key_Space and self.shown >= 0:
+            self.select(self.selected ^ {self.shown})
+        elif key == Qt.Key.Key_A and event.modifiers() & Qt.KeyboardModifier.ControlModifier and self.surface:
+            self.select(range(self.surface.positions))
+        elif key == Qt.Key.Key_Escape and self.selected:
+            self.select([])
+        else:
+            super().keyPressEvent(event)
+
+    def position_text(self, position: int) -> str:
+        return f"{super().position_text(position)}: {model.status_text(int(self._status[position]))}"
+
+    def click_at(self, at_mm: PointMm, keys: Keys) -> None:
+        position = self.position_at(at_mm)
+        if position >= 0 and keys & Qt.KeyboardModifier.ControlModifier:
+            self.select(self.selected ^ {position})
+        else:
+            super().click_at(at_mm, keys)
+
+    def claims_drag(self, _at_mm: PointMm, keys: Keys) -> bool:
+        return bool(keys & Qt.KeyboardModifier.ShiftModifier)
+
+    def drag_to(self, start_mm: PointMm, at_mm: PointMm, keys: Keys, *, ended: bool) -> None:
+        (left, bottom), (right, top) = (low, high) = np.sort([start_mm, at_mm], axis=0)
+        rim_mm = np.array([(left, bottom), (right, bottom), (right, top), (left, top), (left, bottom)])
+        draw_line(self._rectangle, [] if ended else [rim_mm])
+        if ended and self.surface is not None:
+            place_mm = self.surface.position_mm
+            inside = set(np.flatnonzero(((place_mm >= low) & (place_mm <= high)).all(axis=1)).tolist())
+            self.select(self.selected | inside if keys & Qt.KeyboardModifier.ControlModifier else inside)
+
+    def _put(self, item: Spots, positions: Iterable[int], **looks: object) -> None:
+        surface = self.surface
+        inside = [] if surface is None else [position for position in positions if position < surface.positions]
+        item.setData(pos=np.zeros((0, 2)) if surface is None else surface.position_mm[inside].reshape(-1, 2), **looks)
+        item.setVisible(bool(inside))  # even an empty one takes time to paint
+
+
+# Characters like the shapes over the cells.
+_SIGNS = {"d": "◆", "+": "+", "x": "×", "s": "■", "t": "▼", "": "&nbsp;"}
+
+
+class MapPanel(Themed, QtWidgets.QWidget):
+    """Draws the campaign's map, and below it the statuses with their counts, or a colour bar.
+
+    planned: What the run file describes; drawn while there is no bank.
+    levels: Values at the ends of the colour bar; None while the status is shown.
+    """
+
+    def __init__(self, campaign: model.CampaignModel) -> None:
+        super().__init__()
+        self._campaign = campaign
+        self._drawn: tuple[object, ...] = ()
+        self.planned: PlotSurface | None = None
+        self.levels: tuple[float, float] | None = None
+        self.map = _SurfaceMap()
+        self._colours = pyqtgraph.colormap.get("viridis")
+        self.bar = ColourBar(self._colours)
+        self._counts = ui.label("Statuses of the positions", any_width=True)
+        tip = "Colour of the map; residual and coherence are the worst actuator's"
+        self.colour_by = ui.choice(
+            "Colour of the map", tip, ["status", *(title for title, _ in model.FIGURES.values())]
+        )
+        self.colour_by.setSizePolicy(QtWidgets.QSizePolicy.Policy.Ignored, QtWidgets.QSizePolicy.Policy.Fixed)
+        controls = ui.row(QtWidgets.QLabel("Colour by"), (self.colour_by, 1))
+        ui.column(controls, (self.map, 1), self._counts, self.bar, owner=self)
+        self.colour_by.currentIndexChanged.connect(self.draw)
+        self.draw()
+
+    def draw(self) -> None:
+        """Draw what has changed."""
+        campaign, index = self._campaign, self.colour_by.currentIndex()
+        surface = campaign.surface or self.planned
+        drawn = surface, campaign.revision["map"], index
+        if drawn == self._drawn:
+            return
+        if not self._drawn or surface is not self._drawn[0]:
+            self.map.show_surface(surface)
+        self._drawn = drawn
+        status = campaign.status if campaign.surface else np.zeros(surface.positions if surface else 0, np.uint8)
+        values = campaign.figures.get([*model.FIGURES][index - 1]) if index > 0 else None
+        if values is None or len(values) != len(status):
+            self.levels = None
+            colours = np.array([rgba(look.colour(self.theme)) for look in model.LOOKS], np.uint8)[
+                model.look_index(status)
+            ]
+            self._counts.setText("" if surface is None else _counts_text(status))
+        else:
+            self.levels = _levels_of(values)
+            colours = map_colours(self._colours, values, self.levels, self.theme.cell)
+            self.bar.show_range(self.colour_by.currentText(), "", self.levels)
+        self._counts.setVisible(self.levels is None)
+        self.bar.setVisible(self.levels is not None)
+        self.map._show_status(status, colours, campaign.session.position)
+
+
+def _levels_of(values: Float32Array) -> tuple[float, float]:
+    """Ends of the colours; a few outliers must not press all others into one colour."""
+    known = values[np.isfinite(values)]
+    outliers = 1.0 if known.size > 100 else 0.0
+    low, high = np.percentile(known, [outliers, 100.0 - outliers]).tolist() if known.size else (0.0, 1.0)
+    alike = high - low < 1e-9 * max(1.0, abs(high))
+    return (low - 0.5, high + 0.5) if alike else (low, high)
+
+
+def _counts_text(status: NDArray[np.uint8]) -> str:
+    """Looks of the statuses as rich text, and how many positions have each."""
+    theme, counts = Themed.theme, np.bincount(model.look_index(status), minlength=len(model.LOOKS)).tolist()
+    swatch = f"<span style='color: {theme.text}; background-color: {{}}'>&nbsp;{{}}&nbsp;</span>"
+    parts = [
+        f"{swatch.format(look.colour(theme), _SIGNS[look.symbol])}&nbsp;{look.word}&nbsp;{count}"
+        for look, count in zip(model.LOOKS, counts, strict=True)
+        if count > 0 or look.bit in (Status.VALID, model.NOT_MEASURED)
+    ]
+    return "&nbsp;&nbsp; ".join(reversed(parts))

@@ -14,9 +14,8 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
-from wavefocus.gui.campaign.map_panel import MapPanel
 from wavefocus.gui.campaign.model import NOT_GOOD, CampaignModel, Extra
-from wavefocus.gui.campaign.panels import PAUSED, Controls, EventList, ProgressRow
+from wavefocus.gui.campaign.panels import PAUSED, Controls, EventList, MapPanel, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.files import FileKind, PathField, file_state, names_virtual_rig, rig_of_run
 from wavefocus.gui.process import CommandProcess
@@ -116,8 +115,6 @@ class CampaignTab(Tab):
         self.campaign = CampaignModel()
         self.follower: Follower | None = None
         self.run = _CampaignRun(context, self)
-        self._trouble = ""
-        self._paused = False
         self._run_file: Path | None = None
         self._plan_of: tuple[object, ...] = ()
         self._planned_s = math.nan
@@ -171,7 +168,7 @@ class CampaignTab(Tab):
             self.follower.end()
         self.context.settle("campaign")
         self.campaign.forget()
-        self.follower = Follower(bank)
+        self.follower = Follower(bank, self._report)
         self._read_plan()
         self.context.share(self, FileKind.BANK, bank)
 
@@ -184,10 +181,6 @@ class CampaignTab(Tab):
         owner, real = self.campaign.owner, surface is None or not surface.is_virtual
         measures = f"process {owner.pid} on {owner.host} measures {self.bank_field.path}" if owner and real else ""
         self.run.foreign = measures
-        if self.campaign.trouble[0] != self._trouble:
-            self._trouble, details = self.campaign.trouble
-            answers = [("Copy details", lambda: ui.copy_text(details))] if details else []
-            self.context.report("campaign", self._trouble, *answers)
 
     def draw(self) -> None:
         campaign, bank, selected = self.campaign, self.bank_field.path, len(self.map_panel.map.selected)
@@ -202,7 +195,6 @@ class CampaignTab(Tab):
         plan = f"planned: {total} positions, {hours(self._planned_s)}" if shown and surface is None else ""
         self.progress.show_progress(measured, total, campaign.session, state, plan)
         startable = self.run_field.path is not None and bank is not None and not self._mismatch
-        self._paused = state.word in PAUSED
         poor, left = int(((campaign.status & NOT_GOOD) > 0).sum()), total - measured
         self.controls.show_possible(
             state, has_run=startable, has_bank=surface is not None, left=left, selected=selected, poor=poor
@@ -306,8 +298,14 @@ class CampaignTab(Tab):
 
         self.context.claim_instruments(word, start, virtual=virtual, but=self.run)
 
+    def _report(self, why: str, details: str) -> None:
+        """Say why the bank cannot be followed; empty where it can again."""
+        answers = [("Copy details", lambda: ui.copy_text(details))] if details else []
+        self.context.report("campaign", why, *answers)
+
     def _pause_or_continue(self) -> None:
-        self.run.order("resume" if self._paused else "pause", self.bank_field.path)
+        paused = self.campaign.state().word in PAUSED
+        self.run.order("resume" if paused else "pause", self.bank_field.path)
 
     def _remeasure_selected(self) -> None:
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))

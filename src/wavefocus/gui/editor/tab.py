@@ -2,23 +2,291 @@
 
 from collections.abc import Sequence
 from functools import partial
+from html import escape
 from pathlib import Path
 
 import numpy as np
-from PyQt5.QtGui import QShowEvent
-from PyQt5.QtWidgets import QAction, QStackedWidget, QTabWidget, QWidget
+from PyQt5 import QtGui, QtWidgets
+from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt, pyqtSignal
 
 from wavefocus.acquisition.wording import hours
+from wavefocus.config.editing import commented_table, completions, example, help_at
+from wavefocus.config.fields import tables_of
+from wavefocus.config.scene import PathTable, PointTable, SceneConfig, SignalTable, tables_by_kind
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.editor.document import TextDocument, TextFiles, closing_question
-from wavefocus.gui.editor.text_edit import FileBar, TextPanel
 from wavefocus.gui.files import FileKind
 from wavefocus.gui.message_bar import error_text
+from wavefocus.gui.scene.document import changed, new_source
 from wavefocus.gui.surface import PlotSurface, plan_surface
 from wavefocus.gui.surface_view import SurfaceView, rgba
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
-from wavefocus.gui.theme import Themed
+from wavefocus.gui.theme import Theme, Themed
 from wavefocus.storage.errors import WavefocusError
+
+_COMPLETER_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Tab, Qt.Key.Key_Escape)
+
+
+class _TomlEdit(Themed, QtWidgets.QPlainTextEdit):
+    """The text of a document. Letters complete keys; Ctrl+Space lists those that fit; a tooltip explains each."""
+
+    def __init__(self, document: TextDocument) -> None:
+        super().__init__()
+        self._document = document
+        self.setAccessibleName(f"Text of the {document.kind} file")
+        self.setDocument(document.text)
+        self.setFont(QtGui.QFontDatabase.systemFont(QtGui.QFontDatabase.SystemFont.FixedFont))
+        self.setLineWrapMode(QtWidgets.QPlainTextEdit.LineWrapMode.NoWrap)  # comments stand in a column of their own
+        self.setTabChangesFocus(True)  # whoever has no mouse gets out again
+        self.setAcceptDrops(False)  # the name of a dropped file is no TOML
+        self._colours = _Colours(document.text, self.theme)
+        self._found = QStringListModel(self)
+        self.completer = QtWidgets.QCompleter(self._found, self)
+        self.completer.setWidget(self)
+        popup = self.completer.popup()
+        assert popup is not None
+        self.popup = popup
+        self.completer.setModelSorting(QtWidgets.QCompleter.ModelSorting.UnsortedModel)
+        self.completer.activated[str].connect(self._complete)
+        self._typed = ""
+        document.changed.connect(self._mark_mistakes)
+
+    def position(self) -> int:
+        """Place of the cursor in the text, in characters."""
+        return len(self._before(self.textCursor().position()))
+
+    def go_to_line(self, line: int) -> None:
+        """Put the cursor into a line, from 0."""
+        self.setTextCursor(QtGui.QTextCursor(self._document.text.findBlockByNumber(line)))
+        self.centerCursor()
+        self.setFocus(Qt.FocusReason.OtherFocusReason)
+
+    def _mark_mistakes(self) -> None:
+        """Underline the lines with mistakes."""
+        marked = []
+        for mistake in self._document.mistakes:
+            line = QtWidgets.QTextEdit.ExtraSelection()
+            line.cursor = QtGui.QTextCursor(self._document.text.findBlockByNumber(mistake.line))
+            line.cursor.select(QtGui.QTextCursor.SelectionType.LineUnderCursor)
+            line.format.setUnderlineStyle(QtGui.QTextCharFormat.UnderlineStyle.WaveUnderline)
+            line.format.setUnderlineColor(QtGui.QColor(self.theme.fault))
+            marked.append(line)
+        self.setExtraSelections(marked)
+
+    def event(self, event: QEvent | None) -> bool:
+        """Explain what is below the mouse: its mistake, else its key."""
+        if not isinstance(event, QtGui.QHelpEvent):
+            return bool(super().event(event))
+        viewport = self.viewport()
+        assert viewport is not None
+        cursor = self.cursorForPosition(viewport.mapFromGlobal(event.globalPos()))
+        wrong = [one.sentence for one in self._document.mistakes if one.line == cursor.blockNumber()]
+        at = len(self._before(cursor.position()))
+        QtWidgets.QToolTip.showText(
+            event.globalPos(), "\n".join(wrong) or help_at(self._document.toml(), at, self._document.model)
+        )
+        return True
+
+    def keyPressEvent(self, event: QtGui.QKeyEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if self.popup.isVisible() and event.key() in _COMPLETER_KEYS:
+            event.ignore()  # for the list
+            return
+        asked = event.key() == Qt.Key.Key_Space and event.modifiers() == Qt.KeyboardModifier.ControlModifier
+        if not asked:
+            super().keyPressEvent(event)
+        if asked or (event.text().isprintable() and event.text().strip() not in ("", "]", "}")):
+            self._list_completions(asked=asked)
+        else:
+            self.popup.hide()
+
+    def _list_completions(self, *, asked: bool) -> None:
+        """List what may stand at the cursor; unless asked for, once a letter has been typed."""
+        self._typed, found = completions(self._document.toml(), self.position(), self._document.model)
+        popup = self.popup
+        if not found or not (asked or self._typed) or found == [self._typed]:
+            popup.hide()
+            return
+        self._found.setStringList(found)
+        self.completer.setCompletionPrefix("")
+        place = self.cursorRect()
+        place.setWidth(popup.sizeHintForColumn(0) + 30)
+        self.completer.complete(place)
+        popup.setCurrentIndex(popup.indexAt(popup.rect().topLeft()))
+
+    def _complete(self, text: str) -> None:
+        cursor = self.textCursor()
+        cursor.movePosition(
+            QtGui.QTextCursor.MoveOperation.Left, QtGui.QTextCursor.MoveMode.KeepAnchor, len(self._typed)
+        )
+        cursor.insertText(text)
+        self.setTextCursor(cursor)
+
+    def _before(self, position: int) -> str:
+        """The text before a position of Qt, which counts pairs of surrogates as two."""
+        raw = self._document.toml().encode("utf-16-le", "surrogatepass")
+        return raw[: 2 * position].decode("utf-16-le", "surrogatepass")
+
+
+class _Colours(QtGui.QSyntaxHighlighter):
+    """Headings, texts and comments."""
+
+    def __init__(self, document: object, theme: Theme) -> None:
+        super().__init__(document)  # type: ignore[call-overload]
+        heading, text, comment = QtGui.QTextCharFormat(), QtGui.QTextCharFormat(), QtGui.QTextCharFormat()
+        heading.setFontWeight(QtGui.QFont.Weight.Bold)
+        text.setForeground(QtGui.QColor(theme.accent))
+        comment.setForeground(QtGui.QColor(theme.faint))
+        patterns = (r"^\s*\[+[\w.\-]+\]+", heading), (r'"[^"\n]*"', text), (r"#.*$", comment)
+        self._rules = [(QRegularExpression(pattern), style) for pattern, style in patterns]
+
+    def highlightBlock(self, line: str | None) -> None:  # noqa: N802
+        for pattern, style in self._rules:
+            found = pattern.globalMatch(line)
+            while found.hasNext():
+                match = found.next()
+                self.setFormat(match.capturedStart(), match.capturedLength(), style)
+
+
+class _SearchLine(QtWidgets.QLineEdit):
+    """Takes Escape itself, also while a message is shown that Escape would dismiss."""
+
+    left = pyqtSignal()
+
+    def event(self, event: QEvent | None) -> bool:
+        """Claim Escape before it is taken for a shortcut."""
+        if isinstance(event, QtGui.QKeyEvent) and event.key() == Qt.Key.Key_Escape:
+            event.accept()
+            if event.type() == QEvent.Type.KeyPress:
+                self.left.emit()
+            return True
+        return bool(super().event(event))
+
+
+class TextPanel(Themed, QtWidgets.QWidget):
+    """The text with a line to search in it, and its mistakes below, each with its line."""
+
+    def __init__(self, document: TextDocument) -> None:
+        super().__init__()
+        self._document = document
+        self.text = _TomlEdit(document)
+        self.search = ui.named(_SearchLine(), "Enter: next place, Escape: close", "Search in the text")
+        self.search.setPlaceholderText("search: Enter finds the next place")
+        self.search.hide()
+        self.problem = ui.label("Mistakes of the text", wraps=True, selectable=True)
+        self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.LinksAccessibleByMouse)
+        self.problem.linkActivated.connect(lambda line: self.text.go_to_line(int(line)))
+        ui.column(self.search, (self.text, 1), self.problem, owner=self, spacing=4)
+        self.search.returnPressed.connect(self._find_next)
+        find = ui.action(self, "&Find", self._find, "Ctrl+F")
+        find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+        self.addAction(find)
+        self.search.left.connect(self._leave)
+        document.changed.connect(self._show_mistakes)
+        self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
+        self._show_mistakes()
+
+    def _find_next(self) -> None:
+        """Select the next place with the searched text, from the start after the last one."""
+        if not self.text.find(self.search.text()):
+            self.text.moveCursor(QtGui.QTextCursor.MoveOperation.Start)
+            self.text.find(self.search.text())
+
+    def _show_mistakes(self) -> None:
+        shown = self._document.mistakes[:_MISTAKES_SHOWN]
+        lines = [f'<a href="{one.line}">line {one.line + 1}</a>: {escape(one.sentence)}' for one in shown]
+        if more := len(self._document.mistakes) - len(shown):
+            lines.append(f"and {more} more")
+        self.problem.setText("<br>".join(lines))
+        self.problem.setVisible(bool(lines))
+
+    def _find(self) -> None:
+        self.search.show()
+        self.search.setFocus(Qt.FocusReason.ShortcutFocusReason)
+        self.search.selectAll()
+
+    def _leave(self) -> None:
+        self.search.hide()
+        self.text.setFocus(Qt.FocusReason.OtherFocusReason)
+
+
+_MISTAKES_SHOWN = 3
+
+
+class FileBar(QtWidgets.QWidget):
+    """Buttons for a text and its file, and the file's name.
+
+    owner: The widget in which their keys hold.
+    """
+
+    def __init__(self, owner: QtWidgets.QWidget, document: TextDocument, files: TextFiles) -> None:
+        super().__init__()
+        self._document, self._files = document, files
+        text, kind = document.text, document.kind
+        self.actions_by_name = {
+            "new": ui.action(owner, "&New", files.new, "Ctrl+N", tip=f"Begin a new {kind} file"),
+            "save": ui.action(owner, "&Save", files.save, "Ctrl+S", tip=f"Save the {kind} to its file"),
+            "save as": ui.action(owner, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
+            "undo": ui.action(owner, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),
+            "redo": ui.action(owner, "&Redo", text.redo, "Ctrl+Shift+Z", tip="Redo the change"),
+        }
+        text.undoAvailable.connect(self.actions_by_name["undo"].setEnabled)
+        text.redoAvailable.connect(self.actions_by_name["redo"].setEnabled)
+        for action in self.actions_by_name.values():
+            # Other tabs mean something else by the same keys.
+            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            owner.addAction(action)
+        insert = ui.tool_button("Insert", "Insert a table with a comment for each of its keys")
+        insert.setPopupMode(QtWidgets.QToolButton.ToolButtonPopupMode.InstantPopup)
+        insert.setMenu(insert_menu(document))
+        self.name = ui.label("File", any_width=True)
+        self.name.setMinimumWidth(self.name.fontMetrics().horizontalAdvance("scene.toml •"))
+        ui.row(*map(ui.button, self.actions_by_name.values()), insert, 6, (self.name, 1), owner=self)
+        document.file_changed.connect(self._show_name)
+        self._show_name()
+
+    def _show_name(self) -> None:
+        document = self._document
+        self.name.setText(self._files.shown_name)
+        self.name.setToolTip(str(document.path or "not in a file yet"))
+        self.actions_by_name["save"].setEnabled(not document.saved or document.path is None)
+
+
+def insert_menu(document: TextDocument) -> QtWidgets.QMenu:
+    """A menu of the tables that a document's file can have."""
+    menu = QtWidgets.QMenu("&Insert")
+    if document.model is SceneConfig:
+        for title, kinds, source in (
+            ("Source on a &path", tables_by_kind(PathTable), source_on_path),
+            ("Source with a &signal", tables_by_kind(SignalTable), source_with_signal),
+        ):
+            part = QtWidgets.QMenu(title, menu)
+            for kind in kinds:
+                _add(part, document, kind, source(kind))
+            menu.addMenu(part)
+    for heading in document.model.model_fields:
+        if heading != "source" and tables_of(document.model, heading):
+            _add(menu, document, f"[{heading}]", commented_table(document.kind, heading))
+    return menu
+
+
+def source_on_path(kind: str) -> str:
+    """A commented source on a path of a kind, which emits noise."""
+    path = example(tables_by_kind(PathTable)[kind])
+    source = new_source(path)  # type: ignore[arg-type]
+    return commented_table("scene", "source", source, path=path, signal=source.signal)
+
+
+def source_with_signal(kind: str) -> str:
+    """A commented source with a signal of a kind, at rest."""
+    source = new_source(PointTable(at_mm=(0.0, 0.0)))
+    signal = example(tables_by_kind(SignalTable)[kind])
+    return commented_table("scene", "source", changed(source, signal=signal), path=source.path, signal=signal)
+
+
+def _add(menu: QtWidgets.QMenu, document: TextDocument, words: str, text: str) -> None:
+    menu.addAction(ui.action(menu, words, partial(document.append, text)))
+
 
 # A surface with lines of text, and a table: titles and rows; both may be empty.
 _Meaning = tuple[PlotSurface, Sequence[str], Sequence[str], Sequence[Sequence[str]]]
@@ -74,10 +342,10 @@ MEANINGS = {"run": _meaning_of_run, "rig": _meaning_of_rig}
 _KINDS = {FileKind.RUN: "run", FileKind.RIG: "rig"}
 
 
-class _FilePage(Themed, QWidget):
+class _FilePage(Themed, QtWidgets.QWidget):
     """The text of a run or rig file, and what it means."""
 
-    def __init__(self, kind: str, context: TabContext, owner: QWidget) -> None:
+    def __init__(self, kind: str, context: TabContext, owner: QtWidgets.QWidget) -> None:
         super().__init__()
         self._context = context
         self.document = TextDocument(kind, self)
@@ -89,13 +357,13 @@ class _FilePage(Themed, QWidget):
         self.table = ui.table(("",), "Channels and limits", ())
         self.table.hide()
         self.bar = FileBar(self, self.document, self.files)
-        right = QWidget()
+        right = QtWidgets.QWidget()
         ui.column((self.surface, 2), self.lines, (self.table, 1), owner=right, spacing=4)
         self.columns = ui.side_by_side((self.editor, 620), (right, 600), growing=[0, 1])
         ui.column(self.bar, (self.columns, 1), owner=self, spacing=4)
         self.document.changed.connect(self._ask)
 
-    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
+    def showEvent(self, event: QtGui.QShowEvent | None) -> None:  # noqa: N802
         super().showEvent(event)
         self._ask()
 
@@ -137,7 +405,7 @@ class FilesTab(Tab):
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
         self.pages = {kind: _FilePage(name, context, self) for kind, name in _KINDS.items()}
-        self._stack = QStackedWidget()
+        self._stack = QtWidgets.QStackedWidget()
         for page in self.pages.values():
             self._stack.addWidget(page)
         choices = [(kind, kind.capitalize(), f"The text of the {kind}", kind) for kind in _KINDS]
@@ -147,7 +415,7 @@ class FilesTab(Tab):
         for page in self.pages.values():
             page.files.restore_unsaved()
 
-    def menu_actions(self) -> list[QAction | None]:
+    def menu_actions(self) -> list[QtWidgets.QAction | None]:
         return [ui.action(self, f"&{kind.capitalize()}", partial(self.show_page, kind)) for kind in _KINDS]
 
     def show_page(self, kind: FileKind) -> None:
@@ -156,7 +424,7 @@ class FilesTab(Tab):
         self._stack.setCurrentWidget(self.pages[kind])
         stack = self.parentWidget()
         tabs = None if stack is None else stack.parentWidget()
-        if isinstance(tabs, QTabWidget):
+        if isinstance(tabs, QtWidgets.QTabWidget):
             tabs.setCurrentWidget(self)
 
     def use_shared(self, kind: FileKind, path: Path) -> None:

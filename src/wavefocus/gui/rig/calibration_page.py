@@ -1,8 +1,9 @@
 """Calibration wizard: its options, its questions, the beam and the residuals of the mirror map."""
 
 import math
+from collections.abc import Callable
 
-from PyQt5.QtCore import Qt, pyqtSignal
+from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAbstractItemView, QPlainTextEdit, QPushButton, QWidget
 
 from wavefocus.config.messages.operate import Numbers
@@ -24,48 +25,22 @@ _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
 _YES = {AskJog: "here", MapView: "keep", AskConnect: "done", AskAgain: "again"}
 
 
-class _CalibrationOptions(QWidget):
-    """Options of a calibration; `started` carries the command's options."""
+class CalibrationPage(Themed, QWidget):
+    """Picture on the left, question on the right; `start` receives the options of a calibration's command."""
 
-    started = pyqtSignal(list)
-
-    def __init__(self) -> None:
+    def __init__(self, calibration: Calibration, start: Callable[[list[str]], object]) -> None:
         super().__init__()
+        self._calibration, self._start = calibration, start
+        self._marks_mm: list[Numbers] = []
+        self.picture = SurfacePicture("Surface with the marks of the mirror map")
+        self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
         self.parts = {part: ui.check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
         tip = "Its values override the rig file's; a measured bank keeps its own calibration"
         self.use = ui.check("&Name the new file in the rig file", tip, on=True)
         tip = "Open the instruments and measure; you are asked what to connect"
-        self.start = ui.push_button("&Start the calibration", tip, self._start)
-        title = ui.label(text="Measure the rig's own values", role="strong")
-        ui.column(title, *self.parts.values(), self.use, ui.row(self.start, None), owner=self)
-        for box in self.parts.values():
-            box.toggled.connect(self._enable)
-
-    def choose(self, part: str) -> None:
-        """Tick one part alone, or all if the name is empty."""
-        for name, box in self.parts.items():
-            box.setChecked(part in ("", name))
-
-    def _enable(self) -> None:
-        self.start.setEnabled(any(box.isChecked() for box in self.parts.values()))
-
-    def _start(self) -> None:
-        options = ["--only", ",".join(name for name, box in self.parts.items() if box.isChecked())]
-        if self.use.isChecked():
-            options.append("--use")
-        self.started.emit(options)
-
-
-class CalibrationPage(Themed, QWidget):
-    """Picture on the left, question on the right."""
-
-    def __init__(self, calibration: Calibration) -> None:
-        super().__init__()
-        self._calibration = calibration
-        self._marks_mm: list[Numbers] = []
-        self.picture = SurfacePicture("Surface with the marks of the mirror map")
-        self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
-        self.options = _CalibrationOptions()
+        self.start = ui.push_button("&Start the calibration", tip, self._start_chosen)
+        title, self.options = ui.label(text="Measure the rig's own values", role="strong"), QWidget()
+        ui.column(title, *self.parts.values(), self.use, ui.row(self.start, None), owner=self.options)
         self.question = ui.label("Question of the calibration", role="strong", wraps=True)
         self.note = ui.label("Notes", wraps=True)
         self.arrows = Arrows((0.05, 0.2, 1.0, 5.0, 20.0), "mrad", 2)
@@ -98,11 +73,24 @@ class CalibrationPage(Themed, QWidget):
         )
         self.splitter = ui.side_by_side((self.picture, 640), (side, 600))
         ui.column(self.splitter, owner=self, margins=ui.PAGE_MARGINS)
+        for box in self.parts.values():
+            box.toggled.connect(lambda _on: self.start.setEnabled(bool(self._chosen())))
         self.arrows.stepped.connect(calibration.step)
         self.picture.stepped.connect(self.arrows.step)
         calibration.changed.connect(self._show)
         calibration.level_changed.connect(lambda: self.meter.show_levels(calibration.levels))
         self._show()
+
+    def choose(self, part: str) -> None:
+        """Tick one part alone, or all if the name is empty."""
+        for name, box in self.parts.items():
+            box.setChecked(part in ("", name))
+
+    def _chosen(self) -> list[str]:
+        return [name for name, box in self.parts.items() if box.isChecked()]
+
+    def _start_chosen(self) -> None:
+        self._start(["--only", ",".join(self._chosen()), *(["--use"] if self.use.isChecked() else [])])
 
     @property
     def chosen_mark(self) -> int | None:

@@ -360,7 +360,7 @@ class LevelMeter(Themed, QWidget):
                 continue
             text = f"{name}: {_volts(level.rms_v)} rms, {_volts(level.peak_v)} peak of {level.range_v:g} V"
             if name == "response" and levels is not None and levels.light is not None:
-                text += f"; signal {levels.light:.0%}"
+                text += f"; signal {100 * levels.light:.0f} %"
             peak_db = 20 * math.log10(max(level.peak_v, 1e-12) / level.range_v)
             bar.setFormat(f"▲ over-range! {text}" if level.over_range else text)
             bar.setValue(min(0, max(_FLOOR_DB, round(peak_db))))
@@ -385,7 +385,7 @@ def _sweep_text(sweep: SweepTaken) -> str:
         heard = "signal {:.0f} dB above noise" if sweep.figures.snr_db > 0 else "no signal above the noise"
         for value, template in (
             (sweep.figures.snr_db, heard),
-            (sweep.figures.residual_db, "{:.0f} dB unexplained"),
+            (sweep.figures.residual_db, "{:z.0f} dB unexplained"),
             (1e3 * sweep.figures.latency_s, "latency {:.1f} ms"),
             (sweep.figures.clock_ppm, "clocks {:+.0f} ppm apart"),
         ):

@@ -5,29 +5,7 @@ from pathlib import Path
 
 from PyQt5.QtCore import pyqtSignal
 
-from wavefocus.config.messages import Refused, message_of
-from wavefocus.config.messages.operate import (
-    OPERATE_EVENTS,
-    Done,
-    Faulted,
-    LevelMeasured,
-    LevelsSwitched,
-    MirrorMoved,
-    Numbers,
-    Ready,
-    SweepTaken,
-)
-from wavefocus.config.messages.rig_checks import (
-    CALIBRATE_EVENTS,
-    AskAgain,
-    AskConnect,
-    AskJog,
-    Begin,
-    CalibrationDone,
-    MapView,
-    OperatorQuestion,
-    Tell,
-)
+from wavefocus.config.messages import Refused, message_of, operate, rig_checks
 from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.tab import OwnCommand, TabContext
 
@@ -57,17 +35,17 @@ class ManualSession(OwnCommand):
 
     def _reset(self) -> None:
         self.state = "released"
-        self.facts: Ready | None = None
-        self.beam = MirrorMoved()
-        self.levels: LevelMeasured | None = None
+        self.facts: operate.Ready | None = None
+        self.beam = operate.MirrorMoved()
+        self.levels: operate.LevelMeasured | None = None
         self.listening = self.sweeping = False
-        self.sweep: SweepTaken | None = None
+        self.sweep: operate.SweepTaken | None = None
         self.swept_off = ""
-        self._moving_to: Numbers | None = None
-        self._next: Numbers | None = None
+        self._moving_to: operate.Numbers | None = None
+        self._next: operate.Numbers | None = None
 
     @property
-    def place_mm(self) -> Numbers | None:
+    def place_mm(self) -> operate.Numbers | None:
         """Place of the beam on the surface; None where it is parked or off the surface."""
         x_mm, y_mm = self.beam.x_mm, self.beam.y_mm
         return None if self.beam.parked or x_mm is None or y_mm is None else (x_mm, y_mm)
@@ -147,30 +125,30 @@ class ManualSession(OwnCommand):
             self.own.send(**order)
 
     def _receive(self, message: Message) -> None:
-        match message_of(message, OPERATE_EVENTS):
-            case Ready() as facts:
+        match message_of(message, operate.OPERATE_EVENTS):
+            case operate.Ready() as facts:
                 self.facts = facts
                 self._enter("ready")
-            case MirrorMoved() as beam:
+            case operate.MirrorMoved() as beam:
                 self.beam = beam
                 self.beam_changed.emit()
-            case LevelsSwitched(on=on):
+            case operate.LevelsSwitched(on=on):
                 self.listening = on
                 self.level_changed.emit()
-            case LevelMeasured() as levels:
+            case operate.LevelMeasured() as levels:
                 self.levels, self.listening = levels, True
                 self.level_changed.emit()
-            case SweepTaken() as sweep:
+            case operate.SweepTaken() as sweep:
                 self.sweep = sweep
                 self.sweep_changed.emit()
-            case Done() as done:
+            case operate.Done() as done:
                 self._order_done(done)
             case Refused(sentence=sentence):
                 self._context.messages.warn(sentence)
-            case Faulted() as fault:
+            case operate.Faulted() as fault:
                 self._report_fault(fault)
 
-    def _report_fault(self, fault: Faulted) -> None:
+    def _report_fault(self, fault: operate.Faulted) -> None:
         role = fault.instrument
         answers = []
         if self.state == "ready" and role in ("mirror", "recorder", "player"):
@@ -180,7 +158,7 @@ class ManualSession(OwnCommand):
             self.listening = False
             self.level_changed.emit()
 
-    def _order_done(self, done: Done) -> None:
+    def _order_done(self, done: operate.Done) -> None:
         match done.order:
             case "jog":
                 self._moving_to, wanted, self._next = None, self._next, None
@@ -230,15 +208,15 @@ class Calibration(OwnCommand):
         self._reset()
 
     def _reset(self) -> None:
-        self._steps_mrad: Numbers = (0.0, 0.0)
+        self._steps_mrad: operate.Numbers = (0.0, 0.0)
         self._moving = False
         self._unanswered = 0  # answers sent, less questions received
-        self.marks_mm: list[Numbers] = []
-        self.question: OperatorQuestion | None = None
+        self.marks_mm: list[operate.Numbers] = []
+        self.question: rig_checks.OperatorQuestion | None = None
         self.lines: list[str] = []
-        self.outcome: CalibrationDone | None = None
+        self.outcome: rig_checks.CalibrationDone | None = None
         self.ending = ""
-        self.levels: LevelMeasured | None = None
+        self.levels: operate.LevelMeasured | None = None
 
     def start(self, rig: Path, options: Sequence[str], holds: str = "") -> None:
         """Calibrate; `holds` as of `OwnCommand.run`."""
@@ -257,7 +235,7 @@ class Calibration(OwnCommand):
 
     def step(self, x_mrad: float, y_mrad: float) -> None:
         """Move the beam; steps asked for while it moves are added up."""
-        if isinstance(self.question, AskJog):
+        if isinstance(self.question, rig_checks.AskJog):
             self._steps_mrad = self._steps_mrad[0] + x_mrad, self._steps_mrad[1] + y_mrad
             if not self._moving:
                 self._send_steps()
@@ -270,33 +248,35 @@ class Calibration(OwnCommand):
             self.interrupt()
 
     def _receive(self, message: Message) -> None:
-        match message_of(message, CALIBRATE_EVENTS):
-            case Begin(marks_mm=marks_mm):
+        match message_of(message, rig_checks.CALIBRATE_EVENTS):
+            case rig_checks.Begin(marks_mm=marks_mm):
                 self.marks_mm = list(marks_mm)
-            case AskConnect() | AskJog() | MapView() | AskAgain() as question:
+            case (
+                rig_checks.AskConnect() | rig_checks.AskJog() | rig_checks.MapView() | rig_checks.AskAgain() as question
+            ):
                 self._ask(question)
-            case Tell(line=line):
+            case rig_checks.Tell(line=line):
                 self.lines.append(line)
                 self.changed.emit()
-            case LevelMeasured() as levels:
+            case operate.LevelMeasured() as levels:
                 self.levels = levels
                 self.level_changed.emit()
             case Refused(sentence=sentence):
                 self._context.messages.warn(sentence)
-            case Faulted(sentence=sentence):
+            case operate.Faulted(sentence=sentence):
                 self._context.messages.fault(sentence)
-            case CalibrationDone() as done:
+            case rig_checks.CalibrationDone() as done:
                 self.outcome = done
                 self.changed.emit()
 
-    def _ask(self, question: OperatorQuestion) -> None:
+    def _ask(self, question: rig_checks.OperatorQuestion) -> None:
         self._unanswered -= 1
         self._moving = self._unanswered >= 0
         if self._moving:
             return  # it is being answered already
         self.question = question
         self.changed.emit()
-        if isinstance(question, AskJog):
+        if isinstance(question, rig_checks.AskJog):
             self._send_steps()
 
     def _send_steps(self) -> None:

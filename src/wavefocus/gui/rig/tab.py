@@ -64,7 +64,7 @@ def button_of(finding: Finding) -> tuple[str, str] | None:
     """Action and text of a finding's button; None where there is nothing to do in the window."""
     if finding.act is not None and finding.act.do == "calibrate":
         return "calibrate", f"Calibrate {finding.act.on}…".replace(" …", "…")
-    return ("again", "Check again") if _is_bad(finding) else None
+    return ("again", "Check again") if finding.verdict in ("fail", "warn") else None
 
 
 def remedy_of(finding: Finding) -> str:
@@ -75,10 +75,6 @@ def remedy_of(finding: Finding) -> str:
     if act is not None and act.do == "edit-rig" and act.on not in finding.remedy:
         return f"{finding.remedy} ({act.on} in the rig file)"
     return finding.remedy
-
-
-def _is_bad(finding: Finding) -> bool:
-    return finding.verdict in ("fail", "warn")
 
 
 class _ExaminationPage(Themed, QWidget):
@@ -138,18 +134,6 @@ class _ExaminationPage(Themed, QWidget):
         self.summary.setText(f"examining… {number + 1} findings; last: {finding.instrument}, {finding.check}")
         self.table.scrollToBottom()
 
-    def _fill(self, number: int) -> None:
-        theme, finding = self.theme, self.findings[number]
-        colours = {"ok": theme.good, "warn": theme.warning, "fail": theme.fault}
-        texts = (
-            _VERDICTS[finding.verdict][0],
-            finding.instrument,
-            finding.check,
-            finding.what,
-            remedy_of(finding),
-        )
-        ui.fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
-
     def _ended(self, process: CommandProcess) -> None:
         code, verdicts = process.exit_code, [one.verdict for one in self.findings]
         if code in (0, 1) and verdicts:
@@ -177,13 +161,12 @@ class RigTab(Tab):
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
         self.examination = _ExaminationPage(context, self.do)
         self.manual_page = ManualPage(self.session, self.take)
-        self.calibration_page = CalibrationPage(self.calibration)
+        self.calibration_page = CalibrationPage(self.calibration, self.calibrate)
         pages = {"Examination": self.examination, "By hand": self.manual_page, "Calibration": self.calibration_page}
         self.pages = ui.tab_pages("Pages of the rig", pages)
         ui.column(self.rig_field, (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.remember(hand=self.manual_page.splitter, calibration=self.calibration_page.splitter)
         self.rig_field.chosen.connect(self.open_file)
-        self.calibration_page.options.started.connect(self.calibrate)
         page = self.manual_page
         self._with_instruments = [page.sound.sweep, page.mute, page.jog.park]
         remembered = context.settings.text("rig/file")
@@ -219,7 +202,7 @@ class RigTab(Tab):
         if action == "again":
             self.examine()
         else:
-            self.calibration_page.options.choose(on)
+            self.calibration_page.choose(on)
             self.pages.setCurrentWidget(self.calibration_page)
 
     def poll(self) -> None:

@@ -6,13 +6,12 @@ import math
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -84,11 +83,6 @@ class Calculation(QObject):
     def busy(self) -> bool:
         return self._future is not None
 
-    @property
-    def process_id(self) -> int | None:
-        """None before the first scene and after the process has ended."""
-        return None if self._pool is None else next(iter(self._pool._processes), None)
-
     def start(self, rig: str) -> None:
         """Calculate the present scene within the limits of a rig; empty for none. Nothing may be running."""
         document = self._document
@@ -118,8 +112,7 @@ class Calculation(QObject):
         assert self._pool is not None
         self._cancelled_s = 0.0
         try:
-            with _start_script_not_imported():
-                self._future = self._pool.submit(work, self._newest.value, *arguments)
+            self._future = self._pool.submit(work, self._newest.value, *arguments)
         except (BrokenProcessPool, OSError):
             self.close()
             self.refused.emit(LOST)
@@ -138,7 +131,7 @@ class Calculation(QObject):
         if isinstance(failure, BrokenProcessPool):
             self.close()
             self.refused.emit(LOST)
-        elif self._cancelled_s or isinstance(failure, SupersededError):
+        elif self._cancelled_s or isinstance(failure, _SupersededError):
             return
         elif isinstance(failure, WavefocusError | OSError | MemoryError):
             self.refused.emit(str(failure) or "there is not enough memory for this scene")
@@ -155,19 +148,7 @@ class Calculation(QObject):
         self.made.emit(results)
 
 
-@contextmanager
-def _start_script_not_imported() -> Iterator[None]:
-    """Start processes that do not import the script that started this one: it may open a window, and takes time."""
-    main = sys.modules["__main__"]
-    spec, file = main.__spec__, getattr(main, "__file__", None)
-    main.__spec__ = main.__file__ = None
-    try:
-        yield
-    finally:
-        main.__spec__, main.__file__ = spec, file
-
-
-class SupersededError(Exception):
+class _SupersededError(Exception):
     """A newer scene is asked for."""
 
 
@@ -200,11 +181,11 @@ def _begin_process(newest: Any) -> None:
 
 
 def _checks(number: int) -> Callable[[int, int], None]:
-    """A report of progress that raises SupersededError once a newer scene is asked for."""
+    """A report of progress that raises _SupersededError once a newer scene is asked for."""
 
     def check(_done: int, _total: int) -> None:
         if any(newest.value != number for newest in _NEWEST):
-            raise SupersededError
+            raise _SupersededError
 
     return check
 

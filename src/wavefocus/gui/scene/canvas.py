@@ -11,34 +11,23 @@ from PyQt5.QtWidgets import QWidget
 from wavefocus.config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, QuietTable, SourceTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import ColourBar
-from wavefocus.gui.scene.document import (
-    DECIMALS,
-    EMPTY,
-    QUIET,
-    SOURCE,
-    Chosen,
-    PointMm,
-    SceneDocument,
-    handles,
-    with_handle,
-)
-from wavefocus.gui.scene.document import Keys as KeysOfPoint
+from wavefocus.gui.scene import document as scenes
 from wavefocus.gui.scene.preview import Backdrop, LivePreview, Trace
 from wavefocus.gui.surface_view import MARK, Keys, SurfaceView, draw_line, map_colours, rgba
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
 
 # Drawn with a click; all else with a drag.
-_CLICKED = ("point", QUIET)
+_CLICKED = ("point", scenes.QUIET)
 
 
-def _path_between(kind: str, start: PointMm, end: PointMm) -> PathTable:
+def _path_between(kind: str, start: scenes.PointMm, end: scenes.PointMm) -> PathTable:
     """The path that a drag draws."""
-    x, y = (round(one, DECIMALS) for one in start)
+    x, y = (round(one, scenes.DECIMALS) for one in start)
     if kind == "line":
-        return LineTable(start_mm=(x, y), end_mm=(round(end[0], DECIMALS), round(end[1], DECIMALS)))
+        return LineTable(start_mm=(x, y), end_mm=(round(end[0], scenes.DECIMALS), round(end[1], scenes.DECIMALS)))
     if kind == "circle":
-        return CircleTable(centre_mm=(x, y), radius_mm=round(math.dist(start, end), DECIMALS))
+        return CircleTable(centre_mm=(x, y), radius_mm=round(math.dist(start, end), scenes.DECIMALS))
     return PointTable(at_mm=(x, y))
 
 
@@ -55,10 +44,10 @@ class SceneCanvas(SurfaceView):
     #: A point of the chosen one that was dragged: its keys, and the table with it elsewhere.
     dragged = pyqtSignal(object, object)
 
-    def __init__(self, document: SceneDocument, live: LivePreview) -> None:
+    def __init__(self, document: scenes.SceneDocument, live: LivePreview) -> None:
         self._document, self._live = document, live
         self.kind = ""
-        self._held: KeysOfPoint | None = None
+        self._held: scenes.Keys | None = None
         self._outline_mm = np.zeros((0, 2))
         super().__init__("Surface to draw on")
         self.colour_map = pyqtgraph.colormap.get("viridis")
@@ -77,17 +66,17 @@ class SceneCanvas(SurfaceView):
 
     def _show_scene(self) -> None:
         kind, index = self._document.chosen
-        self._show_traces(self._live.traces, index if kind == SOURCE else -1)
+        self._show_traces(self._live.traces, index if kind == scenes.SOURCE else -1)
         draw_line(self._quiet, [*map(_quiet_line, self._document.draft.quiet)])
         self._show_handles(self._document.table if self._handles() else None)
 
-    def claims_drag(self, at_mm: PointMm, _keys: Keys) -> bool:
+    def claims_drag(self, at_mm: scenes.PointMm, _keys: Keys) -> bool:
         near = [(math.dist(point_mm, at_mm), keys) for keys, point_mm in self._handles()]
         away_mm, keys = min(near, key=lambda one: one[0], default=(math.inf, None))
         self._held = keys if away_mm <= self._reach_mm and not self.kind else None
         return bool(self.kind) or self._held is not None
 
-    def drag_to(self, start_mm: PointMm, at_mm: PointMm, _keys: Keys, *, ended: bool) -> None:
+    def drag_to(self, start_mm: scenes.PointMm, at_mm: scenes.PointMm, _keys: Keys, *, ended: bool) -> None:
         table = self._document.table
         if self.kind:
             path = _path_between(self.kind, start_mm, at_mm)
@@ -95,14 +84,14 @@ class SceneCanvas(SurfaceView):
             if ended:
                 self.drawn.emit(self.kind, path)
         elif self._held is not None and table is not None:
-            rounded_mm = round(at_mm[0], DECIMALS), round(at_mm[1], DECIMALS)
-            table = with_handle(table, self._held, rounded_mm)
+            rounded_mm = round(at_mm[0], scenes.DECIMALS), round(at_mm[1], scenes.DECIMALS)
+            table = scenes.with_handle(table, self._held, rounded_mm)
             self._show_handles(table)
             draw_line(self._sketch, [] if ended else [_sketched(table.path)])
             if ended:
                 self.dragged.emit(self._held, table)
 
-    def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
+    def click_at(self, at_mm: scenes.PointMm, _keys: Keys) -> None:
         if self.kind in _CLICKED:
             self.drawn.emit(self.kind, _path_between(self.kind, at_mm, at_mm))
         elif not self.kind and (chosen := self._table_at(at_mm)) is not None:
@@ -111,15 +100,15 @@ class SceneCanvas(SurfaceView):
     def fit(self) -> None:
         self.show_everything()
 
-    def _handles(self) -> list[tuple[KeysOfPoint, PointMm]]:
+    def _handles(self) -> list[tuple[scenes.Keys, scenes.PointMm]]:
         """Points that can be dragged: those of the chosen table, while the text is the scene that is shown."""
         table = self._document.table
-        return [] if table is None or self._document.problem else handles(table)
+        return [] if table is None or self._document.problem else scenes.handles(table)
 
-    def _table_at(self, at: PointMm) -> Chosen | None:
+    def _table_at(self, at: scenes.PointMm) -> scenes.Chosen | None:
         """The source or the quiet place below the mouse; None for none."""
-        lines = [((SOURCE, index), trace.line_mm) for index, trace in enumerate(self._live.traces)]
-        lines += [((QUIET, index), _quiet_line(place)) for index, place in enumerate(self._document.draft.quiet)]
+        lines = [((scenes.SOURCE, index), trace.line_mm) for index, trace in enumerate(self._live.traces)]
+        lines += [((scenes.QUIET, index), _quiet_line(place)) for index, place in enumerate(self._document.draft.quiet)]
         near = [(float(np.nanmin(np.hypot(*(line_mm - at).T))), chosen) for chosen, line_mm in lines if len(line_mm)]
         away_mm, chosen = min(near, default=(math.inf, None))
         return chosen if away_mm <= self._reach_mm else None
@@ -162,7 +151,7 @@ class SceneCanvas(SurfaceView):
 
     def _show_handles(self, table: SourceTable | QuietTable | None) -> None:
         """Show the points that can be dragged."""
-        points_mm = [] if table is None else [at_mm for _, at_mm in handles(table)]
+        points_mm = [] if table is None else [at_mm for _, at_mm in scenes.handles(table)]
         self._squares.setData(pos=np.array(points_mm, np.float64).reshape(-1, 2))
 
 
@@ -207,7 +196,7 @@ def _quiet_line(place: QuietTable) -> Float64Array:
     return np.concatenate([np.array(place.at_mm) + _CROSS_MM, rim_mm])
 
 
-def _circle(centre_mm: PointMm, radius_mm: float) -> Float64Array:
+def _circle(centre_mm: scenes.PointMm, radius_mm: float) -> Float64Array:
     angle = np.linspace(0.0, 2 * np.pi, 91)
     return np.array(centre_mm) + radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
@@ -217,7 +206,7 @@ _TOOLS = (
     ("point", "Point", "Click: adds a source at rest"),
     ("line", "Line", "Drag from start to end: adds a source on a line"),
     ("circle", "Circle", "Drag from the centre to the rim: adds a source on a circle"),
-    (QUIET, "Quiet", "Click: adds a place that is kept quiet"),
+    (scenes.QUIET, "Quiet", "Click: adds a place that is kept quiet"),
 )
 _LONGEST = 240
 
@@ -225,7 +214,7 @@ _LONGEST = 240
 class SurfacePanel(Themed, QWidget):
     """Where scenes are seen."""
 
-    def __init__(self, document: SceneDocument, live: LivePreview) -> None:
+    def __init__(self, document: scenes.SceneDocument, live: LivePreview) -> None:
         super().__init__()
         self._document, self._live = document, live
         #: What is wrong with the scene; empty where nothing is.
@@ -259,7 +248,7 @@ class SurfacePanel(Themed, QWidget):
     def _show_hint(self) -> None:
         """Show the problem; without one, what the mouse does."""
         hint = next(tip for kind, _, tip in _TOOLS if kind == self.canvas.kind)
-        text = self.problem or (hint if self._document.draft.source else EMPTY)
+        text = self.problem or (hint if self._document.draft.source else scenes.EMPTY)
         self.hint.setText(text if len(text) < _LONGEST else f"{text[:_LONGEST]}…")
         self.hint.setToolTip(text)
         self.hint.setStyleSheet(f"QLabel {{ color: {self.theme.fault if self.problem else self.theme.faint}; }}")

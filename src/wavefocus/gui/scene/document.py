@@ -9,27 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
+from wavefocus.config import scene as config
 from wavefocus.config.editing import lines_of, mistakes_in
 from wavefocus.config.fields import Table, toml_table
 from wavefocus.config.loading import parse_toml, validated
-from wavefocus.config.scene import (
-    WITHOUT_SPEED,
-    CircleTable,
-    FileTable,
-    LineTable,
-    NoiseTable,
-    Output,
-    PathTable,
-    PointTable,
-    PolylineTable,
-    QuietTable,
-    SceneConfig,
-    SourceTable,
-    SvgTable,
-    TextTable,
-    TrajectoryTable,
-    regularisation_toml,
-)
 from wavefocus.gui.editor.document import TextDocument
 from wavefocus.storage.errors import InputError
 
@@ -38,7 +21,7 @@ if TYPE_CHECKING:
 
 PointMm = tuple[float, float]
 AnyTable = TypeVar("AnyTable", bound=Table)
-FilesTable = TypeVar("FilesTable", SourceTable, QuietTable)
+FilesTable = TypeVar("FilesTable", config.SourceTable, config.QuietTable)
 
 
 DECIMALS = 2  # of millimetres that are drawn
@@ -46,7 +29,7 @@ NEW_AMPLITUDE = 0.01
 """Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""
 EMPTY = "the scene has no source yet: draw one on the surface, or write one"
 # A drive that no actuator could play is of no use: new scenes keep to the limit of the scenes of `init`.
-NEW_SCENE = SceneConfig.model_construct(source=(), output=Output(limit_v=1.0))
+NEW_SCENE = config.SceneConfig.model_construct(source=(), output=config.Output(limit_v=1.0))
 
 
 def changed(table: AnyTable, **changes: object) -> AnyTable:
@@ -54,12 +37,12 @@ def changed(table: AnyTable, **changes: object) -> AnyTable:
     return table.model_copy(update=changes)
 
 
-def new_source(path: PathTable) -> SourceTable:
+def new_source(path: config.PathTable) -> config.SourceTable:
     """A source on a path, to be edited."""
-    moves = path.kind not in WITHOUT_SPEED
-    return SourceTable(
+    moves = path.kind not in config.WITHOUT_SPEED
+    return config.SourceTable(
         path=path,
-        signal=NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
+        signal=config.NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
         emission="continuous" if path.kind == "trajectory" else "per_point",
         amplitude=NEW_AMPLITUDE,
         speed_mm_s=80.0 if moves else None,
@@ -70,22 +53,22 @@ def new_source(path: PathTable) -> SourceTable:
 Keys = tuple[str | int, ...]
 
 
-def handles(table: SourceTable | QuietTable) -> list[tuple[Keys, PointMm]]:
+def handles(table: config.SourceTable | config.QuietTable) -> list[tuple[Keys, PointMm]]:
     """The points of a source or a quiet place that can be moved, with their keys beneath its table."""
-    if isinstance(table, QuietTable) and table.at_mm is not None:
+    if isinstance(table, config.QuietTable) and table.at_mm is not None:
         return [(("at_mm",), table.at_mm)]
     match table.path:
-        case PointTable(at_mm=at_mm):
+        case config.PointTable(at_mm=at_mm):
             return [(("path", "at_mm"), at_mm)]
-        case LineTable(start_mm=start_mm, end_mm=end_mm):
+        case config.LineTable(start_mm=start_mm, end_mm=end_mm):
             return [(("path", "start_mm"), start_mm), (("path", "end_mm"), end_mm)]
-        case CircleTable(centre_mm=(x_mm, y_mm), radius_mm=radius_mm):
+        case config.CircleTable(centre_mm=(x_mm, y_mm), radius_mm=radius_mm):
             return [(("path", "centre_mm"), (x_mm, y_mm)), (("path", "radius_mm"), (x_mm + radius_mm, y_mm))]
-        case PolylineTable(points_mm=points_mm):
+        case config.PolylineTable(points_mm=points_mm):
             return [(("path", "points_mm", index), point) for index, point in enumerate(points_mm)]
-        case TextTable(centre_mm=centre_mm):
+        case config.TextTable(centre_mm=centre_mm):
             return [(("path", "centre_mm"), centre_mm)]
-        case SvgTable(origin_mm=origin_mm):
+        case config.SvgTable(origin_mm=origin_mm):
             return [(("path", "origin_mm"), origin_mm)]
     return []
 
@@ -100,12 +83,12 @@ def with_handle(table: AnyTable, keys: Keys, at_mm: PointMm) -> AnyTable:
         points = list(held)
         points[int(rest[0])] = at_mm
         return changed(table, **{str(key): tuple(points)})
-    if isinstance(table, CircleTable) and key == "radius_mm":
+    if isinstance(table, config.CircleTable) and key == "radius_mm":
         return changed(table, radius_mm=round(math.dist(table.centre_mm, at_mm), DECIMALS))
     return changed(table, **{str(key): at_mm})
 
 
-def moved(text: str, place: Keys, keys: Keys, table: SourceTable | QuietTable) -> str:
+def moved(text: str, place: Keys, keys: Keys, table: config.SourceTable | config.QuietTable) -> str:
     """The text of a scene with the numbers of one point as a table has them; all else stays, comments too.
 
     place: The list and the index of the table in the scene.
@@ -136,33 +119,33 @@ def moved(text: str, place: Keys, keys: Keys, table: SourceTable | QuietTable) -
         ) from None
 
 
-def scene_toml(scene: SceneConfig) -> str:
+def scene_toml(scene: config.SceneConfig) -> str:
     """Write a scene as a scene file, as docs/reference/scene-file.md says; nothing about it is checked here."""
     return "\n".join(
         [
             toml_table("[scene]", scene.scene),
             *(toml_table("[[source]]", source) for source in scene.source),
             *(toml_table("[[quiet]]", place) for place in scene.quiet),
-            regularisation_toml(scene.regularisation),
+            config.regularisation_toml(scene.regularisation),
             toml_table("[output]", scene.output),
         ]
     )
 
 
-def with_absolute_files(scene: SceneConfig, folder: Path) -> SceneConfig:
+def with_absolute_files(scene: config.SceneConfig, folder: Path) -> config.SceneConfig:
     """The scene with full names of the files that it names relative to a folder."""
 
     def named(table: FilesTable) -> FilesTable:
-        if isinstance(table.path, SvgTable | TrajectoryTable):
+        if isinstance(table.path, config.SvgTable | config.TrajectoryTable):
             table = changed(table, path=changed(table.path, file=str(folder / table.path.file)))
-        if isinstance(table, SourceTable) and isinstance(table.signal, FileTable):
+        if isinstance(table, config.SourceTable) and isinstance(table.signal, config.FileTable):
             table = changed(table, signal=changed(table.signal, path=str(folder / table.signal.path)))
         return table
 
     return changed(scene, source=tuple(map(named, scene.source)), quiet=tuple(map(named, scene.quiet)))
 
 
-def build_draft(draft: SceneConfig, place: Path) -> Scene:
+def build_draft(draft: config.SceneConfig, place: Path) -> Scene:
     """Build the scene that commands read from the draft's file.
 
     place: The scene file; it need not exist.
@@ -180,7 +163,7 @@ def build_draft(draft: SceneConfig, place: Path) -> Scene:
         raise InputError(str(error).removeprefix(f"{place}: ")) from None
 
 
-_ANY_SOURCE = toml_table("[[source]]", new_source(PointTable(at_mm=(0.0, 0.0))))
+_ANY_SOURCE = toml_table("[[source]]", new_source(config.PointTable(at_mm=(0.0, 0.0))))
 _SOURCE = re.compile(r"^\s*\[\[source\]\]", re.MULTILINE)
 # Lists of tables that stand on the surface.
 SOURCE, QUIET = "source", "quiet"
@@ -211,13 +194,13 @@ class SceneDocument(TextDocument):
         return bool(self.draft.source or self.path or (self.mistakes and self.toml().strip()))
 
     @property
-    def source(self) -> SourceTable | None:
+    def source(self) -> config.SourceTable | None:
         """The chosen source."""
         kind, index = self.chosen
         return self.draft.source[index] if kind == SOURCE and 0 <= index < len(self.draft.source) else None
 
     @property
-    def table(self) -> SourceTable | QuietTable | None:
+    def table(self) -> config.SourceTable | config.QuietTable | None:
         """The chosen source or quiet place."""
         kind, index = self.chosen
         places = self.draft.quiet if kind == QUIET else ()
@@ -267,6 +250,6 @@ class SceneDocument(TextDocument):
         self.problem = self.mistakes[0].sentence if self.mistakes else ""
         if not self.mistakes:
             tables = parse_toml(f"{text}\n{_ANY_SOURCE}" if empty else text, str(self.place))
-            draft = validated(SceneConfig, tables, str(self.place))
+            draft = validated(config.SceneConfig, tables, str(self.place))
             self.draft = changed(draft, source=()) if empty else draft
         self.changed.emit()

@@ -3,16 +3,20 @@
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import pyqtSignal
 
 from wavefocus.acquisition.wording import hours
+from wavefocus.config.messages import Message, Refused, live, message_of, to_record
+from wavefocus.config.scene import ImpulseTable
 from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.message_bar import error_text
-from wavefocus.gui.process import CommandProcess, Message
-from wavefocus.gui.scene.document import SceneDocument, scene_toml, with_absolute_files
+from wavefocus.gui.process import CommandProcess
+from wavefocus.gui.process import Message as Record
+from wavefocus.gui.scene.document import NEW_AMPLITUDE, SceneDocument, scene_toml, with_absolute_files
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import OwnCommand, TabContext
 
@@ -23,7 +27,7 @@ IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening th
 _MUTES_WITHIN_MS, _OPENS_WITHIN_MS = 4000, 30_000
 
 
-class SceneTask(OwnCommand):
+class _SceneTask(OwnCommand):
     """Runs commands about the present scene one after the other, at most one task at a time, in a temporary folder.
 
     A process that sounds mutes the outputs when it is stopped, and when the window is gone.
@@ -97,7 +101,7 @@ class SceneTask(OwnCommand):
         self,
         commands: Sequence[tuple[str, Sequence[str]]],
         done: Callable[[CommandProcess], object],
-        received: Callable[[Message], None] | None = None,
+        received: Callable[[Record], None] | None = None,
     ) -> None:
         """Run commands as long as they succeed, each with the state that it begins in.
 
@@ -136,7 +140,7 @@ class SceneTask(OwnCommand):
         self.changed.emit()
 
 
-class Saving(SceneTask):
+class Saving(_SceneTask):
     """Saves one file at a time."""
 
     text = ""
@@ -167,7 +171,7 @@ class Saving(SceneTask):
         self._context.report_end(process, done, f"{unsaved}: cancelled", f"{unsaved}: {process.failure}")
 
 
-class PlayTask(SceneTask):
+class PlayTask(_SceneTask):
     """Renders the scene within the rig's limits and plays it."""
 
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
@@ -203,7 +207,7 @@ class PlayTask(SceneTask):
         elif self.state in (OPENING, PLAYING):
             self._end_process(sounds=self.state == PLAYING)
 
-    def _received(self, message: Message) -> None:
+    def _received(self, message: Record) -> None:
         if self.state == OPENING and message.get("event") == "playing":
             self._started_s = time.monotonic()
             self._enter(PLAYING)
@@ -215,3 +219,116 @@ class PlayTask(SceneTask):
             self._context.report_end(process, stopped, stopped, why)
         else:
             self._context.report_end(process, done, done)
+
+
+STARTING, LIVE = "starting", "live"
+# States come five times a second. A session that writes none for so long gets no positions: writing to a full pipe
+# would hold up the window.
+_STALLED_AFTER_S = 2.0
+
+
+class LiveRun(_SceneTask):
+    """At most one live session of the window; `changed` is emitted when its state is another one.
+
+    state: `IDLE`, `STARTING`, `LIVE` or `STOPPING`.
+    ready: Facts of the session, from `LIVE` on.
+    latest: Figures of the session.
+    places: Where pointers hold sources, by name, in mm.
+    """
+
+    verb = "plays live"
+
+    #: A `LiveState` has arrived.
+    figures_changed = pyqtSignal()
+
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
+        super().__init__(context, document)
+        self.ready: live.LiveReady | None = None
+        self.latest: live.LiveState | None = None
+        self.places: dict[str, live.PointMm] = {}
+        self._refusal = ""
+        self._heard_s = 0.0
+        self._ended: live.LiveEnded | None = None
+
+    def start(self, rig: str, look_ahead_ms: int, record: Path | None) -> None:
+        """Start a session with the present scene's signal, regularisation and limits.
+
+        rig: The rig file, or ``virtual``.
+        look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
+        record: Folder for a new folder with the session's scene; None: not recorded.
+        """
+        if self.busy or not self._prepare("nothing sounds", rig):
+            return
+        document = self._document
+        scene = ["--scene", str(self._scene_file)] if document.draft.source else []
+        name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}"
+        kept = [] if record is None else ["--record", str(record / name)]
+        arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
+        self._refusal, self.ready, self.latest, self._ended = "", None, None, None
+        self._run_all([(STARTING, [*arguments, *scene, *kept])], self._summarise, self._receive)
+
+    def stop(self) -> None:
+        """Let the sources fade, mute, and end the session."""
+        if self.state in (STARTING, LIVE):
+            self._send(live.EndLive())
+            self._end_process(sounds=self.state == LIVE)
+
+    def detach(self) -> None:
+        self.places.clear()
+        super().detach()
+
+    def press(self, name: str, at_mm: live.PointMm) -> None:
+        """Let a source begin to sound."""
+        if self.state == LIVE:
+            self.places[name] = at_mm
+            if (source := self._document.source) is not None:  # without one, the signal is that of the session
+                repeats = not isinstance(source.signal, ImpulseTable)  # at every sample it would be a constant
+                self._send(live.SetSignal(name, source.signal.model_dump(exclude_none=True), repeats))
+            self._send(self._move(name))
+
+    def move(self, name: str, at_mm: live.PointMm) -> None:
+        """Move a source that sounds; its position is sent with the others."""
+        if name in self.places:
+            self.places[name] = at_mm
+
+    def lift(self, name: str) -> None:
+        """Let a source fade and vanish."""
+        if self.places.pop(name, None) is not None:
+            self._send(live.EndSource(name))
+
+    def send_places(self) -> None:
+        """Send the position of each source that is held; a source without positions would fade."""
+        for name in self.places:
+            self._send(self._move(name))
+
+    def _move(self, name: str) -> live.MoveSource:
+        sources = self._document.draft.source
+        source = self._document.source or (sources[0] if sources else None)  # whose signal the session has
+        return live.MoveSource(name, self.places[name], NEW_AMPLITUDE if source is None else source.amplitude)
+
+    def _send(self, order: Message) -> None:
+        if self.own is not None and self.state == LIVE and time.monotonic() - self._heard_s < _STALLED_AFTER_S:
+            self.own.send(**to_record(order))
+
+    def _receive(self, record: Record) -> None:
+        self._heard_s = time.monotonic()
+        match message_of(record, live.EVENTS):
+            case live.LiveReady() as ready:
+                self.ready = ready
+                if self.state == STARTING:
+                    self._enter(LIVE)
+            case live.LiveState() as state:
+                self.latest = state
+                self.figures_changed.emit()
+            case live.LiveNotice(sentence=sentence):
+                self._context.messages.note(sentence)
+            case Refused(sentence=sentence) if sentence != self._refusal:  # positions come a hundred times a second
+                self._refusal = sentence
+                self._context.messages.warn(sentence)
+            case live.LiveEnded() as ended:
+                self._ended = ended
+
+    def _summarise(self, process: CommandProcess) -> None:
+        done = "muted" if self._ended is None else self._ended.sentence
+        self._context.report_end(process, done, done)
+        self.places.clear()

@@ -2,149 +2,24 @@
 
 import time
 from collections.abc import Callable
-from datetime import datetime
 from functools import partial
-from pathlib import Path
 
-from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtGui import QHideEvent, QShowEvent
+import numpy as np
+import pyqtgraph
+from PyQt5.QtCore import QEvent, QPointF, Qt, QTimer
+from PyQt5.QtGui import QFocusEvent, QHideEvent, QKeyEvent, QMouseEvent, QShowEvent, QTouchEvent
 from PyQt5.QtWidgets import QWidget
 
-from wavefocus.config.messages import Message, Refused, message_of, to_record
-from wavefocus.config.messages.live import (
-    EVENTS,
-    EndLive,
-    EndSource,
-    LiveEnded,
-    LiveNotice,
-    LiveReady,
-    LiveState,
-    MoveSource,
-    PointMm,
-    SetSignal,
-)
-from wavefocus.config.scene import ImpulseTable
+from wavefocus.config.messages.live import LiveReady, LiveState, PointMm, SoundingSource
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import PathField, names_virtual_rig
-from wavefocus.gui.process import CommandProcess
-from wavefocus.gui.process import Message as Record
-from wavefocus.gui.scene.document import NEW_AMPLITUDE, SceneDocument
-from wavefocus.gui.scene.exports import IDLE, STOPPING, SceneTask
+from wavefocus.gui.scene.canvas import show_backdrop
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.exports import IDLE, LIVE, STARTING, STOPPING, LiveRun
+from wavefocus.gui.scene.preview import Backdrop, LivePreview
+from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
-
-STARTING, LIVE = "starting", "live"
-# States come five times a second. A session that writes none for so long gets no positions: writing to a full pipe
-# would hold up the window.
-_STALLED_AFTER_S = 2.0
-
-
-class LiveRun(SceneTask):
-    """At most one live session of the window; `changed` is emitted when its state is another one.
-
-    state: `IDLE`, `STARTING`, `LIVE` or `STOPPING`.
-    ready: Facts of the session, from `LIVE` on.
-    latest: Figures of the session.
-    places: Where pointers hold sources, by name, in mm.
-    """
-
-    verb = "plays live"
-
-    #: A `LiveState` has arrived.
-    figures_changed = pyqtSignal()
-
-    def __init__(self, context: TabContext, document: SceneDocument) -> None:
-        super().__init__(context, document)
-        self.ready: LiveReady | None = None
-        self.latest: LiveState | None = None
-        self.places: dict[str, PointMm] = {}
-        self._refusal = ""
-        self._heard_s = 0.0
-        self._ended: LiveEnded | None = None
-
-    def start(self, rig: str, look_ahead_ms: int, record: Path | None) -> None:
-        """Start a session with the present scene's signal, regularisation and limits.
-
-        rig: The rig file, or ``virtual``.
-        look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
-        record: Folder for a new folder with the session's scene; None: not recorded.
-        """
-        if self.busy or not self._prepare("nothing sounds", rig):
-            return
-        document = self._document
-        scene = ["--scene", str(self._scene_file)] if document.draft.source else []
-        name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}"
-        kept = [] if record is None else ["--record", str(record / name)]
-        arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
-        self._refusal, self.ready, self.latest, self._ended = "", None, None, None
-        self._run_all([(STARTING, [*arguments, *scene, *kept])], self._summarise, self._receive)
-
-    def stop(self) -> None:
-        """Let the sources fade, mute, and end the session."""
-        if self.state in (STARTING, LIVE):
-            self._send(EndLive())
-            self._end_process(sounds=self.state == LIVE)
-
-    def detach(self) -> None:
-        self.places.clear()
-        super().detach()
-
-    def press(self, name: str, at_mm: PointMm) -> None:
-        """Let a source begin to sound."""
-        if self.state == LIVE:
-            self.places[name] = at_mm
-            if (source := self._document.source) is not None:  # without one, the signal is that of the session
-                repeats = not isinstance(source.signal, ImpulseTable)  # at every sample it would be a constant
-                self._send(SetSignal(name, source.signal.model_dump(exclude_none=True), repeats))
-            self._send(self._move(name))
-
-    def move(self, name: str, at_mm: PointMm) -> None:
-        """Move a source that sounds; its position is sent with the others."""
-        if name in self.places:
-            self.places[name] = at_mm
-
-    def lift(self, name: str) -> None:
-        """Let a source fade and vanish."""
-        if self.places.pop(name, None) is not None:
-            self._send(EndSource(name))
-
-    def send_places(self) -> None:
-        """Send the position of each source that is held; a source without positions would fade."""
-        for name in self.places:
-            self._send(self._move(name))
-
-    def _move(self, name: str) -> MoveSource:
-        sources = self._document.draft.source
-        source = self._document.source or (sources[0] if sources else None)  # whose signal the session has
-        return MoveSource(name, self.places[name], NEW_AMPLITUDE if source is None else source.amplitude)
-
-    def _send(self, order: Message) -> None:
-        if self.own is not None and self.state == LIVE and time.monotonic() - self._heard_s < _STALLED_AFTER_S:
-            self.own.send(**to_record(order))
-
-    def _receive(self, record: Record) -> None:
-        self._heard_s = time.monotonic()
-        match message_of(record, EVENTS):
-            case LiveReady() as ready:
-                self.ready = ready
-                if self.state == STARTING:
-                    self._enter(LIVE)
-            case LiveState() as state:
-                self.latest = state
-                self.figures_changed.emit()
-            case LiveNotice(sentence=sentence):
-                self._context.messages.note(sentence)
-            case Refused(sentence=sentence) if sentence != self._refusal:  # positions come a hundred times a second
-                self._refusal = sentence
-                self._context.messages.warn(sentence)
-            case LiveEnded() as ended:
-                self._ended = ended
-
-    def _summarise(self, process: CommandProcess) -> None:
-        done = "muted" if self._ended is None else self._ended.sentence
-        self._context.report_end(process, done, done)
-        self.places.clear()
-
 
 LATENCY_GOAL_MS = 20.0
 _HINTS = {
@@ -284,3 +159,203 @@ class LivePanel(Themed, QWidget):
                 fault.format(one) if wrong else one for one, wrong in figures
             ),
         )
+
+
+MOUSE, KEYS = "mouse", "keys"
+
+
+def on_grid(backdrop: Backdrop, at_mm: PointMm) -> PointMm | None:
+    """Return the place nearest to a point that a source can have.
+
+    A source can be up to one grid spacing away from the position nearest to it; None where that position has no valid
+    measurement, and without a bank.
+    """
+    if backdrop.grid is None or backdrop.usable is None:
+        return None
+    point_mm = np.array([at_mm])
+    (row,), (distance_mm,) = backdrop.grid.nearest(point_mm)
+    if not backdrop.usable[row]:
+        return None
+    reach_mm = backdrop.grid.spacing_mm * (1.0 - 1e-9)
+    if distance_mm <= reach_mm:
+        return at_mm
+    position_mm = backdrop.grid.position_mm[row]
+    x_mm, y_mm = position_mm + reach_mm / distance_mm * (point_mm[0] - position_mm)
+    return float(x_mm), float(y_mm)
+
+
+class LiveSurface(SurfaceView):
+    """The measured surface with the sources that pointers hold (spots) and that sound (rings, with their names).
+
+    Pressing begins a source, dragging moves it, releasing ends it; each finger has one of its own. Space begins and
+    ends one that the arrow keys move. The wheel zooms, the middle button pans.
+    """
+
+    def __init__(self, run: LiveRun, live: LivePreview) -> None:
+        self._run, self._live = run, live
+        self._fingers: dict[int, str] = {}
+        self._steps: set[int] = set()
+        self._slow = False
+        self._key_mm: PointMm | None = None
+        self._ticked_s = 0.0
+        self._labels: list[pyqtgraph.TextItem] = []
+        super().__init__("Surface of live sources")
+        self._spots = self.add_spots(85, "o", 17, pyqtgraph.mkPen(self.theme.base, width=1.5), MARK)
+        self.setAccessibleDescription("Press to let a source sound; Space begins and ends one that the arrow keys move")
+        viewport = self.viewport()
+        assert viewport is not None
+        viewport.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
+        self._timer = QTimer(self)
+        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
+        self._timer.setInterval(10)  # a source follows its pointer at a steady rate; one at rest needs positions, too
+        self._timer.timeout.connect(self._tick)
+        run.changed.connect(self._show_run)
+        run.figures_changed.connect(lambda: self._show_sounding(() if run.latest is None else run.latest.sources))
+        live.backdrop_changed.connect(self._show_backdrop)
+        self._show_backdrop()
+
+    def _show_sounding(self, sources: tuple[SoundingSource, ...]) -> None:
+        """Draw a ring with its name around each source that sounds."""
+        self.show_sources(np.array([one.at_mm for one in sources], np.float64).reshape(-1, 2))
+        while self._labels:
+            self.box.removeItem(self._labels.pop())
+        for source in sources:
+            text = f"{source.name}, fading" if source.fading else source.name
+            self._labels.append(self.add_text(text, source.at_mm, (-0.1, 1.1)))
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        """Begin the mouse's source; other buttons pan."""
+        assert event is not None
+        if event.button() == Qt.MouseButton.LeftButton:
+            self._press(MOUSE, event.localPos())
+        else:
+            super().mousePressEvent(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if event.buttons() & Qt.MouseButton.LeftButton:
+            self._drag(MOUSE, event.localPos())
+        else:
+            super().mouseMoveEvent(event)
+
+    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if event.button() == Qt.MouseButton.LeftButton:
+            self._lift(MOUSE)
+        else:
+            super().mouseReleaseEvent(event)
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        self.mousePressEvent(event)
+
+    def viewportEvent(self, event: QEvent | None) -> bool:  # noqa: N802
+        """Give each finger a source of its own."""
+        if not isinstance(event, QTouchEvent):
+            return bool(super().viewportEvent(event))
+        if event.type() == QEvent.Type.TouchCancel:
+            self._lift_fingers()
+        for point in event.touchPoints():
+            if point.state() == Qt.TouchPointState.TouchPointPressed:
+                numbers = (number for number in range(1, 100) if f"finger {number}" not in self._fingers.values())
+                self._fingers[point.id()] = f"finger {next(numbers)}"
+                self._press(self._fingers[point.id()], point.pos())
+            elif point.id() in self._fingers:
+                if point.state() == Qt.TouchPointState.TouchPointReleased:
+                    self._lift(self._fingers.pop(point.id()))
+                else:
+                    self._drag(self._fingers[point.id()], point.pos())
+        event.accept()  # no mouse events are made of it
+        return True
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        """Begin or end the keys' source, or move it."""
+        assert event is not None
+        if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
+            if KEYS in self._run.places:
+                self._lift(KEYS)
+            elif self._key_mm is not None:
+                self._run.press(KEYS, self._key_mm)
+                self._show_spots()
+        elif event.key() in STEPS:
+            self._steps.add(event.key())
+            self._slow = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
+        elif event.key() != Qt.Key.Key_Space:
+            super().keyPressEvent(event)
+
+    def keyReleaseEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if event.key() in STEPS:
+            if not event.isAutoRepeat():
+                self._steps.discard(event.key())
+        else:
+            super().keyReleaseEvent(event)
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802
+        """Stop walking: releases of keys do not arrive any more."""
+        super().focusOutEvent(event)
+        self._steps.clear()
+
+    def _press(self, name: str, at: QPointF) -> None:
+        self.setFocus(Qt.FocusReason.MouseFocusReason)
+        at_mm = on_grid(self._live.backdrop, self._mm(at))
+        if at_mm is not None:
+            self._run.press(name, at_mm)
+            self._show_spots()
+
+    def _drag(self, name: str, at: QPointF) -> None:
+        """Move a source; where it cannot follow it stays at the last place."""
+        at_mm = on_grid(self._live.backdrop, self._mm(at))
+        if at_mm is not None:
+            self._run.move(name, at_mm)
+            self._show_spots()
+
+    def _lift(self, name: str) -> None:
+        self._run.lift(name)
+        self._show_spots()
+
+    def _lift_fingers(self) -> None:
+        for name in self._fingers.values():
+            self._lift(name)
+        self._fingers.clear()
+
+    def _mm(self, at: QPointF) -> PointMm:
+        """A place in the viewport, in mm; of half pixels, too."""
+        transform, _ = self.viewportTransform().inverted()
+        point = self.box.mapSceneToView(transform.map(at))
+        return float(point.x()), float(point.y())
+
+    def _tick(self) -> None:
+        now_s = time.monotonic()
+        elapsed_s, self._ticked_s = now_s - self._ticked_s, now_s
+        if self._steps and self._key_mm is not None:
+            step_mm = elapsed_s * (20.0 if self._slow else 80.0)
+            way = np.sum([STEPS[key] for key in self._steps], axis=0)
+            x_mm, y_mm = self._key_mm + step_mm * way
+            self._key_mm = on_grid(self._live.backdrop, (float(x_mm), float(y_mm))) or self._key_mm
+            self._run.move(KEYS, self._key_mm)
+            self._show_spots()
+        self._run.send_places()
+
+    def _show_spots(self) -> None:
+        self._spots.setData(pos=np.array([*self._run.places.values()]).reshape(-1, 2))
+
+    def _show_run(self) -> None:
+        if self._run.state == LIVE and not self._timer.isActive():
+            self._ticked_s = time.monotonic()
+            self._timer.start()
+        elif self._run.state != LIVE:
+            self._timer.stop()
+            self._fingers.clear()
+            self._steps.clear()
+            self._show_sounding(())
+        self._show_spots()
+
+    def _show_backdrop(self) -> None:
+        backdrop = self._live.backdrop
+        show_backdrop(self, backdrop)
+        self.show_everything()
+        self._key_mm = None
+        if backdrop.surface is not None and backdrop.usable is not None and backdrop.usable.any():
+            places_mm = backdrop.surface.position_mm[backdrop.usable]
+            x_mm, y_mm = places_mm[np.hypot(*(places_mm - places_mm.mean(axis=0)).T).argmin()]
+            self._key_mm = float(x_mm), float(y_mm)

@@ -15,16 +15,14 @@ from wavefocus.config.fields import toml_table
 from wavefocus.config.scene import PathTable, PointTable, QuietTable, SourceTable, SvgTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.editor.document import TextFiles, closing_question
-from wavefocus.gui.editor.text_edit import FileBar, TextPanel
+from wavefocus.gui.editor.tab import FileBar, TextPanel
 from wavefocus.gui.files import FileKind, PathField
 from wavefocus.gui.scene.canvas import SurfacePanel
 from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, Keys, SceneDocument, moved, new_source
-from wavefocus.gui.scene.exports import IDLE
-from wavefocus.gui.scene.live_panel import LivePanel, LiveRun
-from wavefocus.gui.scene.live_surface import LiveSurface
+from wavefocus.gui.scene.exports import IDLE, LiveRun
+from wavefocus.gui.scene.live_panel import LivePanel, LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
-from wavefocus.gui.scene.result_views import read_field_on
-from wavefocus.gui.scene.results_panel import ResultsPanel
+from wavefocus.gui.scene.results_panel import ResultsPanel, read_field_on
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.storage.errors import InputError
