@@ -59,8 +59,8 @@ def test_given_a_log_that_was_replaced_then_it_is_read_anew(tmp_path):
     assert tail.read() == ([], True)
 
 
-def _said(campaign: model.CampaignModel, *events: events.Event) -> None:
-    campaign.add_records([events.Logged(AT, event) for event in events], anew=False)
+def _said(campaign: model.CampaignModel, *said: events.Event) -> None:
+    campaign.add_records([events.Logged(AT, event) for event in said], anew=False)
 
 
 def _asked(campaign: model.CampaignModel, *, owned: bool, silent: bool = False) -> None:

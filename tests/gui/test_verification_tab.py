@@ -210,7 +210,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
 @pytest.mark.skipif(os.name != "posix", reason="ends processes by signals")
 def test_long_scan_then_closing_asks_cancel_parks_and_killed_process_is_sentence(qtbot, open_window, lab):
     window = open_window()
-    tab = ready(window, other_bank(lab, "many.h5", copies=120))
+    tab = ready(window, other_bank(lab, "many.h5", copies=60))
     tab.row.start.trigger()
     tab.row.cancel.trigger()  # before its process can hear anything
     wait(qtbot, lambda: not tab.run.running)

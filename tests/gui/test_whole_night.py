@@ -23,11 +23,22 @@ from wavefocus.storage.ledger.owner import bank_owner
 RUN = """
 rig = "rig.toml"
 
-grid.spacing_mm = 8.0
-sweep.duration_s = 0.3
-capture = {{ averages = 2, decay_s = 0.15, taps = 1000 }}
-quality.second_look = "never"
-virtual.seed = 3
+[grid]
+spacing_mm = 4.0
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+decay_s = 0.15
+taps = 1000
+
+[quality]
+second_look = "never"
+
+[virtual]
+seed = 3
 
 [[virtual.fault_plan]]
 role = "recorder"
@@ -38,11 +49,14 @@ count = 99
 """
 # Six actuators, between positions of the grid, play in a quarter of the time of the usual twenty-four.
 RIG = """
-rig.name = "six"
-actuators.position_mm = [[109, 11], [50, 68], [-50, 68], [-109, -11], [-50, -68], [50, -68]]
+[rig]
+name = "six"
+
+[actuators]
+position_mm = [[109.0, 11.0], [50.0, 68.0], [-50.0, 68.0], [-109.0, -11.0], [-50.0, -68.0], [50.0, -68.0]]
 """
 DARK = 5
-# What some hundred positions may take on a busy machine; nothing is judged by it.
+# What 1500 positions may take on a busy machine; nothing is judged by it.
 A_NIGHT_MS = 600_000
 
 

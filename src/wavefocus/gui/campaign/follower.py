@@ -51,22 +51,17 @@ class LogTail:
         A file that is gone, or cannot be read just now, has nothing new.
         """
         try:
-            found = self._path.stat()
-        except OSError:
-            return [], False
-        identity = (found.st_dev, found.st_ino)
-        anew = self._identity is not None and (identity != self._identity or found.st_size < self._offset)
-        if anew or self._identity is None:
-            self._offset = 0
-        self._identity = identity
-        if found.st_size == self._offset:
-            return [], anew
-        try:
             with open_regular(self._path) as file:
+                found = os.fstat(file.fileno())
+                identity = (found.st_dev, found.st_ino)
+                anew = self._identity is not None and (identity != self._identity or found.st_size < self._offset)
+                if anew:
+                    self._offset = 0
+                self._identity = identity
                 file.seek(self._offset)
                 block = file.read(_BLOCK_BYTES)
         except OSError:
-            return [], anew
+            return [], False
         end = block.rfind(b"\n") + 1
         if end == 0 and len(block) == _BLOCK_BYTES:
             end = len(block)  # no event is that long; do not wait for its end for ever

@@ -90,39 +90,30 @@ class DriftPlot(QWidget):
 
     def show_drift(self, points: Sequence[DriftPoint], limits: DriftLimits) -> None:
         """Draw the points and the limits for a warning; those for a stop once a value is beyond the former."""
-        at_s = [point.at.timestamp() for point in points]
-        theme, last = self.plots[0].theme, self.plots[-1]
+        at_s, theme, last = np.array([point.at.timestamp() for point in points]), self.plots[0].theme, self.plots[-1]
         known = {"steady": ("o", theme.good), "warn": ("t", theme.warning)}
         looks = [known.get(point.verdict, ("x", theme.fault)) for point in points]
-        for plot, values, ends in zip(
-            self.plots,
-            (
-                [point.level_db for point in points],
-                [point.delay_samples for point in points],
-                [1 - point.correlation for point in points],
-            ),
-            (
-                (limits.warn_level_db, limits.stop_level_db),
-                (limits.warn_delay_samples, limits.stop_delay_samples),
-                (1 - limits.warn_correlation, 1 - limits.stop_correlation),
-            ),
-            strict=True,
-        ):
-            item = plot.getPlotItem()
+        rows = (
+            ([point.level_db for point in points], limits.warn_level_db, limits.stop_level_db),
+            ([point.delay_samples for point in points], limits.warn_delay_samples, limits.stop_delay_samples),
+            ([1 - point.correlation for point in points], 1 - limits.warn_correlation, 1 - limits.stop_correlation),
+        )
+        for plot, (numbers, warn, stop) in zip(self.plots, rows, strict=True):
+            item, values = plot.getPlotItem(), np.array(numbers, dtype=float)
             item.clear()
-            largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
-            span = 1.15 * max(ends[0] if largest <= ends[0] else ends[1], largest)
-            for end, colour in zip(ends, (theme.warning, theme.fault), strict=True):
+            largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+            span = 1.15 * max(warn if largest <= warn else stop, largest)
+            for end, colour in ((warn, theme.warning), (stop, theme.fault)):
                 for limit in (end, -end) if plot is not last else (end,):
                     if end <= span:
                         item.addLine(y=limit, pen=pyqtgraph.mkPen(colour, style=Qt.PenStyle.DashLine))
             plot.setYRange(-span if plot is not last else -0.04 * span, span, padding=0)
             item.addLine(y=0.0, pen=pyqtgraph.mkPen(theme.grid))
-            plot.line(np.array(at_s), np.array(values, dtype=float), theme.faint)
+            plot.line(at_s, values, theme.faint)
             marks = [
-                {"pos": (x, y), "symbol": symbol, "brush": pyqtgraph.mkBrush(colour)}
-                for x, y, (symbol, colour) in zip(at_s, values, looks, strict=True)
-                if math.isfinite(y)
+                {"pos": at, "symbol": symbol, "brush": pyqtgraph.mkBrush(colour)}
+                for at, (symbol, colour) in zip(zip(at_s, values, strict=True), looks, strict=True)
+                if math.isfinite(at[1])
             ]
             item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
         none = "the sentinel position has not been measured again yet"
