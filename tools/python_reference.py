@@ -37,27 +37,27 @@ def entries() -> str:
     parts = [""]
     for title, names in FUNCTIONS.items():
         parts.append(f"## {title}\n")
-        parts += [function_entry(name) for name in names]
+        parts += [_function_entry(name) for name in names]
     for title, names in CLASSES.items():
         parts.append(f"## Classes: {title.lower()}\n")
-        parts += [class_entry(name) for name in names]
+        parts += [_class_entry(name) for name in names]
     return "\n".join(parts)
 
 
-def function_entry(name: str) -> str:
+def _function_entry(name: str) -> str:
     """A function: signature, sentences, parameters, and an example."""
     function = getattr(wavefocus, name)
     return f"### `{name}`\n\n{code(signature(f'wf.{name}', function))}\n\n{markdown(function)}"
 
 
-def class_entry(name: str) -> str:
+def _class_entry(name: str) -> str:
     """A class: what it holds, its properties as a list, and its methods."""
     kind = getattr(wavefocus, name)
     own = {key: member for key, member in vars(kind).items() if not key.startswith("_") and inspect.getdoc(member)}
     call = f"{code(signature(f'wf.{name}', kind))}\n\n" if name in CALLED else ""
     parts = [f"### `{name}`\n\n{call}{markdown(kind)}"]
     if values := {key: member for key, member in own.items() if isinstance(member, property)}:
-        lines = (f"- `{key}`: {paragraph(code_marks(inspect.getdoc(member)))}" for key, member in values.items())
+        lines = (f"- `{key}`: {paragraph(_code_marks(inspect.getdoc(member)))}" for key, member in values.items())
         parts.append("\n".join(lines) + "\n")
     for key, member in own.items():
         if inspect.isroutine(member):
@@ -65,7 +65,7 @@ def class_entry(name: str) -> str:
     return "\n".join(parts)
 
 
-class Bare:
+class _Bare:
     """Something that stands in a signature as this text."""
 
     def __init__(self, text: str) -> None:
@@ -75,7 +75,7 @@ class Bare:
         return self._text
 
 
-def annotated(annotation: Any) -> str:
+def _annotated(annotation: Any) -> str:
     """An annotation as it is written: names without their modules, arrays by their type."""
     text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
     text = re.sub(r"\b(?:\w+\.)+(?=\w)", "", text)
@@ -86,7 +86,7 @@ def signature(name: str, function: Any) -> str:
     """A call with the types of its parameters, a line for each where it is long."""
     found = inspect.signature(function)
     parameters = [_bare(parameter) for parameter in found.parameters.values() if parameter.name != "self"]
-    result = "" if found.return_annotation is found.empty else f" -> {annotated(found.return_annotation)}"
+    result = "" if found.return_annotation is found.empty else f" -> {_annotated(found.return_annotation)}"
     call = found.replace(parameters=parameters, return_annotation=found.empty)
     if len(line := f"{name}{call}{result}") <= WIDTH:
         return line
@@ -99,9 +99,9 @@ def signature(name: str, function: Any) -> str:
 def _bare(parameter: inspect.Parameter) -> inspect.Parameter:
     annotation, default = parameter.annotation, parameter.default
     if annotation is not parameter.empty:
-        parameter = parameter.replace(annotation=Bare(annotated(annotation)))
+        parameter = parameter.replace(annotation=_Bare(_annotated(annotation)))
     if default is not parameter.empty and callable(default):
-        parameter = parameter.replace(default=Bare("np.float32" if default is np.float32 else "..."))
+        parameter = parameter.replace(default=_Bare("np.float32" if default is np.float32 else "..."))
     return parameter
 
 
@@ -110,14 +110,14 @@ def code(text: str) -> str:
     return f"```python\n{text}\n```"
 
 
-def code_marks(text: str | None) -> str:
+def _code_marks(text: str | None) -> str:
     """Literals and references of a docstring as Markdown's."""
     return re.sub(r"``([^`]+)``", r"`\1`", (text or "").replace(":func:", ""))
 
 
 def markdown(thing: object) -> str:
     """A docstring as Markdown: sections in bold, what they name as a list, examples as code."""
-    first, *sections = re.split(r"^(\w+)\n-+\n", code_marks(inspect.getdoc(thing)), flags=re.MULTILINE)
+    first, *sections = re.split(r"^(\w+)\n-+\n", _code_marks(inspect.getdoc(thing)), flags=re.MULTILINE)
     parts = [listed(first)]
     for title, body in zip(sections[::2], sections[1::2], strict=True):
         if title == "Examples":

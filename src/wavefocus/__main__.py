@@ -79,14 +79,7 @@ def _open_closed_streams() -> None:
             setattr(sys, name, source)
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: object = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     """Show a warning of a library, NumPy's about arithmetic above all, as one plain line."""
     from wavefocus.console import one_line, say
 

@@ -31,7 +31,9 @@ def parser(commands: Sequence[Command] | None = None, words: Sequence[str] | Non
 
     words: The command line to read; commands that it does not name get no arguments, which halves the time.
     """
-    groups = [listed({one.name: _first(one.help) for one in group}, title) for title, group in GROUPS.items()]
+    groups = [
+        listed({one.name: one.help.partition("\n\n")[0] for one in group}, title) for title, group in GROUPS.items()
+    ]
     epilog = "\n\n".join([*groups, listed(GENERAL, "options of several commands")])
     whole = Parser(prog="wavefocus", description=DESCRIPTION, epilog=epilog, usage="wavefocus [options] COMMAND ...")
     whole.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="Print the version.")
@@ -82,7 +84,3 @@ def run_command(arguments: Sequence[str]) -> int:
     with spinner(f"{command.name}: loading"):  # seconds on a busy machine
         run = found(command.run) if isinstance(command.run, str) else command.run
     return int(run(**given) or 0)
-
-
-def _first(help: str) -> str:
-    return help.partition("\n\n")[0]

@@ -190,8 +190,6 @@ class _StandardError(io.TextIOBase):
 class Listener(io.FileIO):
     """Standard output of a process: a reader that goes away decides nothing of what is carried out."""
 
-    gone = False
-
     @classmethod
     def in_place_of(cls, stream: TextIO) -> TextIO:
         """A stream that takes the place of standard output; a terminal stays as it is."""
@@ -213,7 +211,6 @@ class Listener(io.FileIO):
             # EINVAL: a pipe that nobody reads, on Windows.
             if failure.errno != errno.EPIPE and not (os.name == "nt" and failure.errno == errno.EINVAL):
                 raise OSError(failure.errno, failure.strerror, "standard output") from None
-            self.gone = True
             return memoryview(data).nbytes
 
 

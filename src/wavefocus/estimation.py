@@ -85,8 +85,11 @@ def estimate(
     ...     print(bank.positions, bank.green(0).shape)
     15 (4, 1000)
     """
+    show = on_progress or (lambda done, total: None)
     with open_raw(raw) if isinstance(raw, str | Path) else nullcontext(raw) as recordings:
-        estimate_into(recordings, Path(bank), workers, report=LOG.info, watch=_watched(on_progress))
+        estimate_into(
+            recordings, Path(bank), workers, report=LOG.info, watch=lambda what, total, **_: nullcontext(show)
+        )
     return open_bank(bank)
 
 
@@ -198,8 +201,3 @@ def _require_alike(held: BankHeader, header: RawHeader, bank: Path, raw: Path) -
             f"{bank} holds {here[0]} positions, {here[1]} actuators and {here[2]} taps, {raw} {wanted[0]}, "
             f"{wanted[1]} and {wanted[2]}; name a new bank"
         )
-
-
-def _watched(on_progress: OnProgress | None) -> Callable[..., AbstractContextManager[OnProgress]]:
-    """Progress as the commands show it, for a function that is called with what is done and what there is in all."""
-    return lambda what, total, **_: nullcontext(on_progress or (lambda done, total: None))

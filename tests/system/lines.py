@@ -24,6 +24,7 @@ class Talk:
     def __init__(self, orders: IO[str] | None):
         self._told: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._orders = orders
+        self.said: list[str] = []
 
     def send(self, **line):
         self.send_text(json.dumps(line))
@@ -42,7 +43,7 @@ class Talk:
         while (told := self.told()) is not None:
             if told["event"] in events:
                 return told
-        raise AssertionError(f"it ended without {' or '.join(events)}")
+        raise AssertionError(f"it ended without {' or '.join(events)}: {self.said}")
 
     def next_of(self, event):
         """The next event of a kind that was told already, None where there is none; those before it are passed over."""
@@ -65,14 +66,15 @@ class Talk:
 
 
 class _Told(io.TextIOBase):
-    """Standard output whose lines are heard."""
+    """Standard output whose whole lines are heard."""
 
     def __init__(self, hear):
-        self._hear, self._rest = hear, ""
+        self._hear, self.lines = hear, [""]
 
     def write(self, text):
-        *lines, self._rest = (self._rest + text).split("\n")
-        for line in lines:
+        *whole, rest = (self.lines.pop() + text).split("\n")
+        self.lines += [*whole, rest]
+        for line in whole:
             self._hear(json.loads(line))
         return len(text)
 
@@ -83,7 +85,8 @@ def in_process(script, *arguments):
     with os.fdopen(reading) as stdin, os.fdopen(writing, "w") as orders, pytest.MonkeyPatch.context() as patch:
         talk = Talk(orders)
         patch.setattr(sys, "stdin", stdin)
-        patch.setattr(sys, "stdout", _Told(talk._told.put))
+        told = _Told(talk._told.put)
+        patch.setattr(sys, "stdout", told)
 
         def carry_out():
             with orders:  # whatever becomes of the script, the command ends
@@ -96,6 +99,7 @@ def in_process(script, *arguments):
             finally:
                 talk._told.put(None)
             done.result(SOON_S)
+    assert all(json.loads(line) for line in told.lines[:-1])  # and nothing else on standard output
     return code
 
 
@@ -108,7 +112,6 @@ class Lines(Talk):
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
         )  # fmt: skip
         super().__init__(self.process.stdin)
-        self.said: list[str] = []
         self._threads = [threading.Thread(target=self._read), threading.Thread(target=self._listen)]
         for thread in self._threads:
             thread.start()

@@ -16,34 +16,17 @@ from wavefocus.configuration import load_rig
 from wavefocus.rig.unattended import AppriseOutbox, Messenger, message_findings
 
 PASSWORD = "secret-word-7"
-COUNTS = {"not-measured": 0, "valid": 6, "poor": 0}
 
 
-class Office:
+class Office(http.server.ThreadingHTTPServer):
     """A web server that takes messages; `busy` lets it refuse them."""
 
+    busy = False
+
     def __init__(self):
+        super().__init__(("127.0.0.1", 0), Desk)
         self.taken: list[dict[str, str]] = []
-        self.busy = False
-        office = self
-
-        class Handler(http.server.BaseHTTPRequestHandler):
-            def do_POST(self):
-                text = self.rfile.read(int(self.headers["Content-Length"]))
-                office.taken.append(json.loads(text))
-                self.send_response(503 if office.busy else 200)
-                self.end_headers()
-
-            def log_message(self, *_):
-                pass
-
-        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.thread = threading.Thread(target=self.server.serve_forever)
-        self.thread.start()
-
-    @property
-    def url(self):
-        return f"json://technician:{PASSWORD}@127.0.0.1:{self.server.server_port}/night"
+        self.url = f"json://technician:{PASSWORD}@127.0.0.1:{self.server_port}/night"
 
     def wait_for(self, count):
         latest_s = time.monotonic() + 10
@@ -53,13 +36,24 @@ class Office:
         return self.taken
 
 
+class Desk(http.server.BaseHTTPRequestHandler):
+    def do_POST(self):
+        self.server.taken.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+        self.send_response(503 if self.server.busy else 200)
+        self.end_headers()
+
+    def log_message(self, *_):
+        pass
+
+
 @pytest.fixture
 def office():
-    office = Office()
-    yield office
-    office.server.shutdown()
-    office.server.server_close()
-    office.thread.join()
+    with Office() as office:
+        thread = threading.Thread(target=office.serve_forever)
+        thread.start()
+        yield office
+        office.shutdown()
+        thread.join()
 
 
 def drift(verdict):
@@ -67,7 +61,7 @@ def drift(verdict):
 
 
 def ended(state):
-    return SessionEnded(7200.0, state, 6, 6, COUNTS)
+    return SessionEnded(7200.0, state, 6, 6, {"not-measured": 0, "valid": 6, "poor": 0})
 
 
 FAILED = (
@@ -121,35 +115,35 @@ def test_given_an_address_that_takes_nothing_then_it_is_told_without_the_address
     assert PASSWORD not in told
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "[messages]\nurls = '{0}'",
-        "[messages]\nurls = ['a', '{0}', 3]",
-        "[messages]\nurls = [['{0}']]",
-        "[messages]\nurls = {{ '{0}' = 1 }}",
-        "[messages]\nurl = '{0}'",
-        "[messages]\nabout = '{0}'",
-        "[messages]\nabout = ['{0}']",
-        "[messages]\nsuspended_after_min = '{0}'",
-        "[messages]\n'{0}' = 1",
-        "[messages]\n'json://{0}@host' = 1",
-        "[[messages.urls]]\n'{0}' = '{0}'",
-        "messages = '{0}'",
-        "urls = '{0}'",
-        "[[messages]]\nurls = '{0}'",
-        "[message]\nurls = '{0}'",
-        "[player]\nurls = ['{0}']",
-    ],
-)
-def test_given_a_password_in_a_mistaken_table_of_messages_then_no_command_shows_it(tmp_path, capsys, text):
-    # Without a kind before it, a password looks like any other text.
-    (tmp_path / "rig.toml").write_text(text.format(PASSWORD) + "\n", encoding="utf-8")
+# Mistaken tables of messages: without a kind before it, a password looks like any other text.
+MISTAKEN = [
+    "[messages]\nurls = '{0}'",
+    "[messages]\nurls = ['a', '{0}', 3]",
+    "[messages]\nurls = [['{0}']]",
+    "[messages]\nurls = {{ '{0}' = 1 }}",
+    "[messages]\nurl = '{0}'",
+    "[messages]\nabout = '{0}'",
+    "[messages]\nabout = ['{0}']",
+    "[messages]\nsuspended_after_min = '{0}'",
+    "[messages]\n'{0}' = 1",
+    "[messages]\n'json://{0}@host' = 1",
+    "[[messages.urls]]\n'{0}' = '{0}'",
+    "messages = '{0}'",
+    "urls = '{0}'",
+    "[[messages]]\nurls = '{0}'",
+    "[message]\nurls = '{0}'",
+    "[player]\nurls = ['{0}']",
+]
+
+
+def test_given_a_password_in_a_mistaken_table_of_messages_then_no_command_shows_it(tmp_path, capsys):
     (tmp_path / "run.toml").write_text('rig = "rig.toml"\n', encoding="utf-8")
-    assert run(["plan", str(tmp_path / "run.toml")]) == 2
-    told = "".join(capsys.readouterr())
-    assert "rig.toml: " in told
-    assert PASSWORD not in told
+    for text in MISTAKEN:
+        (tmp_path / "rig.toml").write_text(text.format(PASSWORD) + "\n", encoding="utf-8")
+        assert run(["plan", str(tmp_path / "run.toml")]) == 2, text
+        told = "".join(capsys.readouterr())
+        assert "rig.toml: " in told
+        assert PASSWORD not in told, text
 
 
 def test_the_doctor_sends_to_each_address_and_names_the_one_that_takes_none(office, tmp_path):

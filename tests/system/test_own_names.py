@@ -33,25 +33,17 @@ def checked(*command, cwd):
     return done.stdout
 
 
-def take_names(folder, kind):
-    """Put a module or a package of each name into a folder."""
-    for name in NAMES:
-        module = folder / f"{name}.py" if kind == "files" else folder / name / "__init__.py"
+def take_names(folder):
+    """Put a module or a package of each name into a folder, by turns."""
+    for number, name in enumerate(NAMES):
+        module = folder / f"{name}.py" if number % 2 else folder / name / "__init__.py"
         module.parent.mkdir(exist_ok=True)
         module.write_text("LAB = 1\n", encoding="utf-8")
 
 
-@pytest.mark.parametrize("kind", ["files", "folders"])
-def test_a_users_modules_of_the_same_names_and_ours_work_side_by_side(bank, kind):
-    take_names(bank.parent, kind)
-    (bank.parent / "script.py").write_text(SCRIPT, encoding="utf-8")
-    checked(sys.executable, "-m", "wavefocus", "status", bank, cwd=bank.parent)
-    checked(sys.executable, "script.py", cwd=bank.parent)
-
-
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_a_wheel_next_to_the_package_config_runs_the_demo_among_users_files(tmp_path):
+def test_a_wheel_next_to_the_package_config_does_its_work_among_users_files(bank, tmp_path):
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
     build = ["wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path / "wheel", copy_of_source(tmp_path)]
     checked(*pip, *build, cwd=tmp_path)
@@ -66,13 +58,16 @@ def test_a_wheel_next_to_the_package_config_runs_the_demo_among_users_files(tmp_
     # What wavefocus depends on comes from the environment of the tests: only its packages, not its .pth files.
     (site / "dependencies.pth").write_text("\n".join(one for one in sys.path if "site-packages" in one), "utf-8")
     assert checked(python, "-c", "import config; print(config.Config.__name__)", cwd=tmp_path)
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    take_names(folder, "files")
+    folder = bank.parent
+    take_names(folder)
+    (folder / "script.py").write_text(SCRIPT, encoding="utf-8")
+    checked(python, "script.py", cwd=folder)
     where = checked(python, "-c", "import wavefocus.config; print(wavefocus.config.__file__)", cwd=folder)
     assert Path(where.strip()).is_relative_to(site)
-    checked(python, "-m", "wavefocus", "demo", "--quick", "--out", "out", cwd=folder)
-    assert (folder / "out" / "verify" / "report.html").is_file()
+    checked(python, "-m", "wavefocus", "init", "new", cwd=folder)
+    scene = ["scene.toml", "--bank", bank, "--rig", "rig.toml"]
+    checked(python, "-m", "wavefocus", "verify", *scene, "--out", "out", "--positions", "0", cwd=folder)
+    assert (folder / "out" / "report.html").is_file()
 
 
 def copy_of_source(tmp_path):

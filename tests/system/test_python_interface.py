@@ -44,19 +44,14 @@ FUNCTIONS = [name for name in wf.__all__ if not isinstance(getattr(wf, name), ty
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_the_example_of_every_function_runs_and_gives_what_it_shows(lab, name):
+def test_every_function_says_what_it_takes_and_its_example_gives_what_it_shows(lab, name):
+    for section in ("Parameters", "Raises", "Examples"):
+        assert f"\n    {section}\n    ----" in getattr(wf, name).__doc__
     (example,) = doctest.DocTestFinder(recurse=False).find(getattr(wf, name), name, globs={})
     assert example.examples, f"{name} has no example"
     told: list[str] = []
     doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(example, out=told.append)
     assert not told, "".join(told)
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_every_function_says_what_it_takes_gives_and_refuses(name):
-    text = str(getattr(wf, name).__doc__)
-    for section in ("Parameters", "Raises", "Examples"):
-        assert f"\n    {section}\n    ----" in text
 
 
 def test_given_the_same_scene_then_python_and_the_command_make_the_same_drive(lab):
@@ -73,15 +68,6 @@ def test_given_kept_recordings_then_python_estimates_the_bank_that_was_measured(
             assert np.array_equal(bank.green(4), measured.green(4))
         assert bank.status.tolist() == [1] * len(PLACES_MM)
     assert seen[-1] == (len(PLACES_MM), len(PLACES_MM))
-
-
-def test_given_an_exported_bank_then_importing_it_gives_its_numbers(lab):
-    with wf.open_bank("plate.h5") as bank:
-        wf.export_bank(bank, "plate.npz", "npz", positions=[3, 1])
-        with wf.import_bank("plate.npz", "back.h5", band_hz=(50.0, 450.0)) as back:
-            assert back.band_hz == (50.0, 450.0)
-            assert np.array_equal(back.green(0), bank.green(3))
-            assert np.array_equal(back.position_mm, bank.position_mm[[3, 1]])
 
 
 def test_given_a_frequency_response_without_its_axis_then_it_can_be_named(lab):

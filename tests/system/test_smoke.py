@@ -14,6 +14,7 @@ from wavefocus.commands.table import COMMANDS
 pytestmark = pytest.mark.smoke
 
 BANK, DRIVE, FIELD, RIG = "plate.h5", "drive.h5", "field.h5", "rig.toml"
+VERIFY = ["verify", "scene.toml", "--bank", BANK, "--rig", RIG, "--out", "verify", "--positions", "0"]
 RENDER = ["render", "scene.toml", "--bank", BANK, "--out", DRIVE]
 PREDICT = ["predict", DRIVE, "--bank", BANK, "--out", FIELD]
 
@@ -34,7 +35,7 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "predict": ([RENDER], PREDICT, [FIELD]),
     "movie": ([RENDER, PREDICT], ["movie", FIELD, "--bank", BANK, "--drive", DRIVE, "--snapshots", "s.png"], ["s.png"]),
     "play": ([RENDER], ["play", DRIVE, "--rig", RIG], []),
-    "verify": ([], ["verify", "scene.toml", "--bank", BANK, "--rig", RIG, "--out", "verify"], ["verify/verify.json"]),
+    "verify": ([], VERIFY, ["verify/verify.json"]),
     "export": ([], ["export", BANK, "plate.npz", "--to", "npz"], ["plate.npz"]),
     "import": ([["export", BANK, "plate.npz", "--to", "npz"]], ["import", "plate.npz", "--bank", "new.h5"], ["new.h5"]),
 }  # fmt: skip

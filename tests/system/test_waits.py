@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.lab_files import write_positions
+from tests.lab_files import RIG, RUN, change_text, write_positions
+from wavefocus.__main__ import run
 from wavefocus.commands.table import COMMANDS
 
 pytestmark = [
@@ -20,23 +21,6 @@ pytestmark = [
 LONG_S = 2.0
 """Of the command's own processor time, so that a busy machine does not count; one thread computes."""
 POSITIONS = [(x_mm, y_mm) for y_mm in range(-51, 52, 6) for x_mm in range(-72, 73, 6)][:402]
-RIG = "[actuators]\nposition_mm = [[110.0, 0.0], [-110.0, 10.0]]\n"
-RUN = """
-rig = "rig.toml"
-[grid]
-positions_file = "positions.csv"
-check_positions = 0
-[sweep]
-duration_s = 0.3
-[capture]
-averages = 1
-decay_s = 0.1
-taps = 200
-sample_rate_hz = 2000.0
-keep_raw = true
-[quality]
-second_look = "never"
-"""
 SCENE = """
 [[source]]
 speed_mm_s = 80.0
@@ -46,22 +30,6 @@ signal = { kind = "noise", band_hz = [50, 450], duration_s = 0.1, seed = 1 }
 [output]
 interpolation = "waves"
 limit_v = 0.5
-"""
-TRIALS = """
-[trials]
-question = "Felt?"
-answers = ["no", "yes"]
-most_alike = 0
-[path]
-right = { kind = "line", start_mm = [-30, 1], end_mm = [30, 1] }
-[signal]
-tone = { kind = "sine", frequency_hz = 200.0, duration_s = 0.1 }
-[[stimuli]]
-path = "right"
-signal = "tone"
-speed_mm_s = 100
-amplitude = 0.0001
-step_mm = 4
 """
 AT = "--bank bank.h5"
 # In this order, on one bank; the first that needs its waves fits them.
@@ -91,9 +59,12 @@ ENDED = {"pause", "stop"}
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("waits")
-    files = {"rig": RIG, "run": RUN, "scene": SCENE, "trials": TRIALS, "more": RUN.replace("positions.csv", "more.csv")}
+    assert run(["init", str(folder)]) == 0
+    kept = RUN.replace("[capture]", "[capture]\nkeep_raw = true").replace("averages = 2", "averages = 1")
+    files = {"rig": RIG, "run": kept, "scene": SCENE, "more": kept.replace("positions.csv", "more.csv")}
     for name, text in files.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    change_text(folder / "trials.toml", "limit_v = 1.0", "limit_v = 3.0")  # of three actuators
     write_positions(folder, [*POSITIONS, (75.0, 0.0)])
     (folder / "positions.csv").rename(folder / "more.csv")
     write_positions(folder, POSITIONS)

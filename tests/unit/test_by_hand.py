@@ -28,24 +28,19 @@ def bench(**changes):
 
 
 def test_given_an_input_too_small_for_what_plays_then_the_level_says_over_range():
-    setup = replace(bench(), range_v=(0.2, 10.0))
-    meter = ManualMeasurements(setup, RATE_HZ)
+    meter = ManualMeasurements(replace(bench(), range_v=(0.2, 10.0)), RATE_HZ)
     meter.sound(0, 0.5)
     assert meter.level().reference.over_range
 
 
-def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number():
-    setup = bench(actuator_strength=(1.0, 1.0, 0.0))
-    figures = ManualMeasurements(setup, RATE_HZ).sweep(msgspec.structs.replace(SWEEP, actuator=2)).figures
+def test_a_dead_actuator_or_a_response_cut_off_then_the_sweep_says_so():
+    third = msgspec.structs.replace(SWEEP, actuator=2)
+    figures = ManualMeasurements(bench(actuator_strength=(1.0, 1.0, 0.0)), RATE_HZ).sweep(third).figures
     assert figures is not None
     assert figures.snr_db < 6
     assert figures.defects
     assert not any("actuator 0" in one.sentence for one in figures.defects)
-
-
-def test_given_a_response_that_is_cut_off_then_the_sweep_says_so():
-    setup = replace(bench(), range_v=(10.0, 5e-3))
-    figures = ManualMeasurements(setup, RATE_HZ).sweep(SWEEP).figures
+    figures = ManualMeasurements(replace(bench(), range_v=(10.0, 5e-3)), RATE_HZ).sweep(SWEEP).figures
     assert figures is not None
     assert "over-range" in [one.name for one in figures.defects]
 

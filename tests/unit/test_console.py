@@ -1,6 +1,7 @@
-"""What people see while a command works: the progress line on a narrow terminal, steps of unknown length, pauses."""
+"""A person at a terminal: what is shown while a command works, and what comes of what is typed."""
 
 import inspect
+import io
 import os
 import re
 import subprocess
@@ -11,14 +12,19 @@ import pytest
 import wavefocus as wf
 from wavefocus import cli
 from wavefocus.campaign.status import CampaignView
+from wavefocus.commands.calibrate import TerminalOperator
 from wavefocus.config.messages.campaign import Progress, State, StateChanged
 from wavefocus.console import progress
+from wavefocus.mocks.virtual import PatchBay
+from wavefocus.rig.calibration_session import Cables
 
 pty = pytest.importorskip("pty") if sys.platform != "win32" else None
 posix = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal is POSIX")
 
 PROGRESS = """
 from wavefocus.console import progress
+from wavefocus.mocks.virtual import PatchBay
+from wavefocus.rig.calibration_session import Cables
 with progress("capture", 1500, timed={timed}) as report:
     report(700, 1500, "position 700: record 3 of 20; about 2 h 05 min left, finished at Thu 26 Nov 23:11")
 """
@@ -98,3 +104,25 @@ def test_given_any_help_then_it_does_not_send_people_to_a_section_of_the_contrac
         texts += [command.help, *(str(one.settings.get("help", "")) for one in command.arguments)]
     texts += [inspect.getdoc(getattr(wf, name)) or "" for name in wf.__all__]
     assert not [text for text in texts if re.search(r"contract", text, re.IGNORECASE)]
+
+
+def typing(text):
+    return TerminalOperator(io.StringIO(text).readline)
+
+
+@pytest.mark.parametrize(("line", "again"), [("", True), ("y", True), ("s", False), (" SKIP ", False)])
+def test_given_a_problem_then_enter_tries_again_and_s_leaves_it_out(line, again):
+    assert typing(line + "\n").again("no signal from output 3") is again
+
+
+@pytest.mark.parametrize(
+    ("source", "word"),
+    [("vibrometer", "vibrometer"), ("sum", "summing box"), ("both", "both inputs"), ("output 13",) * 2],
+)
+def test_a_cable_to_plug_then_the_person_is_told_which_and_the_virtual_one_follows(source, word, capsys):
+    bay = PatchBay(range(20), 20)
+    Cables(typing("\n"), bay.connect).connect(source)
+    assert bay.word == source
+    told = capsys.readouterr().err
+    assert "then press Enter" in told
+    assert word in told

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.mirror_map import MirrorMap
+from tests.lab_files import setup_of
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual import label_share
@@ -27,15 +26,7 @@ def presenter(*faults, masking=None):
 
 
 def presenter_on(rig, masking=None):
-    setup = Setup(
-        instruments=rig.instruments,
-        mirror_map=MirrorMap.straight(1000.0),
-        actuator_channels=(0, 1, 2),
-        loopback_channel=3,
-        range_v=(10.0, 10.0),
-        response_per_volt=0.125,
-    )
-    return RigPresenter(setup, lambda name: STIMULUS, RATE_HZ, 0.3, masking)
+    return RigPresenter(setup_of(rig), lambda name: STIMULUS, RATE_HZ, 0.3, masking)
 
 
 def true_error_ms(label):
@@ -125,10 +116,14 @@ def test_given_a_presentation_that_fails_then_it_is_repeated_said_and_counted(fa
     assert len(said) == notes
 
 
-def test_given_a_loopback_that_stays_silent_then_the_cable_is_named():
-    fault = RigFault("recorder", "read", "missing_reference", position=1, count=9, purpose="presentation")
-    with pytest.raises(InstrumentError, match="loopback cable, from output 3"):
-        presenter(fault).present("any", 1, lambda note: None)
-    fault = RigFault("recorder", "read", "short_read", position=1, count=9, purpose="presentation")
-    with pytest.raises(TransientInstrumentError):
+@pytest.mark.parametrize(
+    ("kind", "raised", "said"),
+    [
+        ("missing_reference", InstrumentError, "loopback cable, from output 3"),
+        ("short_read", TransientInstrumentError, "."),
+    ],
+)
+def test_a_fault_that_stays_is_raised_and_the_cable_of_a_silent_loopback_named(kind, raised, said):
+    fault = RigFault("recorder", "read", kind, position=1, count=9, purpose="presentation")
+    with pytest.raises(raised, match=said):
         presenter(fault).present("any", 1, lambda note: None)

@@ -9,19 +9,12 @@ from importlib.resources import files
 from pathlib import Path
 
 import grimp
-import h5py
-import numpy as np
 import pytest
 
 import wavefocus
 from tools import python_reference
 
 ROOT = Path(__file__).parents[2]
-SCENE = """
-[[source]]
-path = { kind = "point", at_mm = [4, 4] }
-signal = { kind = "impulse" }
-"""
 
 
 @pytest.mark.parametrize(
@@ -55,18 +48,3 @@ def test_importing_the_package_loads_nothing_but_the_standard_library():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name for name in done.stdout.split() if name.partition(".")[0] not in sys.stdlib_module_names}
     assert loaded == {"wavefocus"}
-
-
-def test_given_a_bank_and_a_scene_then_the_field_at_the_focus_has_its_amplitude(tmp_path):
-    x_mm, y_mm = np.meshgrid(np.arange(3) * 4.0, np.arange(3) * 4.0)
-    with h5py.File(tmp_path / "bank.h5", "w") as file:
-        file["green"] = np.random.default_rng(1).standard_normal((9, 3, 40)) * np.exp(-np.arange(40) / 8)
-        file["position_mm"] = np.column_stack([x_mm.ravel(), y_mm.ravel()])
-        file.attrs["sample_rate_hz"] = 2000.0
-    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
-    with wavefocus.open_bank(tmp_path / "bank.h5") as bank:
-        drive = wavefocus.render(wavefocus.load_scene(str(tmp_path / "scene.toml")), bank)
-        field = wavefocus.predict(drive, bank, [4])
-        wavefocus.write_drive(tmp_path / "drive.h5", drive)
-    assert field.field[0, round(-field.start_s * 2000)] == pytest.approx(1.0)
-    assert wavefocus.read_drive(tmp_path / "drive.h5").drive_v == pytest.approx(drive.drive_v)

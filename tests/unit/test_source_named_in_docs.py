@@ -32,3 +32,10 @@ def test_the_page_of_constants_has_the_code_s_values_and_five_cells_for_each():
     assert 30 <= len(rows) <= 40
     assert len({row.split()[1] for row in rows}) == len(rows)
     assert all(len([cell for cell in row.split(" | ") if cell.strip("| ")]) == 5 for row in rows)
+
+
+def test_the_page_about_the_code_names_what_is_there_and_leaves_out_no_package():
+    text = (ROOT / "docs" / "explanation" / "code.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w/]+(?:\.py|/))`", text))
+    assert not [name for name in named if not ((ROOT if name.startswith("tests/") else PACKAGE) / name).exists()]
+    assert {f"{path.parent.name}/" for path in PACKAGE.glob("*/__init__.py")} <= named

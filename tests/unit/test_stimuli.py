@@ -132,33 +132,30 @@ def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fi
             file.unlink()
 
 
-def test_given_outputs_of_little_full_scale_then_a_stimulus_beyond_it_is_refused(tmp_path, bank):
-    weak = Interface(int(RATE_HZ), np.full(len(ACTUATOR_MM), 1e-6))
-    with pytest.raises(InputError, match="full scale"):
-        prepare(design_of(tmp_path), bank, tmp_path / "out", limits=NO_LIMITS, interface=weak)
-
-
-def test_given_a_path_beyond_the_bank_or_another_rig_then_it_is_refused(tmp_path, bank):
+def test_given_what_does_not_fit_the_rig_or_the_bank_then_it_is_refused(tmp_path, bank):
+    design = design_of(tmp_path)
+    weak, few = (
+        Interface(int(RATE_HZ), np.full(count, volts)) for count, volts in ((len(ACTUATOR_MM), 1e-6), (3, 5.0))
+    )
+    for match, view, interface in (
+        ("full scale", bank, weak),
+        ("10 actuators, the rig 3", bank, few),
+        ("drives in A", replace(bank, drive_unit="A"), INTERFACE),
+    ):
+        with pytest.raises(InputError, match=match):
+            prepare(design, view, tmp_path / "out", limits=NO_LIMITS, interface=interface)
+    beyond = design_of(tmp_path, TRIALS.replace("[8, 0]", "[80, 0]"))
     with pytest.raises(InputError, match=rf"trials.toml: stimulus {NAMES[0]}: .*point"):
-        prepared(design_of(tmp_path, TRIALS.replace("[8, 0]", "[80, 0]")), bank)
-    few = Interface(int(RATE_HZ), np.full(3, 5.0))
-    with pytest.raises(InputError, match=r"10 actuators, the rig 3"):
-        prepare(design_of(tmp_path), bank, tmp_path / "new", limits=NO_LIMITS, interface=few)
-    with pytest.raises(InputError, match="drives in A"):
-        prepared(design_of(tmp_path), replace(bank, drive_unit="A"))
+        prepare(beyond, bank, tmp_path / "other", limits=NO_LIMITS, interface=INTERFACE)
 
 
 def test_given_another_table_or_bank_then_its_stimuli_are_refused(tmp_path, bank):
     prepared(design_of(tmp_path), bank)
     with pytest.raises(InputError, match=r"manifest.json: .*trials.toml"):
         prepared(design_of(tmp_path, TRIALS + "# another\n"), bank)
-    design = design_of(tmp_path)
-    with h5py.File(tmp_path / "other.h5", "w") as file:
-        file["green"] = plate_greens(SQUARE_MM[:1])
-        file["position_mm"] = SQUARE_MM[:1]
-        file.attrs["sample_rate_hz"] = RATE_HZ
+    write_bank(tmp_path / "other.h5", SQUARE_MM[:1])
     with open_bank(tmp_path / "other.h5") as other, pytest.raises(InputError, match=r"manifest.json: .*other.h5"):
-        prepared(design, other)
+        prepared(design_of(tmp_path), other)
 
 
 def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path, bank):
@@ -174,23 +171,17 @@ def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path, ban
         prepared(design, bank)
 
 
-def test_given_a_manifest_that_is_none_then_it_is_named(tmp_path, bank):
-    design = design_of(tmp_path)
-    file = tmp_path / "out" / "stimuli" / "manifest.json"
-    file.parent.mkdir(parents=True)
+def test_files_of_another_origin_are_named_and_none_is_written_over(tmp_path, bank):
+    design, folder = design_of(tmp_path), tmp_path / "out" / "stimuli"
+    folder.mkdir(parents=True)
+    (folder / f"{LOUDEST}.h5").write_text("mine")
+    with pytest.raises(InputError, match="exists"):
+        prepared(design, bank)
+    assert (folder / f"{LOUDEST}.h5").read_text() == "mine"
     for text in ("", "[]", '{"stimuli": 3}', '{"stimuli": {"a": {}}}', '{"stimuli": {"a": {"sha256": 1}}}'):
-        file.write_text(text)
+        (folder / "manifest.json").write_text(text)
         with pytest.raises(InputError, match=r"manifest.json: is"):
             prepared(design, bank)
-
-
-def test_given_files_of_another_origin_then_none_is_written_over(tmp_path, bank):
-    (tmp_path / "out" / "stimuli").mkdir(parents=True)
-    mine = tmp_path / "out" / "stimuli" / f"{LOUDEST}.h5"
-    mine.write_text("mine")
-    with pytest.raises(InputError, match="exists"):
-        prepared(design_of(tmp_path), bank)
-    assert mine.read_text() == "mine"
 
 
 FINGERS = """
@@ -218,8 +209,8 @@ quiet = ["one", "two"]
 def test_the_other_fingers_are_quiet_in_each_stimulus(tmp_path, bank):
     design = design_of(tmp_path, FINGERS)
     made = prepared(design, bank)
-    rows = {name: int(np.flatnonzero((bank.position_mm == place).all(axis=1))[0]) for name, place in
-            (("one", (-8.0, 0.0)), ("two", (8.0, 4.0)))}  # fmt: skip
+    places = {"one": (-8.0, 0.0), "two": (8.0, 4.0)}
+    rows = {name: int(np.flatnonzero((bank.position_mm == at).all(axis=1))[0]) for name, at in places.items()}
     for stimulus in design.stimuli.values():
         field = predict(made.drive(stimulus.name), bank, list(rows.values())).field
         energy = dict(zip(rows, np.square(field, dtype=np.float64).sum(axis=1), strict=True))

@@ -1,5 +1,6 @@
 """Statistics of answers: against published values, other programs' fits and the paper's own numbers."""
 
+import itertools
 import json
 import math
 
@@ -21,14 +22,13 @@ ANSWERS = ("left", "right")
 
 
 def row(trial=1, *, participant="P1", path="left", answer=None, correct=True, speed=40.0, amplitude=1.0, **more):
-    other = ANSWERS[1] if path == ANSWERS[0] else ANSWERS[0]
+    given = path if correct else ANSWERS[path == ANSWERS[0]]
     values = {
         "track": "", "stimulus": f"{path}-{speed}", "signal": "burst", "plays": 1, "reaction_s": 0.5,
         "onset_error_ms": 0.1, "onset_within_ms": 0.05, "replays": 0, "attempts": 1, "by": "keyboard",
         "answered_at": "2026-01-01T00:00:00+00:00",
         "stimulus_sha256": "0" * 64, "bank_sha256": "1" * 64, "trials_sha256": "2" * 64,
     }  # fmt: skip
-    given = path if correct else other
     return Row(
         participant=participant, block=1, trial=trial, path=path, speed_mm_s=speed, amplitude=amplitude,
         answer=given if answer is None else answer, correct=correct, **{**values, **more},
@@ -38,20 +38,20 @@ def row(trial=1, *, participant="P1", path="left", answer=None, correct=True, sp
 DESIGN = TrialsTable(question=NASTY, answers=ANSWERS, correct="path")
 
 
-def paper_rows():
+@pytest.fixture(scope="module")
+def paper():
     """Nine participants, 80 trials each; seven answers are wrong, as in the paper's section V."""
-    rows, wrong = [], {100.0: 1, 500.0: 6}
-    for number in range(9):
-        for trial in range(80):
-            speed = (40.0, 100.0, 250.0, 500.0)[trial % 4]
-            plays, signal = (40.0, 100.0, 250.0, 500.0).index(speed) + 1, "impulse" if speed == 500.0 else "burst"
-            bad = wrong.get(speed, 0) > 0
-            wrong[speed] = wrong.get(speed, 0) - bad
-            rows.append(
-                row(trial + 1, participant=f"P{(trial + number) % 9}", path=ANSWERS[trial // 4 % 2], correct=not bad,
-                    speed=speed, plays=plays, signal=signal, onset_error_ms=0.01 * trial, reaction_s=0.5 + 0.01 * trial)
-            )  # fmt: skip
-    return rows
+    rows, wrong = [], {40.0: 0, 100.0: 1, 250.0: 0, 500.0: 6}
+    for number, trial in itertools.product(range(9), range(80)):
+        plays, speed = list(enumerate(wrong, 1))[trial % 4]
+        bad = wrong[speed] > 0
+        wrong[speed] -= bad
+        rows.append(
+            row(trial + 1, participant=f"P{(trial + number) % 9}", path=ANSWERS[trial // 4 % 2], correct=not bad,
+                speed=speed, plays=plays, signal="impulse" if speed == 500.0 else "burst",
+                onset_error_ms=0.01 * trial, reaction_s=0.5 + 0.01 * trial)
+        )  # fmt: skip
+    return analysis_of(rows, DESIGN), table_of(rows)
 
 
 def test_given_published_shares_then_wilson_s_intervals_are_theirs():
@@ -68,10 +68,9 @@ def test_given_published_shares_then_wilson_s_intervals_are_theirs():
     assert shares_of(table_of(rows[:1]))[0].interval[1] == 1.0
 
 
-def test_given_the_paper_s_answers_then_its_accuracies_come_out():
-    rows = paper_rows()
-    assert combinations_of(table_of(rows)) == (("speed_mm_s",), ("path",), ("signal",), ("speed_mm_s", "path"))
-    shares = shares_of(table_of(rows))
+def test_given_the_paper_s_answers_then_its_accuracies_come_out(paper):
+    assert combinations_of(paper[1]) == (("speed_mm_s",), ("path",), ("signal",), ("speed_mm_s", "path"))
+    shares = shares_of(paper[1])
     (whole,) = [one for one in shares if not one.participant and not one.factors]
     assert (whole.count, whole.of, whole.outcome) == (713, 720, RIGHT)
     speeds = {one.factors["speed_mm_s"]: round(100 * one.share, 1) for one in shares
@@ -162,29 +161,25 @@ def test_answers_without_a_maximum_likelihood_have_finite_estimates(right):
         assert (low or 0.0) <= (math.inf if high is None else high)
 
 
-def test_given_one_level_then_no_function_is_fitted():
-    with pytest.raises(ValueError, match="two or more"):
-        fit_psychometric([0.5], [3], [5], guess=0.5)
-    assert psychometric_of(table_of([row()]), ANSWERS) == ()
-
-
 def test_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals():
     up_down = AdaptiveTable(method="up_down", factor="amplitude")
-    levels = [1.0, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25, 0.5]
+    levels = [(level, above) for level in (1.0, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25, 0.5) for above in (False, True)]
     rows = [
-        row(2 * n + k + 1, correct=level > 0.25, amplitude=level, track="t")
-        for n, level in enumerate(levels)
-        for k in range(2 if level > 0.25 else 1)
+        row(trial, correct=level > 0.25, amplitude=level, track="t")
+        for trial, (level, above) in enumerate(levels, 1)
+        if level > 0.25 or not above
     ]
-    rows = [one if one.amplitude > 0.25 else row(one.trial, correct=False, amplitude=0.25, track="t") for one in rows]
     (found,) = psychometric_of(table_of(rows), ANSWERS, up_down)
-    assert (found.track, found.factor) == ("t", "amplitude")
-    assert found.fit.guess == 0.5
+    assert (found.track, found.factor, found.fit.guess) == ("t", "amplitude", 0.5)
     assert 0.25 <= found.reversals_threshold <= 0.5
+    # One level alone has no function.
+    assert psychometric_of(table_of([row()]), ANSWERS) == ()
+    with pytest.raises(ValueError, match="two or more"):
+        fit_psychometric([0.5], [3], [5], guess=0.5)
 
 
-def test_answers_then_report_shows_them_with_names_escaped_and_holds_all_it_shows():
-    analysis = analysis_of(paper_rows(), DESIGN)
+def test_answers_then_report_shows_them_with_names_escaped_and_holds_all_it_shows(paper):
+    analysis = paper[0]
     html, pictures = build_report(analysis, [("answers", "trials.csv")])
     assert NASTY not in html
     assert "713 of 720" in html
@@ -203,27 +198,18 @@ def test_given_no_right_answers_then_shares_of_each_answer_are_tabled():
 
 
 def test_given_four_fingers_then_the_confusion_matrix_counts_each_pair():
-    fingers = ("thumb", "index", "middle", "ring")
-    rng = np.random.default_rng(5)
-    rights, given, rows = [], [], []
-    for trial in range(120):
-        right = fingers[rng.integers(4)]
-        answer = right if rng.random() < 0.7 else fingers[rng.integers(4)]
-        rights.append(right)
-        given.append(answer)
-        rows.append(
-            row(trial + 1, path=f"{right}-place", answer=answer, correct=answer == right, participant=f"P{trial % 2}")
-        )
-    design = TrialsTable(
-        question="?", answers=fingers, correct="path", correct_levels={f"{name}-place": name for name in fingers}
-    )
+    fingers, rng = ("thumb", "index", "middle", "ring"), np.random.default_rng(5)
+    rights = rng.integers(4, size=120)
+    given = [(fingers[right], fingers[right if rng.random() < 0.7 else rng.integers(4)]) for right in rights]
+    rows = [
+        row(trial + 1, path=f"{right}-place", answer=answer, correct=answer == right, participant=f"P{trial % 2}")
+        for trial, (right, answer) in enumerate(given)
+    ]
+    levels = {f"{name}-place": name for name in fingers}
+    design = TrialsTable(question="?", answers=fingers, correct="path", correct_levels=levels)
     analysis = analysis_of(rows, design)
     whole, *own = analysis.confusions
-    plain = [[sum(r == a and g == b for r, g in zip(rights, given, strict=True)) for b in fingers] for a in fingers]
-    assert [list(counts) for counts in whole.counts] == plain
-    assert sum(row[index] for index, row in enumerate(whole.counts)) == sum(
-        r == g for r, g in zip(rights, given, strict=True)
-    )
+    assert [list(counts) for counts in whole.counts] == [[given.count((a, b)) for b in fingers] for a in fingers]
     assert np.array_equal(np.sum([matrix.counts for matrix in own], axis=0), whole.counts)
     page, _ = build_report(analysis, [])
     assert "Confusion matrix" in page

@@ -5,17 +5,9 @@ import time
 
 import pytest
 
-from tests.unit.trials_files import STROKES
+from tests.simulated_people import STROKES
 from wavefocus.config.messages import Message, Refused
-from wavefocus.config.messages.trials import (
-    Answer,
-    AnswerStored,
-    EndTrials,
-    GoOn,
-    Replay,
-    TrialsState,
-    Welcome,
-)
+from wavefocus.config.messages.trials import Answer, AnswerStored, EndTrials, GoOn, Replay, TrialsState, Welcome
 from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, read_answers

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -23,9 +22,7 @@ from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.drive_file import read_drive
 
-Key = TypeVar("Key")
-TOLERANCES_DB = (None, -80, -60, -40)
-"""None: exact, the truth of the others."""
+TOLERANCES_DB = (-80.0, -60.0, -40.0)
 MARKS_S = {"--help": 0.2, "status": 0.35, "plan": 0.8, "render": 0.8, "predict, 10 positions": 0.6, "predict": 3.0}
 """Longest processor time wanted."""
 
@@ -62,29 +59,28 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
 
 
 def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[Entry]:
-    """Render to several tolerances."""
-    arguments = {db: command if db is None else (*command, "--tolerance-db", db) for db in TOLERANCES_DB}
+    """Render to several tolerances; the error is against the exact drive, which is the first."""
+    settings = {"exact": None, **{f"to {db:g} dB": db for db in TOLERANCES_DB}}
+    arguments = {name: (*command, *(["--tolerance-db", db] if db else [])) for name, db in settings.items()}
     written = {}
-    for db in TOLERANCES_DB:
-        run_command(*arguments[db])
-        written[db] = read_drive(file).drive_v
+    for name, words in arguments.items():
+        run_command(*words)
+        written[name] = read_drive(file).drive_v
     return [
         Entry(
-            work="wavefocus render, the whole command", method="exact" if db is None else "to a tolerance",
-            parameters={} if db is None else {"tolerance_db": float(db)}, timing=timing,
-            error=None if db is None else relative_error(written[db], written[None]),
+            work="wavefocus render, the whole command", method="to a tolerance" if db else "exact",
+            parameters={"tolerance_db": db} if db else {}, timing=timing,
+            error=relative_error(written[name], written["exact"]) if db else None,
         )
-        for db, timing in _measured(arguments, repeats).items()
+        for (name, timing), db in zip(_measured(arguments, repeats).items(), settings.values(), strict=True)
     ]  # fmt: skip
 
 
-def _measured(commands: Mapping[Key, tuple[object, ...]], repeats: int) -> dict[Key, Times]:
+def _measured(commands: Mapping[str, tuple[object, ...]], repeats: int) -> dict[str, Times]:
     """Times of commands, the processor's and the memory being those of the last run's processes."""
-    actions = {str(key): partial(run_command, *arguments) for key, arguments in commands.items()}
-    found = measure(actions, repeats, slow_s=10)
+    found = measure({key: partial(run_command, *words) for key, words in commands.items()}, repeats, slow_s=10)
     return {
-        key: replace(timing, cpu_s=timing.result.processor_s, peak_mb=timing.result.peak_bytes / 1e6)
-        for key, timing in zip(commands, found.values(), strict=True)
+        key: replace(timing, cpu_s=timing.result[0], peak_mb=timing.result[1] / 1e6) for key, timing in found.items()
     }
 
 

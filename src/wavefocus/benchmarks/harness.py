@@ -75,8 +75,6 @@ class Entry:
         Against the truth that the benchmark states; None for the truth itself, and where there is none.
     timing : Timing, optional
         Its time.
-    peak_mb : float, optional
-        Peak memory.
     figures : mapping
         All else, by name with the unit at the end.
     marks : tuple of Mark
@@ -90,7 +88,6 @@ class Entry:
     parameters: Mapping[str, Plain] = field(default_factory=dict)
     error: float | None = None
     timing: Times | None = None
-    peak_mb: float | None = None
     figures: Mapping[str, Plain] = field(default_factory=dict)
     marks: tuple[Mark, ...] = ()
     remark: str = ""
@@ -101,8 +98,6 @@ class Entry:
         timing = {} if self.timing is None else asdict(replace(self.timing, result=None))
         timing.pop("result", None)
         known = {**self.parameters, "error": self.error, **timing, **self.figures}
-        if self.peak_mb is not None:
-            known["peak_mb"] = self.peak_mb
         return {"method": self.method, **{name: one for name, one in known.items() if one is not None}}
 
     def judged(self, mark: Mark) -> bool | None:

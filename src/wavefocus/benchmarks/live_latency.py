@@ -21,7 +21,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -63,11 +63,6 @@ class _LatencyCase:
     sources: int
     mark_ms: float
     independent: bool = False
-
-    @property
-    def parameters(self) -> dict[str, float | bool]:
-        """Of a line of the table."""
-        return {"sources": self.sources, "independent": self.independent}
 
 
 TEN, INDEPENDENT = _LatencyCase("virtual", 10, 20.0), _LatencyCase("virtual", QUIET_SOURCES, 25.0, independent=True)
@@ -151,13 +146,17 @@ def _latency(bank: Path, folder: Path, case: _LatencyCase, seconds: float) -> En
     if not lab.exists():
         run_command("init", lab, "--rig", case.rig)
     with _environment(case.rig) as environment:
-        session = _LatencySession(bank, lab / "rig.toml", AHEAD_MS[case.rig], environment)
-        session.play(case, seconds)
+        figures = _figures(bank, lab / "rig.toml", case, seconds, environment)
     return Entry(
         work="position to drive sample written",
         method="virtual player on the wall's clock" if case.rig == "virtual" else "audio server with a dummy driver",
-        parameters=case.parameters | {"seconds": seconds, "ahead_ms": AHEAD_MS[case.rig]},
-        figures=session.figures(),
+        parameters={
+            "sources": case.sources,
+            "independent": case.independent,
+            "seconds": seconds,
+            "ahead_ms": AHEAD_MS[case.rig],
+        },
+        figures=figures,
         marks=(
             Mark("latency_p999_ms", case.mark_ms, at_most=True),
             Mark("underruns", 0, at_most=True),
@@ -179,75 +178,65 @@ def _environment(rig: str) -> Iterator[Mapping[str, str]]:
         yield server.environment
 
 
-@dataclass
-class _LatencySession:
-    """``wavefocus live`` as a process, its states, and the memory of all its processes."""
+def _figures(
+    bank: Path, rig_file: Path, case: _LatencyCase, seconds: float, environment: Mapping[str, str]
+) -> dict[str, float]:
+    """Figures of ``wavefocus live`` as a process, whose sources move for so long."""
+    independent = ["--independent"] if case.independent else []
+    arguments = ["live", bank, "--rig", rig_file, "--json", "--ahead-ms", AHEAD_MS[case.rig], *independent]
+    states: list[dict[str, Any]] = []
+    memory_mb: list[float] = []
+    ended: dict[str, Any] = {}
+    stall_s = 0.0
+    with subprocess.Popen(
+        [sys.executable, "-m", "wavefocus", *map(str, arguments)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment, "PYTHONPATH": str(Path(__file__).parents[2])},
+    ) as process:
+        assert process.stdin is not None
+        told = process.stdout
+        assert told is not None
+        if "ready" not in told.readline():
+            raise RuntimeError("wavefocus live did not begin")
 
-    bank: Path
-    rig_file: Path
-    ahead_ms: float
-    environment: Mapping[str, str]
-    states: list[dict[str, Any]] = field(default_factory=list)
-    memory_mb: list[float] = field(default_factory=list)
-    ended: dict[str, Any] = field(default_factory=dict)
-    stall_s: float = 0.0
-    """Longest time by which the process that sends positions, and sleeps else, woke too late."""
+        def read() -> None:
+            for line in told:
+                event = json.loads(line)
+                if event["event"] == "state":
+                    states.append(event)
+                    memory_mb.append(_resident_mb(process.pid))
+                elif event["event"] == "ended":
+                    ended.update(event)
 
-    def play(self, case: _LatencyCase, seconds: float) -> None:
-        """Move sources for so long, then end."""
-        independent = ["--independent"] if case.independent else []
-        arguments = ["live", self.bank, "--rig", self.rig_file, "--json", "--ahead-ms", self.ahead_ms, *independent]
-        with subprocess.Popen(
-            [sys.executable, "-m", "wavefocus", *map(str, arguments)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, **self.environment, "PYTHONPATH": str(Path(__file__).parents[2])},
-        ) as process:
-            assert process.stdin is not None
-            assert process.stdout is not None
-            if "ready" not in process.stdout.readline():
-                raise RuntimeError("wavefocus live did not begin")
-            reader = threading.Thread(target=self._read, args=(process,))
-            reader.start()
-            begun_s = time.monotonic()
-            for count in range(round(seconds * POSITIONS_HZ)):
-                before_s, due_s = time.monotonic(), begun_s + count / POSITIONS_HZ
-                time.sleep(max(0.0, due_s - before_s))
-                self.stall_s = max(self.stall_s, time.monotonic() - max(before_s, due_s))
-                for source, at_mm in enumerate(_places_mm(count / POSITIONS_HZ, case.sources)):
-                    order = {"order": "move", "name": f"{source}", "at_mm": at_mm, "amplitude": AMPLITUDE}
-                    process.stdin.write(json.dumps(order) + "\n")
-                process.stdin.flush()
-            process.stdin.write('{"order": "end"}\n')
+        reader = threading.Thread(target=read)
+        reader.start()
+        begun_s = time.monotonic()
+        for count in range(round(seconds * POSITIONS_HZ)):
+            before_s, due_s = time.monotonic(), begun_s + count / POSITIONS_HZ
+            time.sleep(max(0.0, due_s - before_s))
+            stall_s = max(stall_s, time.monotonic() - max(before_s, due_s))
+            for source, at_mm in enumerate(_places_mm(count / POSITIONS_HZ, case.sources)):
+                order = {"order": "move", "name": f"{source}", "at_mm": at_mm, "amplitude": AMPLITUDE}
+                process.stdin.write(json.dumps(order) + "\n")
             process.stdin.flush()
-            reader.join()
-
-    def figures(self) -> dict[str, float]:
-        """Figures of the session."""
-        # Memory is compared from this share of the duration on.
-        settled = self.memory_mb[int(0.1 * len(self.memory_mb)) :]
-        latencies = [state["latency_ms"] for state in self.states if state["latency_ms"] is not None]
-        found = {
-            "latency_p999_ms": float(self.ended["latency_p999_ms"]),
-            "latency_largest_ms": float(max(latencies, default=math.nan)),
-            "positions": float(self.ended["positions"]),
-            "underruns": float(self.ended["underruns"]),
-            "stall_ms": 1e3 * self.stall_s,
-            "load": float(median(state["load"] for state in self.states)),
-            "degraded_share": sum(state["degradation"] != "none" for state in self.states) / len(self.states),
-        }
-        return found | ({"memory_growth_mb": settled[-1] - settled[0]} if settled and settled[0] else {})
-
-    def _read(self, process: subprocess.Popen[str]) -> None:
-        assert process.stdout is not None
-        for line in process.stdout:
-            event = json.loads(line)
-            if event["event"] == "state":
-                self.states.append(event)
-                self.memory_mb.append(_resident_mb(process.pid))
-            elif event["event"] == "ended":
-                self.ended = event
+        process.stdin.write('{"order": "end"}\n')
+        process.stdin.flush()
+        reader.join()
+    # Memory is compared from this share of the duration on.
+    settled = memory_mb[int(0.1 * len(memory_mb)) :]
+    latencies = [state["latency_ms"] for state in states if state["latency_ms"] is not None]
+    found = {
+        "latency_p999_ms": float(ended["latency_p999_ms"]),
+        "latency_largest_ms": float(max(latencies, default=math.nan)),
+        "positions": float(ended["positions"]),
+        "underruns": float(ended["underruns"]),
+        "stall_ms": 1e3 * stall_s,
+        "load": float(median(state["load"] for state in states)),
+        "degraded_share": sum(state["degradation"] != "none" for state in states) / len(states),
+    }
+    return found | ({"memory_growth_mb": settled[-1] - settled[0]} if settled and settled[0] else {})
 
 
 def _resident_mb(process: int) -> float:

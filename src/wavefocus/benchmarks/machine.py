@@ -5,7 +5,6 @@ import platform
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from datetime import datetime
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -73,27 +72,14 @@ def _commit() -> str | None:
     return done.stdout.strip() or None
 
 
-@dataclass(frozen=True, slots=True)
-class _CommandRun:
-    """Standard output of a command, seconds, and peak memory of its largest process."""
-
-    stdout: str
-    wall_s: float
-    processor_s: float
-    peak_bytes: float
-
-
-def run_command(*arguments: object) -> _CommandRun:
-    """Run ``wavefocus`` with arguments."""
+def run_command(*arguments: object) -> tuple[float, float]:
+    """Run ``wavefocus`` with arguments; its processor seconds, and the peak memory of its largest process in bytes."""
     child = [sys.executable, "-m", "wavefocus.benchmarks.machine", *map(str, arguments)]
-    began = time.monotonic()
     done = subprocess.run(child, capture_output=True, text=True, check=False)
-    wall_s = time.monotonic() - began
     if done.returncode:
         raise RuntimeError(f"wavefocus {' '.join(map(str, arguments))}: {done.stderr.strip()}")
-    *lines, figures = done.stdout.splitlines()
-    processor_s, peak = map(float, figures.split())
-    return _CommandRun("\n".join(lines), wall_s, processor_s, peak)
+    processor_s, peak = map(float, done.stdout.splitlines()[-1].split())
+    return processor_s, peak
 
 
 def _peak_bytes() -> int:

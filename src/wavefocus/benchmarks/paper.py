@@ -85,10 +85,13 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     from wavefocus.rendering.report.canvas import STYLE
 
     out.mkdir(parents=True, exist_ok=True)
-    papers, timings = {}, {}
+    papers, timings, notes = {}, {}, []
     with rc_context(STYLE):
         for plate, settings in PLATES.items():
-            paper = papers[plate] = Paper(paper_bank(out, VirtualRig(settings), plate, quick=quick), quick)
+            rig = VirtualRig(settings)
+            bank, how = paper_bank(out, rig, plate, quick=quick)
+            notes.append(f'Bank of the plate "{plate}": {how}.')
+            paper = papers[plate] = Paper(bank, rig, quick)
             parts: dict[str, Callable[[], object]] = {
                 "travel": partial(travel, paper),
                 "foci": partial(foci, paper),
@@ -115,9 +118,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
         for plate, found in timings.items()
         for part, timing in found.items()
     ]
-    return Findings(
-        points, notes=[f'Bank of the plate "{plate}": {paper.source.how}.' for plate, paper in papers.items()]
-    )
+    return Findings(points, notes=notes)
 
 
 def travel(paper: Paper) -> None:

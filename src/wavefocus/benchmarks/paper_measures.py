@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.benchmarks.rig_bank import PaperBank
 from wavefocus.config.scene import Output, Regularisation
+from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field import metrics
-from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, median_or_none
+from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM
 from wavefocus.rendering.field.prediction import Prediction, predict
 from wavefocus.rendering.field.wave_figures import PathSpectrum, path_spectrum
 from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
@@ -37,18 +37,14 @@ LINE = Line((-58.0, 0.0), (62.0, 0.0))
 class Paper:
     """Bank and rig of the figures, and our numbers: text, and whether it is as the paper's (None: it states none)."""
 
-    source: PaperBank
+    bank: GreenArray
+    rig: VirtualRig
     quick: bool
     found: dict[str, tuple[str, bool | None]] = field(default_factory=dict)
 
-    @property
-    def bank(self) -> GreenArray:
-        """The bank."""
-        return self.source.bank
-
     def surface(self, *paths_mm: Float64Array) -> ReportSurface:
         """Content of every map."""
-        return ReportSurface.of(self.bank, paths_mm, self.source.rig.settings.outline.line(400))
+        return ReportSurface.of(self.bank, paths_mm, self.rig.settings.outline.line(400))
 
 
 def row_at(bank: GreenArray, x_mm: float, y_mm: float) -> int:
@@ -97,11 +93,6 @@ def focus_figures(bank: GreenArray, rows: Sequence[int], fields: FloatArray) -> 
         if spot is not None:
             figures[:, place] = spot.width_mm, spot.off_mm, spot.artefact_db, values[row]
     return dict(zip(("width_mm", "off_mm", "artefact_db", "at_focus"), figures, strict=True))
-
-
-def medians(figures: dict[str, Float64Array]) -> dict[str, float | None]:
-    """Median of each figure over the foci that have it; None where none has."""
-    return {name: median_or_none(values) for name, values in figures.items()}
 
 
 def fields_at(drive: Drive, bank: GreenArray, samples: Sequence[int]) -> Float32Array:

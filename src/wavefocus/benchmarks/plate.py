@@ -387,12 +387,20 @@ def _driven_glass(repeats: int) -> list[Entry]:
 
 def _banks(repeats: int, positions: int | None) -> list[Entry]:
     """Green's functions of whole banks on every plate, and the stadium's modes."""
+
+    def modes() -> None:
+        VirtualRig(RIGS["stadium"]).truth(0.0, 0.0, TAPS)
+
+    def bank(name: str) -> None:
+        rig = VirtualRig(RIGS[name])
+        true_bank(rig, default_grid(rig)[:positions], None)
+
     with TemporaryDirectory() as folder:
         kept = os.environ.get("WAVEFOCUS_CACHE")
         os.environ["WAVEFOCUS_CACHE"] = folder
         try:
-            first, again = (measure({"": _stadium_modes}, count)[""] for count in (1, repeats))
-            found = measure({name: partial(_bank, name, positions) for name in RIGS}, repeats, slow_s=60.0)
+            first, again = (measure({"": modes}, count)[""] for count in (1, repeats))
+            found = measure({name: partial(bank, name) for name in RIGS}, repeats, slow_s=60.0)
         finally:
             if kept is None:
                 del os.environ["WAVEFOCUS_CACHE"]
@@ -409,12 +417,3 @@ def _banks(repeats: int, positions: int | None) -> list[Entry]:
         work = f"a bank, {positions or 'all'} positions of the default grid x 20 actuators x {TAPS} taps"
         points.append(Entry(work=work, method=name, timing=timing, marks=marks))
     return points
-
-
-def _stadium_modes() -> None:
-    VirtualRig(RIGS["stadium"]).truth(0.0, 0.0, TAPS)
-
-
-def _bank(name: str, positions: int | None) -> None:
-    rig = VirtualRig(RIGS[name])
-    true_bank(rig, default_grid(rig)[:positions], None)

@@ -33,7 +33,6 @@ from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Polyline
 from wavefocus.rendering.scene.signals import Noise
-from wavefocus.storage.drive_file import Drive
 
 Float64Array = NDArray[np.float64]
 # A run of the source that one row emits: the row, its first sample, its samples.
@@ -161,13 +160,6 @@ def _normalised_green(bank: GreenArray, row: int) -> tuple[Float64Array, float]:
     """One row in float64, and n(x) of eq. (15)."""
     green = bank.values[row].astype(np.float64)
     return green, 1.0 / float(np.sum(green**2))
-
-
-def _field_drive(bank: GreenArray, seconds: float) -> Drive:
-    """A source that goes round at 10 cm/s."""
-    path = Circle((0.0, 0.0), 30.0, seconds * 100.0 / (2.0 * np.pi * 30.0))
-    drive, _ = render_with_report(Scene("field", (Source(path, noise(seconds), 0.0, 100.0, 1.0),)), bank)
-    return drive
 
 
 def _sampled_runs(workload: _RenderWorkload) -> Iterator[Run]:
@@ -334,7 +326,8 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry
     Each is held against the merging peer at its own rate, timed on some positions, whose rows have been decimated
     beforehand where ours have.
     """
-    drive = _field_drive(bank, seconds)
+    path = Circle((0.0, 0.0), 30.0, seconds * 100.0 / (2.0 * np.pi * 30.0))
+    drive, _ = render_with_report(Scene("field", (Source(path, noise(seconds), 0.0, 100.0, 1.0),)), bank)
     every = list(range(bank.positions))
     some = every[:: max(1, bank.positions // 150)]
     factor = round(RATE_HZ / LOWER_HZ)
@@ -345,7 +338,7 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry
     found = measure(
         {
             MERGED: partial(_predict_merged, [bank.values[row] for row in some], drive.drive_v),
-            merged_low: partial(_predict_decimated, lower, drive, factor),
+            merged_low: lambda: _predict_merged(lower, decimated(drive.drive_v, factor)),
             "ours, float64": partial(_field, drive, bank, every, dtype=np.float64),
             **{way: partial(_field, drive, spectra, every) for way, spectra in kept.items()},
         },
@@ -364,10 +357,6 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry
         ).against(peers[merged_low if way in (merged_low, at_low) else MERGED])
         for way, timing in found.items()
     ]  # fmt: skip
-
-
-def _predict_decimated(greens: list[NDArray[np.float64]], drive: Drive, factor: int) -> NDArray[np.float64]:
-    return _predict_merged(greens, decimated(drive.drive_v, factor))
 
 
 def _field(drive: Any, bank: GreenArray | BankSpectra, positions: list[int], **options: Any) -> Any:

@@ -1,6 +1,5 @@
 """Banks for benchmarks: measured on the virtual rig, or the truth with noise."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,20 +33,11 @@ QUICK_ERROR_DB = -58.0
 CHUNK = 64
 
 
-@dataclass(frozen=True, slots=True)
-class PaperBank:
-    """A bank, and the rig that it is of."""
-
-    bank: GreenArray
-    rig: VirtualRig
-    how: str
-
-
-def paper_bank(out: Path, rig: VirtualRig, name: str, *, quick: bool) -> PaperBank:
-    """The bank ``plate-NAME.h5`` in a folder, measured there first if need be; quick: the truth with noise."""
+def paper_bank(out: Path, rig: VirtualRig, name: str, *, quick: bool) -> tuple[GreenArray, str]:
+    """The bank ``plate-NAME.h5`` in a folder, measured there first if need be, and how; quick: the truth with noise."""
     if quick:
         bank = true_bank(rig, default_grid(rig), QUICK_ERROR_DB)
-        return PaperBank(bank, rig, f"true Green's functions with noise at {QUICK_ERROR_DB:g} dB")
+        return bank, f"true Green's functions with noise at {QUICK_ERROR_DB:g} dB"
     path = out / f"plate-{name}.h5"
     if not path.exists():
         # Under its final name only once it is whole: what is there is taken for a bank.
@@ -61,7 +51,7 @@ def paper_bank(out: Path, rig: VirtualRig, name: str, *, quick: bool) -> PaperBa
             values, np.asarray(view.position_mm), view.sample_rate_hz, status=np.asarray(view.status),
             actuator_mm=np.asarray(view.actuator_mm), band_hz=view.band_hz,
         )  # fmt: skip
-    return PaperBank(bank, rig, "measured on the virtual rig, three sweeps of 1 s per actuator and position")
+    return bank, "measured on the virtual rig, three sweeps of 1 s per actuator and position"
 
 
 def rig_setup(rig: VirtualRig) -> Setup:

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Literal
 
 from wavefocus.acquisition.engine.session import StopRequest
@@ -89,16 +88,6 @@ def heartbeat_path(bank: Path) -> Path:
     return bank.with_name(bank.name + ".heartbeat")
 
 
-def _write_heartbeat(bank: Path, beat: Heartbeat) -> None:
-    """Write a heartbeat.
-
-    Raises OSError: it cannot be written.
-    """
-    finish = beat.finish_at
-    content = {**to_record(beat), "finish_at": None if finish is None else finish.isoformat()}
-    write_whole(heartbeat_path(bank), content)
-
-
 def read_heartbeat(bank: Path) -> Heartbeat | None:
     """The latest heartbeat; None where there is none that can be read."""
     with suppress(MessageError):
@@ -129,9 +118,7 @@ class CampaignControl:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over = True
         self._wake.set()
         # A disk that hangs must not hold up the way out.
@@ -142,7 +129,8 @@ class CampaignControl:
         while not self._over:
             order = self._take()
             if order is not None:
-                self._carry_out(order)
+                stop, self._order = self._stop, order.number
+                {"pause": stop.pause, "go-on": stop.go_on, "stop": stop.finish_position}[order.order]()
             woken = self._wake.wait(0.2)
             self._wake.clear()
             if order is not None or woken or time.monotonic() >= beats_s:
@@ -150,10 +138,6 @@ class CampaignControl:
                 beats_s = time.monotonic() + 1.0
         self._take()
         self._beat()
-
-    def _carry_out(self, order: CampaignOrder) -> None:
-        {"pause": self._stop.pause, "go-on": self._stop.go_on, "stop": self._stop.finish_position}[order.order]()
-        self._order = order.number
 
     def _take(self) -> CampaignOrder | None:
         try:
@@ -165,8 +149,10 @@ class CampaignControl:
             return None
 
     def _beat(self) -> None:
+        beat = Heartbeat.of(self._status, self._order)
+        finish = None if beat.finish_at is None else beat.finish_at.isoformat()
         try:
-            _write_heartbeat(self._bank, Heartbeat.of(self._status, self._order))
+            write_whole(heartbeat_path(self._bank), {**to_record(beat), "finish_at": finish})
         except OSError as failure:
             self._report_failure(
                 f"the heartbeat of {self._bank} cannot be written ({failure.strerror}); the campaign goes on"

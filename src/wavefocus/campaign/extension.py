@@ -59,7 +59,9 @@ def extend(banks: Sequence[Path], out: Path, run_file: Path | None = None) -> Bl
         views = [stack.enter_context(open_bank(bank)) for bank in banks]
         for view in views:
             view.require_sound()
-        wanted = _wanted(banks, run_file)
+        wanted = blueprint_from_bank(banks[0]).configuration
+        if run_file is not None:
+            wanted = with_chosen_schedule(load_run(run_file), wanted)
         for bank in banks:
             _require_same_kind(bank, blueprint_from_bank(bank).configuration, wanted, str(run_file or banks[0]))
         delays = {view.inter_channel_delay_s for view in views}
@@ -103,12 +105,6 @@ def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint,
     )
     notes = sorted({note for view in views for note in view.notes}, key=lambda note: note.at)
     write_bank(out, header, _rows(views, taken), notes)
-
-
-def _wanted(banks: Sequence[Path], run_file: Path | None) -> Configuration:
-    if run_file is None:
-        return blueprint_from_bank(banks[0]).configuration
-    return with_chosen_schedule(load_run(run_file), blueprint_from_bank(banks[0]).configuration)
 
 
 def _require_same_kind(bank: Path, own: Configuration, wanted: Configuration, source: str) -> None:
@@ -178,16 +174,12 @@ def _origins(views: Sequence[Bank], taken: Taken) -> str:
         of_row = {
             row: (origin.bank, origin.plan_sha256, origin.software)
             for origin in origins_of(view)
-            for row in _parsed(origin.rows, view.positions)
+            for row in parse_positions(origin.rows.replace(" ", ""), view.positions)
         }
         for row, (source, own) in taken.items():
             if source == index:
                 rows.setdefault(of_row.get(own, measured), []).append(row)
     return json.dumps([asdict(Origin(*key, row_ranges(found))) for key, found in rows.items()])
-
-
-def _parsed(rows: str, positions: int) -> list[int]:
-    return parse_positions(rows.replace(" ", ""), positions)
 
 
 def _rows(views: Sequence[Bank], taken: Taken) -> Iterator[tuple[int, Float32Array, PointRecord]]:

@@ -166,7 +166,7 @@ class _LinesOperator:
             try:
                 content = self._answers.next(0.25 if listens and self._listens else None)
                 if content is None:
-                    raise _EndedError(f"standard input: ended before {before}")
+                    break
                 word = content.get("answer")
                 if word == CANCEL:
                     raise KeyboardInterrupt
@@ -177,10 +177,9 @@ class _LinesOperator:
                 return from_record(Answer, content)
             except TimeoutError:
                 self._publish_level()
-            except _EndedError:
-                raise
             except (InputError, MessageError) as wrong:
                 self._publish(Refused(one_line(str(wrong), 300)))
+        raise InputError(f"standard input: ended before {before}")
 
     def _publish_level(self) -> None:
         try:
@@ -189,10 +188,6 @@ class _LinesOperator:
             # The beam can be jogged by eye alone; a step that needs the inputs fails by itself.
             self._listens = False
             self._publish(faulted(failure))
-
-
-class _EndedError(InputError):
-    """Standard input has ended before a question was answered."""
 
 
 def forget_typed() -> None:

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -127,14 +127,16 @@ def verify(
     return code
 
 
+@dataclass(frozen=True, slots=True)
 class _Work:
     """One verification: rendered, predicted, scanned, compared and reported."""
 
-    def __init__(
-        self, scene_file: Path, scene: Scene, bank: Bank, configuration: Configuration, rig: RigConfig, log: VerifyLog
-    ) -> None:
-        self.scene_file, self.scene, self.bank, self.rig, self.log = scene_file, scene, bank, rig, log
-        self.configuration = configuration
+    scene_file: Path
+    scene: Scene
+    bank: Bank
+    configuration: Configuration
+    rig: RigConfig
+    log: VerifyLog
 
     def run(
         self,

@@ -195,7 +195,8 @@ class CalibrationSession:
             found = measure_outputs(self._probe(setup), player.output_full_scale_v, operator, report, box_gain)
         given_up = sorted(set(player.channels) - {one.channel for one in found})
         if given_up:
-            self.problems.append(f"outputs: {_listed(given_up)} no signal: check the cables, then --only outputs")
+            named = f"output{'s' * (len(given_up) > 1)} {', '.join(map(str, given_up))}"
+            self.problems.append(f"outputs: {named} no signal: check the cables, then --only outputs")
         for one in found:
             # Latencies that scatter by more are reported: one record gives them a thousand times better.
             if one.spread_s > 1e-6:
@@ -333,7 +334,3 @@ def _now() -> datetime:
 def _rounded(seconds: float) -> float:
     """To the picosecond: digits beyond are noise."""
     return round(seconds, 12)
-
-
-def _listed(numbers: list[int]) -> str:
-    return ("output " if len(numbers) == 1 else "outputs ") + ", ".join(str(one) for one in numbers)

@@ -18,7 +18,6 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from http.client import HTTPException
 from pathlib import Path
-from types import TracebackType
 from urllib.error import HTTPError
 
 from wavefocus.acquisition.event_wording import sentence
@@ -65,9 +64,6 @@ class AppriseOutbox:
                 )
             self._each.append((kind, one))
 
-    def __len__(self) -> int:
-        return len(self._each)
-
     def send(self, title: str, text: str) -> list[str]:
         """Send a message to all addresses; the kinds of those that did not take it."""
         refused = []
@@ -108,9 +104,7 @@ class Messenger:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._outbox is None:
             return
         self._events.put(None)
@@ -249,9 +243,7 @@ class AliveSignal:
             threading.Thread(target=self._repeat, args=(signal, key), name=key, daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
 
     def _repeat(self, signal: Callable[[], None], key: str) -> None:

@@ -98,8 +98,8 @@ class Campaign:
         self.processes.warm_up(
             ["capture", warm, "--bank", bank, "--json"], ["resume", bank], ["remeasure", bank], ["check", bank]
         )  # fmt: skip
-        self.captured = self._uninterrupted(self.capture)
-        self.remeasured = self._uninterrupted(self.remeasure)
+        self.captured, self.calls = self._uninterrupted(self.capture)
+        self.remeasured, self.remeasure_calls = self._uninterrupted(self.remeasure)
         assert self.captured != self.remeasured, "there is nothing to measure again"
         return self
 
@@ -107,7 +107,7 @@ class Campaign:
         self.processes.__exit__(*failure)
 
     def _uninterrupted(self, command):
-        """Carry out a command to its end; note what may be in the files from then on, and return their bytes."""
+        """Carry out a command to its end; the bytes of the files, which are known from then on, and its calls."""
         ended = self.processes.run(*command)
         assert ended.code == 0, ended.err
         with open_bank(self.bank) as found:
@@ -117,7 +117,7 @@ class Campaign:
             with open_raw(self.raw) as kept:
                 for position, recordings in enumerate(self.recordings):
                     recordings.append(recording(kept, position))
-        return self.content()
+        return self.content(), ended.calls
 
     def content(self):
         """The bytes of the bank, and of the recordings where they are kept, by name."""
@@ -139,13 +139,6 @@ class Campaign:
             Path(folder).mkdir(parents=True, exist_ok=True)
         for name, content in files.items():
             (self.lab / name).write_bytes(content)
-
-    def calls(self, command, before=None):
-        """How many calls a command makes that nothing interrupts, on these files by name; the files are then gone."""
-        self.put(before or {})
-        calls = self.processes.run(*command).calls
-        self.clear()
-        return calls
 
     def judge(self, promised):
         """What is wrong with the bank beside what was told, as it is after a fault and before anything repairs it."""

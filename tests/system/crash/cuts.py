@@ -8,6 +8,7 @@ from tests.system.crash.processes import How, Order
 
 # Random subsets of what was not synced, for each call: as few as give the cuts that are wanted.
 SUBSETS = (0, 8, 16, 32, 64, 128)
+FEW = 10
 # Cuts of each of many repairs.
 PER_STATE = 40
 
@@ -20,7 +21,7 @@ def in_capture(campaign, chance, count):
 
 def in_repair(campaign, chance, count):
     """Cut the power in a resume, after a kill within any commit."""
-    calls = campaign.calls(campaign.capture)
+    calls = campaign.calls
     while True:
         campaign.clear()
         order = Order(How.KILL_WITHIN, chance.randrange(calls // 4, calls), chance.choice((512, 1000, 4608)))
@@ -53,14 +54,17 @@ def _cut(campaign, command, chance, promised, count, *, remeasure=False):
     # Until the bank has its name there is nothing in it to lose: torn writes alone are tried.
     named = next((step for step, call in enumerate(log) if call.kind is Kind.LINK), 0)
 
-    def found(subsets):
-        return images(Disk(before, inodes), log, np.random.default_rng(seed), subsets, named)
+    def found(subsets, some=None):
+        return images(Disk(before, inodes), log, np.random.default_rng(seed), subsets, named, some)
 
-    for subsets in SUBSETS:
-        total = sum(1 for _ in found(subsets))
-        if total >= count:
-            break
-    for image in evenly(found(subsets), total, count):
+    chosen = found(0, count)
+    if count > FEW:  # evenly among those that differ
+        for subsets in SUBSETS:
+            total = sum(1 for _ in found(subsets))
+            if total >= count:
+                break
+        chosen = evenly(found(subsets), total, count)
+    for image in chosen:
         campaign.put(image.files, image.folders)
         so_far = promised.union(*(positions for step, positions in told if step <= image.step))
         yield 1, campaign.outcome(so_far, remeasure=remeasure)

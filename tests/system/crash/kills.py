@@ -30,17 +30,17 @@ def at_random(campaign, chance, count):
 
 def at_calls(campaign, chance, count):
     """Kill a capture before and within each of its calls, from the bank's creation on."""
-    yield from _at_each_call(campaign, campaign.capture, {}, set(), chance, count)
+    yield from _at_each_call(campaign, campaign.capture, campaign.calls, {}, set(), chance, count)
 
 
 def in_remeasure(campaign, chance, count):
     """Kill the replacement of a position, before and within each call."""
     everything = set(range(len(campaign.rows)))
-    yield from _at_each_call(campaign, campaign.remeasure, campaign.captured, everything, chance, count)
+    of_all = campaign.remeasure_calls, campaign.captured, everything
+    yield from _at_each_call(campaign, campaign.remeasure, *of_all, chance, count)
 
 
-def _at_each_call(campaign, command, before, promised, chance, count):
-    calls = campaign.calls(command, before)
+def _at_each_call(campaign, command, calls, before, promised, chance, count):
     places = itertools.product(range(1, calls + 1), (How.KILL_BEFORE, How.KILL_WITHIN))
     for call, how in evenly(places, 2 * calls, count):
         campaign.put(before)
@@ -51,7 +51,7 @@ def _at_each_call(campaign, command, before, promised, chance, count):
 
 def in_repair(campaign, chance, count):
     """Kill a capture at some call and then, at each of the first calls of the resume, that too."""
-    calls = campaign.calls(campaign.capture)
+    calls = campaign.calls
     while True:
         first = Order(How.KILL_WITHIN, chance.randrange(calls // 4, calls + 1), _part(chance))
         campaign.clear()

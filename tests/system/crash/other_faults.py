@@ -6,12 +6,12 @@ import signal
 import time
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from tests.system.crash.campaign import acknowledged, badly_told
 from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import How, HungError, Order, Processes
+from tests.unit.mutations import stored_bytes
 
 WRONG_INPUT, FAILED, BUSY = 2, 3, 75
 
@@ -32,7 +32,7 @@ def dead_disk(campaign, chance, count):
 
 
 def _failing(campaign, how, error, count):
-    calls = campaign.calls(campaign.capture)
+    calls = campaign.calls
     for call in evenly(range(1, calls + 1), calls, count):
         campaign.clear()
         ended = campaign.processes.run(*campaign.capture, order=Order(how, call, error=error))
@@ -41,8 +41,8 @@ def _failing(campaign, how, error, count):
 
 def flipped_bytes(campaign, chance, count):
     """Flip bits of a byte anywhere in a bank: it is harmless, repaired or named, and no more is lost."""
-    calls = campaign.calls(campaign.capture)
-    assert campaign.processes.run(*campaign.capture, order=Order(How.KILL_BEFORE, calls * 3 // 5)).killed
+    campaign.clear()
+    assert campaign.processes.run(*campaign.capture, order=Order(How.KILL_BEFORE, campaign.calls * 3 // 5)).killed
     unfinished = campaign.bank.read_bytes()
     whole = campaign.captured[campaign.bank.name]
     places = _places(campaign)
@@ -81,36 +81,21 @@ def _flipped(campaign, content, at):
 
 
 def _places(campaign):
-    """Where a bank keeps what: runs of bytes by kind; what HDF5 itself keeps is everything else that is not zero."""
-    places: dict[str, list[tuple[int, int]]] = {}
+    """Where a bank keeps what: runs of bytes of datasets, and what HDF5 itself keeps, all else that is not zero."""
     campaign.put(campaign.captured)
-    with h5py.File(campaign.bank, "r") as file:
-
-        def note(name, item):
-            if not isinstance(item, h5py.Dataset):
-                return
-            if item.chunks:
-                runs = []
-                item.id.chunk_iter(lambda chunk: runs.append((chunk.byte_offset, chunk.size)))
-                places[name] = runs
-            elif item.id.get_offset() is not None:
-                places[name] = [(item.id.get_offset(), item.id.get_storage_size())]
-
-        file.visititems(note)
+    values = stored_bytes(campaign.bank)
     content = np.frombuffer(campaign.captured[campaign.bank.name], np.uint8).copy()
-    for runs in places.values():
-        for start, size in runs:
-            content[start : start + size] = 0
-    metadata = [(int(at), 1) for at in np.flatnonzero(content)]
+    for start, size in values:
+        content[start : start + size] = 0
     # As likely as all datasets together: it is what HDF5 reads before anything can be checked.
-    return places | {f"metadata{turn}": metadata for turn in range(len(places))}
+    return {"values": values, "metadata": [(int(at), 1) for at in np.flatnonzero(content)]}
 
 
 def second_process(campaign, chance, count):
     """Start a second process while the first is stopped at a call; then let that go on, or kill it meanwhile."""
     rivals_folder = campaign.folder / "rival"
     rivals_folder.mkdir(exist_ok=True)
-    calls = campaign.calls(campaign.capture)
+    calls = campaign.calls
     with Processes(rivals_folder, campaign.lab) as rival:
         rival.warm_up(["resume", campaign.folder / "warm" / campaign.bank.name])
         while True:

@@ -5,11 +5,12 @@ where it was just being written, as garbage; each name of a file made, moved or 
 """
 
 import hashlib
+import itertools
 import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from wavefocus.storage.durable import PosixFile
 
@@ -32,8 +33,7 @@ class Kind(IntEnum):
     CREATE = 10
 
 
-@dataclass(frozen=True, slots=True)
-class Call:
+class Call(NamedTuple):
     """One call of the log: `offset` is the new size of a `RESIZE` or `RESERVE`."""
 
     kind: Kind
@@ -65,8 +65,7 @@ class _File:
     flying: list[Call] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True)
-class Image:
+class Image(NamedTuple):
     """What the disk holds: `files` by path, and `folders`; `step` calls had returned when the power went."""
 
     step: int
@@ -75,10 +74,9 @@ class Image:
 
     def digest(self):
         """Tell images apart."""
-        found = hashlib.sha256(repr(sorted(self.folders)).encode())
-        for name, content in sorted(self.files.items()):
-            found.update(name.encode() + b"\0" + len(content).to_bytes(8, "little") + content)
-        return found.digest()
+        return self.folders, *(
+            (name, len(one), hashlib.sha256(one).digest()) for name, one in sorted(self.files.items())
+        )
 
 
 class Disk:
@@ -97,21 +95,18 @@ class Disk:
         """Let a call happen."""
         if call.kind is Kind.SYNC:
             self._sync(call)
-        elif call.kind in (Kind.WRITE, Kind.RESIZE, Kind.RESERVE):
-            self._file(call).flying.append(call)
+            return
+        if call.kind is Kind.CREATE and call.path not in _named(self._names, self._flying_names):
+            self._files[call.inode] = _File()  # numbers of removed files are given to new ones
+        elif call.kind is Kind.CREATE and call.offset:  # it was opened to be written anew
+            self._flies(call._replace(kind=Kind.RESIZE, offset=0))
+        if call.kind in (Kind.WRITE, Kind.RESIZE, Kind.RESERVE):
+            self._flies(call)
         else:
-            if call.kind is Kind.CREATE:
-                self._create(call)
             self._flying_names.append(call)
 
-    def _create(self, call):
-        if call.path not in _named(self._names, self._flying_names):
-            self._files[call.inode] = _File()  # numbers of removed files are given to new ones
-        elif call.offset:  # it was opened to be written anew
-            self._file(call).flying.append(Call(Kind.RESIZE, call.path, "", 0, call.inode, b""))
-
-    def _file(self, call):
-        return self._files.setdefault(call.inode, _File())
+    def _flies(self, call):
+        self._files.setdefault(call.inode, _File()).flying.append(call)
 
     def _sync(self, call):
         if call.inode in self._files:
@@ -125,13 +120,9 @@ class Disk:
         self._flying_names = [one for one in self._flying_names if one not in here]
 
     def cut(self, step, chance, last, torn, subset):
-        """Lose power while `last` is on its way, `torn` bytes of it done.
+        """Lose power after `step` calls, `torn` bytes of the write `last` done; negative: and garbage after them.
 
-        step: Calls that have returned.
-        chance: Draws subsets and garbage.
-        last: The write on its way.
-        torn: How much of it is on the disk; negative: that much, and garbage in the sector after it.
-        subset: ``"all"``, ``"none"`` or ``"some"`` of what had returned and was not synced.
+        Of what had returned and was not synced, ``"all"``, ``"none"`` or ``"some"`` is there.
         """
         names = [one for one in self._flying_names if subset == "all" or (subset == "some" and chance.random() < 0.5)]
         contents = {inode: self._content(file, chance, subset) for inode, file in self._files.items()}
@@ -157,38 +148,36 @@ class Disk:
         return content
 
 
-def images(disk, log, chance, subsets, drawn_from=0):
-    """Every cut that is worth a look, each image once.
+def images(disk, log, chance, subsets, drawn_from=0, count=None):
+    """Every cut that is worth a look in what was done to a disk, or `count` of them; each image once.
 
-    disk: As it was before the first call.
-    log: What was done to it.
-    chance: Draws subsets and garbage.
-    subsets: Random subsets of what was not synced, for each call.
-    drawn_from: The first call for which they are drawn.
+    Of what was not synced `subsets` are drawn at random for each call, from the call `drawn_from` on.
     """
-    seen = set()
-
-    def new(image):
-        digest = image.digest()
-        if digest not in seen:
+    places, seen, taken = list(_places(log, chance, subsets, drawn_from)), set(), 0
+    for step, subset, torn in evenly(places, len(places), count or len(places)):
+        for call in log[taken:step]:
+            disk.take(call)
+        taken = step
+        last = log[step] if step < len(log) and log[step].kind is Kind.WRITE else None
+        image = disk.cut(step, chance, last, torn, subset)
+        if (digest := image.digest()) not in seen:
             seen.add(digest)
             yield image
 
+
+def _places(log, chance, subsets, drawn_from):
+    """Where the power may go: after how many calls, what is left, and how much is done of the write on its way."""
     for step, call in enumerate(log):
-        last = call if call.kind is Kind.WRITE else None
         size = len(call.data)
-        tears = sorted({min(size, cut) for cut in (0, SECTOR, PAGE, PAGE + SECTOR, size // 2, size)}) if last else [0]
-        for subset in ("all", "none"):
-            for torn in tears:
-                yield from new(disk.cut(step, chance, last, torn, subset))
-                if torn < size:
-                    yield from new(disk.cut(step, chance, last, -torn - 1, subset))
+        tears = {min(size, cut) for cut in (0, SECTOR, PAGE, PAGE + SECTOR, size // 2, size)}
+        for subset, torn in itertools.product(("all", "none"), sorted(tears) if call.kind is Kind.WRITE else [0]):
+            yield step, subset, torn
+            if torn < size:
+                yield step, subset, -torn - 1
         for _ in range(subsets if step >= drawn_from else 0):
             torn = int(chance.integers(0, size + 1)) // SECTOR * SECTOR
-            yield from new(disk.cut(step, chance, last, -torn - 1 if chance.random() < 0.5 else torn, "some"))
-        disk.take(call)
-    for subset in ("all", "none", *["some"] * subsets):
-        yield from new(disk.cut(len(log), chance, None, 0, subset))
+            yield step, "some", -torn - 1 if chance.random() < 0.5 else torn
+    yield from ((len(log), subset, 0) for subset in ("all", "none", *["some"] * subsets))
 
 
 def evenly(found, total, count):
@@ -224,25 +213,19 @@ def _named(names, calls):
     """Names after some calls; what had no ground to happen on did not happen."""
     found = dict(names)
     for call in calls:
-        if call.kind is Kind.MKDIR:
-            found[call.path] = None
-        elif call.kind is Kind.CREATE:
-            found[call.path] = call.inode
-        elif call.kind is Kind.LINK:
-            found[call.other] = call.inode
-        elif call.kind is Kind.RENAME:
+        if call.kind not in (Kind.MKDIR, Kind.CREATE, Kind.LINK):
             found.pop(call.path, None)
+        if call.kind in (Kind.LINK, Kind.RENAME):
             found[call.other] = call.inode
-        else:
-            found.pop(call.path, None)
-    folders = {name for name, inode in found.items() if inode is None}
-    # A file in a folder that is not there is not there either.
-    return {name: inode for name, inode in found.items() if _placed(name, folders, names)}
+        elif call.kind in (Kind.MKDIR, Kind.CREATE):
+            found[call.path] = None if call.kind is Kind.MKDIR else call.inode
 
+    def is_there(name):
+        """A file in a folder that is not there is not there either."""
+        parent = Path(name).parent
+        return not parent.name.endswith(".partial") or found.get(str(parent), 0) is None
 
-def _placed(name, folders, before):
-    parent = Path(name).parent
-    return not parent.name.endswith(".partial") or str(parent) in folders
+    return {name: inode for name, inode in found.items() if is_there(name)}
 
 
 INODE = 1
