@@ -1,4 +1,4 @@
-"""Panels around the map: buttons, progress, events with a filter, and instruments."""
+"""Panels of the Campaign tab: buttons, progress, events with a filter, and the map with its legend."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence

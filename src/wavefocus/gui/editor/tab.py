@@ -1,4 +1,4 @@
-"""The Files tab: the texts of run and rig file, and beside each what it means."""
+"""The Files tab, and the editor of a text: completion, help and mistakes of its keys, and what the text means."""
 
 from collections.abc import Sequence
 from functools import partial

@@ -1,4 +1,4 @@
-"""Saving a scene as drive or WAV, and playing it on the rig: commands in processes of their own."""
+"""Commands about a scene: it is saved as drive or WAV, played on the rig, or its sources sound live."""
 
 import tempfile
 import time

@@ -1,4 +1,4 @@
-"""Live sources: the ``wavefocus live`` process, and its start, stop and figures."""
+"""Live sources: their panel, and the surface on which mouse, fingers and keys hold them."""
 
 import time
 from collections.abc import Callable
