@@ -184,7 +184,7 @@ def test_a_row_that_its_neighbours_contradict_is_named_unless_it_is_off_the_grid
     assert [one for one in check_bank(apart) if one.severity == "error"] == []
 
 
-@pytest.mark.nightly  # the waves of 49 positions are fitted; test_neighbour_judge.py has coarse grids
+@pytest.mark.nightly  # the waves of 49 positions are fitted; test_wrong_positions.py has coarse grids
 def test_on_a_coarse_grid_waves_judge_all_rows_also_those_off_the_grid(tmp_path):
     path = plate_bank_file(tmp_path / "bank.h5", check_rows=(24,), spacing_mm=10.0)
     assert [(one.position, one.actuator) for one in check_bank(path) if one.severity == "error"] == [(24, 2)]
