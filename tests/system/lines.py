@@ -1,5 +1,6 @@
 """A command that talks in JSON lines, driven as a script drives it."""
 
+import contextlib
 import io
 import json
 import os
@@ -31,8 +32,11 @@ class Talk:
 
     def send_text(self, text):
         assert self._orders is not None
-        self._orders.write(text + "\n")
-        self._orders.flush()
+        try:
+            self._orders.write(text + "\n")
+            self._orders.flush()
+        except BrokenPipeError:
+            raise AssertionError(f"it ended: {self.rest()[-3:]} {self.said}") from None
 
     def told(self):
         """The next line that it tells; None at its end."""
@@ -135,7 +139,8 @@ class Lines(Talk):
             thread.join(SOON_S)
         for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
             if stream is not None:
-                stream.close()
+                with contextlib.suppress(BrokenPipeError):  # an order that it did not wait for
+                    stream.close()
 
     def _read(self):
         assert self.process.stdout is not None

@@ -49,15 +49,17 @@ class ScriptedPlayer:
     channels, full_scale_v, latency_s = len(CHANNELS), 5.0, 0.0
     identity = DeviceIdentity("", "scripted player")
 
-    def __init__(self, script):
+    def __init__(self, script, gone_at_begin=()):
         self.pieces: list[np.ndarray] = []
         self.written_s = -math.inf
         self.begun = self.reconnected = 0
         self.ended = False
-        self._script = script
+        self._script, self._gone_at_begin = script, gone_at_begin
 
     def begin_pieces(self, channels, sample_rate_hz, ahead_s):
         self.begun += 1
+        if self.begun in self._gone_at_begin:
+            raise InstrumentLostError("player", "beginning", "it is gone", "")
 
     def add_piece(self, volts):
         self.written_s = time.monotonic()
@@ -87,13 +89,15 @@ class ScriptedPlayer:
 class Bench:
     """A session with its player; orders are given by a script of the piece's number."""
 
-    def __init__(self, script, *, look_ahead=0, limits=None, interface_hz=INTERFACE_HZ, recording=None, gain=1.0):
+    def __init__(
+        self, script, *, look_ahead=0, limits=None, interface_hz=INTERFACE_HZ, recording=None, gain=1.0, gone=()
+    ):
         engine = LiveEngine(
             BANK, block_samples=BLOCK, look_ahead_samples=look_ahead, record=recording is not None,
             regularisation=Regularisation(saturation=0.5), frame_rate_hz=float(interface_hz),
         )  # fmt: skip
         self.messages: list[Message] = []
-        self.tape = ScriptedPlayer(lambda piece: script.get(piece, lambda _: None)(self.session))
+        self.tape = ScriptedPlayer(lambda piece: script.get(piece, lambda _: None)(self.session), gone)
         self.limiter = LiveLimiter(limits or DriveLimits(), np.full(len(CHANNELS), 5.0), interface_hz)
         self.session = LiveSession(
             engine, BoundedPlayer(self.tape, 20.0), self.limiter, self.messages.append,
@@ -157,8 +161,8 @@ def test_a_player_that_runs_dry_or_is_lost_begins_again_and_counts_sources():
         raise InstrumentLostError("player", "playing", "it is gone", "")
 
     script: dict[int, Callable] = {piece: move("a", 0.0) for piece in range(60)}
-    bench = Bench({**script, 10: dry, 20: lost, 60: end})
-    assert (bench.tape.begun, bench.tape.reconnected) == (3, 1)
+    bench = Bench({**script, 10: dry, 20: lost, 60: end}, gone=[3])
+    assert (bench.tape.begun, bench.tape.reconnected) == (4, 2)
     assert bench.session.ended().underruns == 1
     assert [code for code in bench.notices() if code != "late"] == ["underrun", "lost", "reconnected"]
     assert any(isinstance(one, LiveState) and one.underruns == 1 for one in bench.messages)

@@ -282,14 +282,14 @@ class LiveSession:
             tries += 1
             try:
                 self._player.reconnect()
-            except (InstrumentLostError, TransientInstrumentError):
+                self._apply_orders()
+                self._apply(EndLive())
+                self._begin()
+            except (InstrumentLostError, TransientInstrumentError):  # it may go again at once
                 if time.monotonic() >= gives_up_s:
                     raise lost from None
                 continue
-            self._apply_orders()
-            self._apply(EndLive())
             self._notice("reconnected", f"{lost.instrument} is connected again", always=True)
-            self._begin()
             return
         raise lost
 
