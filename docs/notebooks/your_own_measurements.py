@@ -67,7 +67,6 @@ bank = wf.import_bank(
     names={"green": "H", "frequency_hz": "f"},
     unit="mm/s/V",
     to_velocity=True,
-    band_hz=(20.0, 600.0),
     sample_rate_hz=5000.0,
     taps=500,
 )
@@ -75,7 +74,7 @@ report = json.loads(bank.import_report or "{}")
 print(report["paragraph"])
 
 # %% [markdown]
-# The report stands in the bank, too. Frequency responses say nothing below 20 Hz and above 600 Hz here; the import
+# The report stands in the bank, too. Frequency responses say nothing below 10 Hz and above 800 Hz here; the import
 # finds the causal impulse response of 500 taps that fits the band, and says how much of it remains unexplained:
 # `residual_db`. Compare two numbers of taps, and choose where it no longer falls.
 #

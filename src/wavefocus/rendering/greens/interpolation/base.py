@@ -117,8 +117,8 @@ class Interpolation(ABC):
     name: ClassVar[str]
     choice: InterpolationChoice | None = None
     """What it was chosen from, where the scene says "auto"."""
-    remarks: tuple[str, ...] = ()
-    """What a person should know of it."""
+    doubtful_hz: tuple[float, ...] = ()
+    """Frequencies at which the bank says little of the waves."""
 
     @abstractmethod
     def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:

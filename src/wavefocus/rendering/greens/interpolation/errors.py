@@ -151,7 +151,13 @@ def _remarks(errors: InterpolationErrors, kind: Interpolation) -> list[str]:
         if isinstance(kind, GridInterpolation) and errors.choice is None
         else "measure a finer grid, or lower the band"
     )
-    said = [*kind.remarks]
+    said = []
+    # Half a band below the lowest and above the highest that the scene uses.
+    lowest_hz, highest_hz = errors.frequency_hz[[0, -1]]
+    half = max((highest_hz / lowest_hz) ** (0.5 / max(len(errors.frequency_hz) - 1, 1)), 2.0 ** (1.0 / 6.0))
+    if doubtful := [f"{hz:.3g}" for hz in kind.doubtful_hz if lowest_hz / half <= hz <= highest_hz * half]:
+        at = ", ".join(doubtful)
+        said.append(f"the bank says little of the waves at {at} Hz; their wave numbers follow from the others")
     # A render states an error from 5 % on.
     if error > 0.05:
         said.append(

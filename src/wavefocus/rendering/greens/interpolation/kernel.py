@@ -260,9 +260,7 @@ class KernelInterpolation(PathInterpolation):
         values = _RowValues(bank, _bands_hz(bank, self.neighbourhoods))
         patches = self._patches(around_mm)
         self.waves = _fitted(patches, values, self.neighbourhoods.spacing_mm)
-        if self.waves.doubtful_hz:
-            at = ", ".join(f"{hz:.3g}" for hz in self.waves.doubtful_hz)
-            self.remarks = (f"the bank says little of the waves at {at} Hz; their wave numbers follow from the others",)
+        self.doubtful_hz = self.waves.doubtful_hz
         self.rows = _KernelRows(bank, self.waves, self.neighbourhoods)
         largest = float(np.max(np.abs(self.waves.wavenumber_rad_mm)))
         self.node_spacing_mm = node_spacing_mm(largest, PATH_ERROR)
