@@ -63,6 +63,18 @@ def test_an_error_of_waves_that_are_long_is_not_warned_of():
     assert report.interpolation_errors.found_by == "left-out positions"
 
 
+def test_waves_of_which_the_bank_says_little_are_named_where_the_scene_sounds():
+    clean, green = bank(), np.stack([bank().green(row) for row in range(bank().positions)])
+    noise = np.fft.rfft(np.random.default_rng(2).standard_normal(green.shape))
+    noise[..., np.abs(np.fft.rfftfreq(TAPS, 1 / RATE_HZ) - 50.0) > 12.0] = 0.0
+    noisy = green + 0.03 * np.abs(green).max() * np.fft.irfft(noise, TAPS)
+    low = GreenArray(noisy, clean.position_mm, RATE_HZ, actuator_mm=clean.actuator_mm, band_hz=clean.band_hz)
+    for band_hz, named in (((50.0, 400.0), True), ((200.0, 400.0), False)):
+        source = Source(Line((-9.0, 1.0), (9.0, 1.5)), Noise(band_hz, 0.3, 1), 0.0, 60.0, 3.0)
+        _, report = render_with_report(Scene("s", (source,), output=Output(interpolation="kernel")), low)
+        assert any("says little of the waves" in one for one in report.warnings) is named
+
+
 def test_a_path_on_the_positions_has_no_error_to_report():
     source = Source(Line((-12.0, 4.0), (12.0, 4.0)), SIGNAL, 0.0, 100.0, 4.0, emission="per_point")
     _, report = render_with_report(Scene("s", (source,), output=NEAREST), bank())
