@@ -237,5 +237,5 @@ def interrupted(text):
 
 
 def shape(text):
-    """A text without its numbers and the width of its blanks."""
-    return re.sub(r"[-+]?\d[\d.,:]*", "#", " ".join(text.split()))
+    """A text without its numbers, how long things take, and the width of its blanks."""
+    return re.sub(r"\d+ (?:h \d+ min|min \d+ s)|[-+]?\d[\d.,:]*", "#", " ".join(text.split()))
