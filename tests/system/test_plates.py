@@ -71,6 +71,8 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(tmp_path,
         "solid": "force_deg = 30.0\noscillation_deg = 60.0\n",
     }.get(name, "")
     campaign += f'edge = "{edge}"\n' if edge else ""
+    if name == "thin":  # its waves are longer than the distance of two positions, 20 mm
+        campaign += "[tolerance]\nfocus_error_mm = 10.0\n"
     for name, text in (("rig.toml", rig), ("run.toml", campaign), ("scene.toml", SCENE)):
         (tmp_path / name).write_text(text, encoding="utf-8")
     quiet, bank = tmp_path / "quiet.h5", tmp_path / "plate.h5"
