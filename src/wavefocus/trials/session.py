@@ -1,14 +1,15 @@
 """One participant's session: familiarisation, trials with their answers, breaks; goes on where the answers end."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Set
 from contextlib import suppress
 from datetime import UTC, datetime
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from msgspec.structs import replace
 
+from wavefocus.acquisition.engine.session import IllegalStateError
 from wavefocus.config.messages import Message, Refused, tag
 from wavefocus.config.messages.trials import (
     Answer,
@@ -77,6 +78,17 @@ class TrialsSession:
 
     Raises InputError: the participant is complete, or has answered trials of another trials file, bank or order.
     """
+
+    _FOLLOWS: ClassVar[Mapping[_SessionStep, Set[_SessionStep]]] = {
+        _SessionStep.WELCOME: {_SessionStep.FAMILIARISATION, _SessionStep.READY, _SessionStep.PLAYING},
+        _SessionStep.FAMILIARISATION: {_SessionStep.FAMILIARISING},
+        _SessionStep.FAMILIARISING: {_SessionStep.FAMILIARISING, _SessionStep.READY},
+        _SessionStep.READY: {_SessionStep.PLAYING},
+        _SessionStep.PLAYING: {_SessionStep.ASKING},
+        _SessionStep.ASKING: {_SessionStep.PLAYING, _SessionStep.READY, _SessionStep.BREAK, _SessionStep.DONE},
+        _SessionStep.BREAK: {_SessionStep.READY, _SessionStep.PLAYING},
+        _SessionStep.DONE: set(),
+    }
 
     def __init__(
         self,
@@ -177,10 +189,14 @@ class TrialsSession:
         self._trial = self._order.next_trial()
         if self._trial is None:
             self._enter(_SessionStep.DONE)
-        elif self.done % every == 0 if (every := self._table.break_every) else self._trial.block != trial.block:
+        elif self._is_break_due(trial, self._trial):
             self._shown = self._trial.number, self.of
             self._enter(_SessionStep.BREAK)
             self._expect(GoOn)
+
+    def _is_break_due(self, last: Trial, following: Trial) -> bool:
+        every = self._table.break_every
+        return self.done % every == 0 if every else following.block != last.block
 
     def _present(self, state: _SessionStep, stimulus: str, number: int) -> Onset:
         self._enter(state)
@@ -260,6 +276,9 @@ class TrialsSession:
         self._publish(Refused(sentence))
 
     def _enter(self, state: _SessionStep) -> None:
+        """Change the state; raises IllegalStateError where the table does not have this change."""
+        if state not in self._FOLLOWS[self._state]:
+            raise IllegalStateError(f"{state} cannot follow {self._state}")
         self._state = state
         self._publish_state()
 
