@@ -10,6 +10,7 @@ import sys
 
 import pytest
 
+from tests.lab_files import ABSENT_RIG
 from tests.system.lines import in_process
 from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig
@@ -26,18 +27,6 @@ position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
 [player]
 limit_v = 3.0
 limit_rms_v = 1.0
-"""
-ABSENT = """
-[mirror]
-driver = "asi-tiger"
-port = "{folder}/nowhere"
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-address = "localhost:1"
-[player]
-driver = "sounddevice"
-device = "none"
 """
 
 
@@ -205,7 +194,7 @@ def test_given_a_rig_file_with_a_mistake_then_it_is_one_line_and_exit_code_2(rig
 
 
 def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(rig, capsys):
-    rig.write_text(RIG.partition("[player]")[0] + ABSENT.format(folder=rig.parent), encoding="utf-8")
+    rig.write_text(ABSENT_RIG.format(folder=rig.parent), encoding="utf-8")
     assert run(["operate", str(rig)]) == 3
     told = capsys.readouterr()
     fault = json.loads(told.out.splitlines()[-1])

@@ -24,14 +24,7 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, band_error_db, measure
-from wavefocus.benchmarks.rig_bank import (
-    TAPS,
-    compare_with_truth,
-    default_grid,
-    measure_bank,
-    rig_setup,
-    sweep_plan,
-)
+from wavefocus.benchmarks.rig_bank import TAPS, compare_with_truth, default_grid, measure_bank, rig_setup, sweep_plan
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.mocks.virtual.rig import VirtualRig

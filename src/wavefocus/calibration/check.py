@@ -65,9 +65,8 @@ def check_bank(path: str | Path) -> list[BankProblem]:
     """
     path = Path(path)
     with open_bank(path, contents=True) as bank, one_blas_thread():
-        found = (
-            [] if not isinstance(bank.rows, LedgerRows) or bank.rows.is_copied else [*_check_ledger(bank.rows, path)]
-        )
+        rows = _rows_in_place(bank)
+        found = [] if rows is None else list(_check_ledger(rows, path))
         checks = (_check_file, _check_positions, _check_moved, _check_suspects, _check_rows, _check_leak, _note_noise)
         for check in (*checks, _check_averages):
             found += check(bank)
@@ -103,6 +102,11 @@ def _check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
         for position in np.flatnonzero(rows.differing() & ~rows.ledger.damaged).tolist():
             message = f"{names} of position {position} differ from the ledger; opening the file to resume rebuilds them"
             yield BankProblem(position, None, message, cut_off)
+
+
+def _rows_in_place(bank: Bank) -> LedgerRows | None:
+    """Rows that lie in the file as this program laid it out; None in a copied bank, and in one of another program."""
+    return bank.rows if isinstance(bank.rows, LedgerRows) and not bank.rows.is_copied else None
 
 
 def _check_file(bank: Bank) -> Iterator[BankProblem]:
@@ -164,9 +168,9 @@ def _check_moved(bank: Bank) -> Iterator[BankProblem]:
 
 def _check_suspects(bank: Bank) -> Iterator[BankProblem]:
     """One finding for all rows that were measured when the sentinel had changed, and not again since."""
-    if not isinstance(bank.rows, LedgerRows) or bank.rows.is_copied:
+    if (rows := _rows_in_place(bank)) is None:
         return
-    figures = bank.rows.figures
+    figures = rows.figures
     suspects = np.flatnonzero(figures.suspect & (figures.status & Status.VALID == 0)).tolist()
     if suspects:
         message = (

@@ -211,15 +211,15 @@ class _ResponsePlot(Plot):
         self.getPlotItem().setClipToView(True)
         self.curves = [self.line(NO_VALUES, NO_VALUES, self.theme.trace(colour), width) for colour, width in looks]
         self.now = self.getPlotItem().addLine(x=0.0, pen=pyqtgraph.mkPen(self.theme.fault, width=1.2))
-        self._clear_response()
+        self.clear_response()
 
-    def _clear_response(self) -> None:
+    def clear_response(self) -> None:
         for curve in self.curves:
             curve.setData(NO_VALUES, NO_VALUES)
         self.now.hide()
         self.title("click a position on the map for its response", faint=True, size="9pt")
 
-    def _show_response(self, title: str, unit: str, time_s: Float64Array, lines: Sequence[Real]) -> None:
+    def show_response(self, title: str, unit: str, time_s: Float64Array, lines: Sequence[Real]) -> None:
         """Draw the lines; one that is not known, NaN, is left out."""
         known = [bool(np.isfinite(line).all()) for line in lines]
         largest = max((float(np.abs(line).max()) for line, one in zip(lines, known, strict=True) if one), default=0.0)
@@ -264,7 +264,7 @@ class FilmPlayer(Themed, QWidget):
             for one in self.maps:
                 one.show_values(np.full(0 if one.surface is None else one.surface.positions, np.nan))
                 one.show_sources(NOWHERE_MM)
-            self.response._clear_response()
+            self.response.clear_response()
             return
         for one, (title, end) in zip(self.maps, film.scales, strict=True):
             one.show_surface(film.surface)
@@ -286,11 +286,11 @@ class FilmPlayer(Themed, QWidget):
             one.mark(place)
         film = self.film
         if film is None or not 0 <= place < film.surface.positions:
-            self.response._clear_response()
+            self.response.clear_response()
             return
         title, lines = film.response(place)
         time_s = film.start_s + np.arange(film.samples) / film.sample_rate_hz
-        self.response._show_response(title, film.unit, time_s, lines)
+        self.response.show_response(title, film.unit, time_s, lines)
 
     def _moved(self, sample: int) -> None:
         if self.film is None:

@@ -277,7 +277,7 @@ class _Fit:
 
     def run(self) -> RimWaves:
         """Fit everything; left-out positions judge the errors, for want of others."""
-        knots = self._find_waves()
+        knots = self.find_waves()
         rest_at = sorted({*evenly_spread(len(self._frequency_hz), REST_JUDGED).tolist(), *knots})
         self._rest_choice = dict(zip(rest_at, self.each(rest_at, self._chosen_rest), strict=True))
         solved = self.each(range(len(self._frequency_hz)), self._solve)
@@ -293,7 +293,7 @@ class _Fit:
             "left-out positions",
         )  # fmt: skip
 
-    def _find_waves(self) -> list[int]:
+    def find_waves(self) -> list[int]:
         """Find wave number and shares at all frequencies; returns the knots."""
         knots = self._knots()
         law = self._law(knots)
@@ -431,7 +431,7 @@ def judging_waves(
     Arguments as of `RimWaves.fit`.
     """
     fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, None, 1, _JUDGING)
-    fit._find_waves()
+    fit.find_waves()
     return fit.waves
 
 

@@ -273,7 +273,7 @@ class _SurfaceMap(SurfaceView):
         self.show_position(-1)
         self.select([])
 
-    def _show_status(self, status: NDArray[np.uint8], colours: NDArray[np.uint8], current: int | None) -> None:
+    def show_status(self, status: NDArray[np.uint8], colours: NDArray[np.uint8], current: int | None) -> None:
         """Colour the positions, with shapes over those that are not good and a ring round the one being measured."""
         self._status = status
         self.paint(colours)
@@ -378,9 +378,8 @@ class MapPanel(Themed, QtWidgets.QWidget):
         values = campaign.figures.get([*model.FIGURES][index - 1]) if index > 0 else None
         if values is None or len(values) != len(status):
             self.levels = None
-            colours = np.array([rgba(look.colour(self.theme)) for look in model.LOOKS], np.uint8)[
-                model.look_index(status)
-            ]
+            looks = np.array([rgba(look.colour(self.theme)) for look in model.LOOKS], np.uint8)
+            colours = looks[model.look_index(status)]
             self._counts.setText("" if surface is None else _counts_text(status))
         else:
             self.levels = _levels_of(values)
@@ -388,7 +387,7 @@ class MapPanel(Themed, QtWidgets.QWidget):
             self.bar.show_range(self.colour_by.currentText(), "", self.levels)
         self._counts.setVisible(self.levels is None)
         self.bar.setVisible(self.levels is not None)
-        self.map._show_status(status, colours, campaign.session.position)
+        self.map.show_status(status, colours, campaign.session.position)
 
 
 def _levels_of(values: Float32Array) -> tuple[float, float]:

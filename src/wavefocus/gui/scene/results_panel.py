@@ -85,7 +85,7 @@ class _FieldView(FilmPlayer):
         if self.file is None:
             self._show_scene()
 
-    def _show_file(self, path: Path, field: Field, surface: PlotSurface) -> None:
+    def show_file(self, path: Path, field: Field, surface: PlotSurface) -> None:
         """Show the field of a file until it is closed; `surface` has its positions."""
         self.file, self._seen = path, False
         self.name.setText(f"{path.name}: {len(field.field)} positions, {field.sample_rate_hz:g} Hz")
@@ -218,11 +218,8 @@ class ResultsPanel(Themed, QWidget):
         self._bank_state: object = None
         self.results: SceneResults | None = None
         self.complete = False
-        self.drives, self.field, self.figures = (
-            _DrivesView(),
-            _FieldView(),
-            ui.table(("figure", "value", "verdict"), "Figures of the scene", (0,)),
-        )
+        self.drives, self.field = _DrivesView(), _FieldView()
+        self.figures = ui.table(("figure", "value", "verdict"), "Figures of the scene", (0,))
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings, words=(VIRTUAL,))
         tip = "Rig file whose limits count and that plays the scene; virtual: the built-in rig"
         self.rig_field.line.setToolTip(tip)
@@ -326,7 +323,7 @@ class ResultsPanel(Themed, QWidget):
 
     def show_field_file(self, path: Path, field: Field, surface: PlotSurface) -> None:
         """Play the field of a file until it is closed."""
-        self.field._show_file(path, field, surface)
+        self.field.show_file(path, field, surface)
         self.pages.setCurrentWidget(self.field)
 
     def _choose_place(self) -> None:

@@ -172,7 +172,7 @@ class _QuestionPage(QWidget):
         self._enable(True)
         self.setFocus()  # no button: Space must not answer by chance
 
-    def _close_question(self, choice: str = "") -> None:
+    def close_question(self, choice: str = "") -> None:
         """Take no more answers; the one given stays marked."""
         self._enable(False)
         if choice:
@@ -196,7 +196,7 @@ class _NoticePage(QWidget):
         self.button = _LargeButton("Continue", "Space", act)
         _calm(self.title, self.text, self.bar, 10, ui.row(None, self.button, None), owner=self)
 
-    def _show_notice(
+    def show_notice(
         self, title: str, text: str = "", button: str = "", progress: tuple[int, int] | None = None
     ) -> None:
         """Show a title and a text; a button with a text, a bar with a part and its whole."""
@@ -282,7 +282,7 @@ class TrialsWindow(QMainWindow):
         event.ignore()
         self.waiting = "closing"
         self._show(self.notice)
-        self.notice._show_notice("Muting", _RESUME)
+        self.notice.show_notice("Muting", _RESUME)
         self._send(messages.EndTrials())
         self.process.stop(20_000, 10_000)  # the child mutes when its input ends; a driver that hangs is not waited for
 
@@ -291,7 +291,7 @@ class TrialsWindow(QMainWindow):
             return
         match message_of(message, messages.EVENTS):
             case messages.Preparing(done=done, of=of):
-                self.notice._show_notice("Preparing", f"{done} of {of} stimuli", progress=(done, of))
+                self.notice.show_notice("Preparing", f"{done} of {of} stimuli", progress=(done, of))
                 self.show()
             case messages.Welcome() as welcome:
                 self._introduce(welcome)
@@ -324,7 +324,7 @@ class TrialsWindow(QMainWindow):
             self._show(self.question)
             self.question.ask()
             return
-        notice = self.notice._show_notice
+        notice = self.notice.show_notice
         done = max(0, state.trial - 1)
         match state.phase, state.waiting:
             case "done", _:
@@ -357,13 +357,13 @@ class TrialsWindow(QMainWindow):
     def _answer(self, choice: str, at_s: float, by: Input) -> None:
         if self.waiting == "answer" and self.question is not None:
             self.waiting = "nothing"
-            self.question._close_question(choice)
+            self.question.close_question(choice)
             self._send(messages.Answer(choice, at_s, by))
 
     def _replay(self) -> None:
         if self.waiting == "answer" and self.question is not None and self.question.replay is not None:
             self.waiting = "nothing"
-            self.question._close_question()
+            self.question.close_question()
             self._send(messages.Replay())
 
     def _refused(self, sentence: str) -> None:
@@ -383,11 +383,11 @@ class TrialsWindow(QMainWindow):
         self.waiting = "nothing"
         complete = self._ended is not None and self._ended.complete
         if complete:
-            self.notice._show_notice(*_THANKS)
+            self.notice.show_notice(*_THANKS)
         elif self.welcome is None:
-            self.notice._show_notice("The trials cannot begin", self.process.failure, "Close")
+            self.notice.show_notice("The trials cannot begin", self.process.failure, "Close")
         else:
-            self.notice._show_notice("Please call the experimenter", f"{self.process.failure}\n\n{_RESUME}", "Close")
+            self.notice.show_notice("Please call the experimenter", f"{self.process.failure}\n\n{_RESUME}", "Close")
         self._show(self.notice)
 
     def _toggle_full_screen(self) -> None:

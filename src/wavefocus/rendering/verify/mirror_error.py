@@ -74,7 +74,7 @@ class BankAsField:
         order = np.lexsort((offset_mm[:, 1], offset_mm[:, 0], np.hypot(*offset_mm.T).round(6)))
         return Patch(near[order], offset_mm[order], offset_mm[order].tobytes())
 
-    def _is_known(self, place_mm: Float64Array) -> BoolArray:
+    def is_known(self, place_mm: Float64Array) -> BoolArray:
         """Places (n, 2) that lie near enough to a measured position."""
         return np.asarray(self._tree.query(place_mm)[0] <= _MAX_OUTSIDE * self.spacing_mm)
 
@@ -169,7 +169,7 @@ class MirrorFit:
 
     def _left(self, numbers: Float64Array, part: _Part) -> float:
         by_mm = displacement_mm(_affine(numbers), self._place_mm)
-        known = self._surface._is_known(self._place_mm + by_mm)
+        known = self._surface.is_known(self._place_mm + by_mm)
         if np.mean(known) < MOST:
             return np.inf
         own = energy(self._block.difference[known][:, part[2]])
@@ -185,7 +185,7 @@ class MirrorFit:
         left = self._left(numbers, part)
         for _ in range(8):
             by_mm = displacement_mm(_affine(numbers), self._place_mm)
-            known = self._surface._is_known(self._place_mm + by_mm)
+            known = self._surface.is_known(self._place_mm + by_mm)
             at = self._difference(by_mm, part)
             shift = [(self._difference(by_mm + STEP_MM * axis, part) - at) / STEP_MM for axis in np.eye(2)]
             stretch = [slope * along_mm[:, None] for slope in shift for along_mm in self._place_mm.T]
@@ -213,7 +213,7 @@ def displaced(surface: BankAsField, affine: Float64Array, block: Block, rows: In
     field = _DisplacedField(surface, rows, frequency_hz)
     by_mm = displacement_mm(affine, surface.place_mm[rows])
     green = field.at(by_mm, surface.green(field.used, frequency_hz))
-    known = surface._is_known(surface.place_mm[rows] + by_mm)[block.row_of]
+    known = surface.is_known(surface.place_mm[rows] + by_mm)[block.row_of]
     moved = block.with_green(np.moveaxis(green, 0, -1))
     return moved.of(np.flatnonzero(known)) if known.any() else moved
 

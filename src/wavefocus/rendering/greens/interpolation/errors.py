@@ -125,7 +125,7 @@ def errors_at(
         return None
     points_mm = points_mm[evenly_spread(len(points_mm), MAX_POINTS)]
     spectrum, band_hz = _EmittedSpectrum(signals, float(bank.sample_rate_hz)), _bank_band_hz(bank)
-    frequency_hz = spectrum._bands_hz(band_hz, _BANDS)
+    frequency_hz = spectrum.bands_hz(band_hz, _BANDS)
     try:
         found = kind.estimate(bank, points_mm, frequency_hz)
     except DamagedError:
@@ -202,7 +202,7 @@ class _EmittedSpectrum:
                     shaped = part / peak if short else window * (part / peak)
                     self._power += np.square(np.abs(np.fft.rfft(shaped, SIGNAL_BLOCK))) * min(peak, 1e100) ** 2
 
-    def _bands_hz(self, within_hz: tuple[float, float], count: int) -> Float64Array:
+    def bands_hz(self, within_hz: tuple[float, float], count: int) -> Float64Array:
         """Centres of bands over what is emitted within a band; over all of that band where nothing is."""
         inside = self._inside(within_hz)
         low_hz, high_hz = within_hz
@@ -290,7 +290,7 @@ def choose_interpolation(
 def _emitted_bands(bank: GreenSource, signals: Sequence[Float64Array]) -> tuple[Float64Array, Float64Array]:
     """Bands over what is emitted, and the share of each; without signals over the bank's band, all alike."""
     spectrum, band_hz = _EmittedSpectrum(signals, float(bank.sample_rate_hz)), _bank_band_hz(bank)
-    frequency_hz = spectrum._bands_hz(band_hz, _BANDS)
+    frequency_hz = spectrum.bands_hz(band_hz, _BANDS)
     emitted = spectrum.shares(frequency_hz, band_hz)
     return frequency_hz, emitted / emitted.sum() if emitted.sum() > 0 else np.full(len(emitted), 1.0 / len(emitted))
 
