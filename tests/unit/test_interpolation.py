@@ -148,6 +148,13 @@ def test_a_bank_in_another_unit_without_places_of_actuators_or_band_does_as_well
     assert np.median(errors_at(250.0, greens, POINTS_MM)) < 0.005
 
 
+def test_a_bank_in_another_unit_is_interpolated_to_the_same_rows_in_that_unit():
+    bank, scale = kernel_on("square", None)[0], 1e-12
+    scaled = GreenArray(bank.values * scale, bank.position_mm, bank.sample_rate_hz, band_hz=bank.band_hz)
+    expected, found = (greens_at(one, KernelInterpolation(one, POINTS_MM[:8]), POINTS_MM[:4]) for one in (bank, scaled))
+    np.testing.assert_allclose(found / scale, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
 def test_repeated_positions_count_once_and_rows_not_measured_or_poor_are_holes():
     bank, status = plate_bank(), np.ones(len(SQUARE_MM) + 20, np.uint8)
     status[[70, 97]] = 0, 4

@@ -207,6 +207,16 @@ def test_a_fault_in_one_record_is_named_there_with_its_cure(name):
     assert bool(judgement.status & Status.OVER_RANGE) or cure != Cure.RANGE
 
 
+@pytest.mark.parametrize(
+    ("line_hz", "words"), [(50.0, "hum at 50 Hz"), (60.1, "ground loop"), (150.0, "3 times 50 Hz")]
+)
+@pytest.mark.parametrize("record", [0, 3])
+def test_hum_40_db_below_the_response_is_named_too(line_hz, words, record):
+    _, judgement, _ = judged("images", spoil(lambda y: tone(y, line_hz, -40.0)), 60.0, [record], seed=0)
+    assert (names_of(judgement), judgement.cure) == ({"hum"}, NONE)
+    assert words in judgement.reason
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_harms_a_row_is_marked(name, capsys):
