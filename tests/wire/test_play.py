@@ -14,6 +14,7 @@ from tests.lab_files import write_bank
 from tests.system.lines import Lines
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
 from wavefocus.drivers.process import SILENT_S
+from wavefocus.mocks.wire import WireFault
 from wavefocus.storage.drive_file import Drive, write_drive
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300), *needs_audio_server]
@@ -131,6 +132,15 @@ def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(l
     assert child.returncode == 3, told
     assert "Traceback" not in told
     assert "reconnect" in told.splitlines()[-1]
+
+
+def test_an_interface_that_takes_seven_seconds_to_open_is_waited_for():
+    # It hangs before the player's process is there; JACK and ASIO drivers with many channels take seconds, too.
+    hangs = WireFault("player", "frozen", "period", at_call=8, seconds=7.0)
+    with ExitStack() as stack:
+        bench = AudioBench(stack)
+        player = bench.player(bench.serve(faults=[hangs]), channels=2, channel_full_scale_v=(1.0, 1.0))
+        assert "2 of 24 channels" in player.identify()
 
 
 # -- wavefocus live ---------------------------------------------------------------------------------------

@@ -204,11 +204,12 @@ class DriverProcess:
                 return
             began_s = now_s
 
-    def wait_for(self, look: Callable[[], Value | None], until_s: float) -> Value | None:
+    def wait_for(self, look: Callable[[], Value | None], until_s: float, *, asks: bool = True) -> Value | None:
         """Wait for news; the process is asked for a sign of life meanwhile. Raises ProcessGoneError.
 
         look: Gives what is waited for, None as long as it is not there; called with the lock held.
         until_s: When to give up, of `time.monotonic`; later by what this process was stopped meanwhile.
+        asks: False where it cannot answer meanwhile: while it opens its device.
 
         Returns object: what `look` gave, None if the time is up.
         """
@@ -229,6 +230,8 @@ class DriverProcess:
                 return None
             silent_s += min(now_s - looked_s, 2 * _LOOK_S)
             looked_s = now_s
+            if not asks:
+                continue
             if answered_s > asked_s:
                 asked_s, silent_s = now_s, 0.0
                 try:

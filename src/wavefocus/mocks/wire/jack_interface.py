@@ -58,8 +58,11 @@ def _not_through_links(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW, 0o600)
 
 
+_CLIENT_TIMEOUT_MS = 200
+"""jackd that waits for its clients (--sync) stands still for ten times this when one died in the middle of a period."""
+
 _TERMINATE_S = 1.0
-"""jackd takes five seconds over a client that died; that is not waited for."""
+"""jackd stands still for two seconds over a client that died; that is not waited for."""
 
 
 class _JackInterface:
@@ -132,7 +135,8 @@ class _JackInterface:
         if not self._running():  # not yet, or one that died of the same name is not yet gone
             # setpriv: the server must not outlive this process, whatever ends it.
             server = ["setpriv", "--pdeathsig", "KILL", "jackd", "--name", self._name, "--port-max", "128"]
-            server += ["--no-realtime", "--no-mlock", "--sync", "-d", "dummy", "-C", "0", "-P", "0"]
+            server += ["--no-realtime", "--no-mlock", "--sync", "--timeout", str(_CLIENT_TIMEOUT_MS)]
+            server += ["-d", "dummy", "-C", "0", "-P", "0"]
             server += ["-r", str(self._ring["rate_hz"]), "-p", str(self._ring["period_frames"])]
             environment = {**os.environ, "JACK_NO_AUDIO_RESERVATION": "1"}
             self._server = subprocess.Popen(

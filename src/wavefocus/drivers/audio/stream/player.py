@@ -231,7 +231,7 @@ class StreamPlayer(Player):
         self._stream = stream = _Stream(self._environment)
         try:
             stream.process.send(self._request)
-            answer = stream.process.wait_for(lambda: stream.answer, time.monotonic() + OPENING_S)
+            answer = stream.process.wait_for(lambda: stream.answer, time.monotonic() + OPENING_S, asks=False)
             if answer is None:
                 stream.process.kill("opening took too long")
                 cause = f"its driver did not open it in {OPENING_S:g} s"

@@ -4,7 +4,8 @@ Outputs are analog ones that are written together, or a digital line; they are w
 output keeps its level when its task ends, until it is written again, the device is reset or loses its power.
 
 NI-DAQmx can stay broken after a replug until the process that has loaded it ends (an open issue of nidaqmx-python).
-So every connection starts a fresh one, and a call that hangs in the library is ended with it.
+So every connection to the driver of this computer starts a fresh one, and a call that hangs in the library is ended
+with it. Outputs behind a server are opened afresh in the process that has them.
 """
 
 import math
@@ -193,7 +194,7 @@ class _InProcess:
     def __init__(self, instrument: str, name: str) -> None:
         self._instrument, self._name = instrument, name
         self._identity: DeviceIdentity | None = None
-        self._owned = self.closed = False
+        self._owned = self._connected = self.closed = False
         self._process: DriverProcess | None = None
         self._connecting = threading.Lock()
         self._numbers = count(1)
@@ -221,17 +222,25 @@ class _InProcess:
         with self._connecting:
             self._end()
 
-    def _open(self, doing: str, kind: str, *arguments: Any) -> Any:
-        """End the process, start a fresh one, and make a `kind` there; returns what it answers to "open"."""
+    def _open(self, doing: str, kind: str, *arguments: Any, again: bool = False) -> Any:
+        """Make a `kind` in a fresh process; returns what it answers to "open".
+
+        again: Make it in the process that is there, where it lives.
+        """
         self.require_open(doing)
         with self._connecting:
-            self._end()
-            self._process = DriverProcess(__name__, self._name, self._note)
-            try:
-                return self._call(doing, "open", kind, *arguments, limit_s=OPENING_S)
-            except BaseException:
+            self._connected = False
+            if not again or self._process is None or self._process.gone:
                 self._end()
+                self._process = DriverProcess(__name__, self._name, self._note)
+            try:
+                answer = self._call(doing, "open", kind, *arguments, limit_s=OPENING_S)
+            except BaseException:
+                if not again:
+                    self._end()
                 raise
+            self._connected = True
+            return answer
 
     def _end(self) -> None:
         process, self._process = self._process, None
@@ -242,7 +251,7 @@ class _InProcess:
         """Have a method called there and wait for its end; a process that does not answer in time is killed."""
         self.require_open(doing)
         process, number = self._process, next(self._numbers)
-        if process is None:
+        if process is None or not (self._connected or method == "open"):
             raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
         try:
             process.send((number, method, arguments))
@@ -333,7 +342,8 @@ class ProcessOutputs(_InProcess):
         """
         if self._process is not None and self._process.at_rest:
             self._level = self._settings.rest
-        self._identity = self._open(doing, "outputs", self._settings, self._level, self._identity)
+        again = self._settings.address is not None and self._identity is not None
+        self._identity = self._open(doing, "outputs", self._settings, self._level, self._identity, again=again)
 
     @property
     def identity(self) -> DeviceIdentity:
@@ -366,6 +376,9 @@ def main() -> None:
                 device = NiRecorder(**arguments[1])
                 result = device.identity, device.input_ranges_v
             else:
+                if device is not None:
+                    device.close()
+                    device = None
                 device = _NiOutputs(*arguments[1:])
                 result = device.identify()
         except InstrumentError as refused:
