@@ -18,6 +18,9 @@ step_mm = 5.0
 path = { kind = "line", start_mm = [-10, 0], end_mm = [10, 0] }
 signal = { kind = "sine", frequency_hz = 200.0, duration_s = 0.05 }
 emission = "per_point"
+
+[output]
+interpolation = "bilinear"
 """
 PLACES_MM = [[x, y] for y in (-5, 0, 5) for x in (-10, -5, 0, 5, 10)]
 

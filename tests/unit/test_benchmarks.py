@@ -5,8 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
-from wavefocus.benchmarks.machine import conditions, load
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, conditions, load
 
 
 def test_every_registered_benchmark_is_a_module():

@@ -9,7 +9,7 @@ import pytest
 
 from wavefocus.config import calibration as cal
 from wavefocus.config.rig import RigConfig
-from wavefocus.config.run import default_run
+from wavefocus.config.run import RunConfig
 from wavefocus.configuration import load_rig, plan_sha256
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.rig.calibration_validity import calibrated_elsewhere, calibration_warnings
@@ -143,7 +143,7 @@ def test_given_a_spoilt_calibration_file_then_it_is_told_in_one_line(tmp_path, o
 
 
 def sha256(rig):
-    return plan_sha256(rig, default_run(), POSITIONS)
+    return plan_sha256(rig, RunConfig(), POSITIONS)
 
 
 def test_what_was_measured_is_in_the_plans_hash_dates_latencies_and_levels_are_not(tmp_path):

@@ -11,7 +11,7 @@ from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.fields import tables_of
 from wavefocus.config.loading import MAX_KEY_PARTS, parse_toml
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import RunConfig, default_run
+from wavefocus.config.run import RunConfig
 from wavefocus.config.scene import Output, Regularisation, SceneConfig
 from wavefocus.configuration import check_together, configuration_from_json, load_rig, load_run, plan_sha256
 from wavefocus.rendering.scene import paths, signals
@@ -309,7 +309,7 @@ def test_given_another_kind_of_surface_then_outline_and_size_are_its_own(tmp_pat
 
 def test_empty_run_file_is_the_default_campaign(tmp_path):
     configuration = load_run(write(tmp_path, ""))
-    assert configuration.run == default_run()
+    assert configuration.run == RunConfig()
     assert configuration.rig == default_rig()
     assert configuration.position_mm.shape == (1500, 2)
     capture = configuration.run.capture
@@ -439,7 +439,7 @@ def test_bank_with_a_spoilt_configuration_is_told_in_one_line(text):
 
 def test_plan_hash_changes_with_a_position():
     moved = POSITIONS + np.array([[0, 0], [0, 1e-9]])
-    assert plan_sha256(default_rig(), default_run(), moved) != plan_sha256(default_rig(), default_run(), POSITIONS)
+    assert plan_sha256(default_rig(), RunConfig(), moved) != plan_sha256(default_rig(), RunConfig(), POSITIONS)
 
 
 CONTRACT_EXAMPLE = """

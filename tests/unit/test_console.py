@@ -23,8 +23,6 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal is
 
 PROGRESS = """
 from wavefocus.console import progress
-from wavefocus.mocks.virtual import PatchBay
-from wavefocus.rig.calibration_session import Cables
 with progress("capture", 1500, timed={timed}) as report:
     report(700, 1500, "position 700: record 3 of 20; about 2 h 05 min left, finished at Thu 26 Nov 23:11")
 """

@@ -10,7 +10,7 @@ from wavefocus.benchmarks.rig_bank import true_bank
 from wavefocus.commands.init import write_templates
 from wavefocus.config.fields import fields_of
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import RunConfig, Virtual, default_run
+from wavefocus.config.run import RunConfig, Virtual
 from wavefocus.config.scene import SceneConfig
 from wavefocus.config.trials import TrialsConfig
 from wavefocus.configuration import Configuration, load_rig, load_run
@@ -28,8 +28,8 @@ def test_virtual_templates_are_the_defaults(tmp_path):
     written = load_run(tmp_path / "run.toml")
     assert written.rig == default_rig()
     assert written.run.virtual == Virtual()
-    assert written.run.model_copy(update={"rig": "virtual", "virtual": None}) == default_run()
-    defaults = Configuration(default_run(), default_rig(), written.position_mm)
+    assert written.run.model_copy(update={"rig": "virtual", "virtual": None}) == RunConfig()
+    defaults = Configuration(RunConfig(), default_rig(), written.position_mm)
     assert written.plan_sha256 == defaults.plan_sha256
 
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, relative_error
-from wavefocus.benchmarks.machine import run_command
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, relative_error, run_command
 from wavefocus.benchmarks.rig_bank import BAND_HZ, QUICK_ERROR_DB, RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.storage.bank.layout import BankHeader, create_bank

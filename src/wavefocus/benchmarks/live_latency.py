@@ -30,8 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.benchmarks.commands import write_bank
-from wavefocus.benchmarks.harness import Entry, Findings, Mark
-from wavefocus.benchmarks.machine import run_command
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, run_command
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, true_bank
 from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.scene import Regularisation

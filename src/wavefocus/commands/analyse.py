@@ -7,10 +7,9 @@ from wavefocus.console import say
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replaced_folder, require_replaceable_folder
 from wavefocus.storage.text_file import read_regular
-from wavefocus.trials.analysis.bids import write_bids
 from wavefocus.trials.analysis.consistency import stored_design, unfit_rows
 from wavefocus.trials.analysis.report import build_report, left_out_lines, percent
-from wavefocus.trials.analysis.results import FORMAT, analysis_of
+from wavefocus.trials.analysis.results import FORMAT, analysis_of, write_bids
 from wavefocus.trials.analysis.statistics import RIGHT
 from wavefocus.trials.answers import ANSWERS, FACTS, read_answers, read_facts
 

@@ -18,8 +18,7 @@ def bench(what: str, out: Path, *, quick: bool, force: bool = False, seconds: fl
     if seconds is not None and what != "live_latency":
         raise InputError(f"--seconds is {seconds:g}; it goes with live_latency, and {what} was asked for")
     options = {} if seconds is None else {"seconds": seconds}
-    from wavefocus.benchmarks.harness import draw_diagrams
-    from wavefocus.benchmarks.machine import conditions, load
+    from wavefocus.benchmarks.harness import conditions, draw_diagrams, load
 
     chosen = [name for name, one in BENCHMARKS.items() if not one.on_request] if what == "all" else [what]
     files = [name for one in chosen for name in (f"{one}.json", *BENCHMARKS[one].pictures)]

@@ -395,8 +395,3 @@ class RunConfig(Table):
             allowed = f"must be below {nyquist_hz:g} (half of capture.sample_rate_hz)"
             raise mistake("sweep.stop_hz", self.sweep.stop_hz, allowed)
         return self
-
-
-def default_run() -> RunConfig:
-    """The run of an empty run file: the virtual rig, all defaults."""
-    return RunConfig.model_validate({})

@@ -209,7 +209,7 @@ def live(
     Examples
     --------
     >>> import wavefocus as wf
-    >>> with wf.live("plate.h5") as sources:
+    >>> with wf.live("plate.h5", scene="scene.toml") as sources:
     ...     for x_mm in range(-10, 11):
     ...         sources.move("finger", (x_mm, 0.0), amplitude=0.01)
     >>> sources.ended.positions

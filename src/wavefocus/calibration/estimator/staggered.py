@@ -60,18 +60,12 @@ def period_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex
     turn)``; A[0] is real.
     """
     bins = sums.shape[1]
-    length = scipy.fft.next_fast_len(4 * bins)
-    kernel = np.zeros(length, dtype=np.complex128)
-    differences = np.arange(1 - 2 * bins, 2 * bins)
-    kernel[differences % length] = _dirichlet(turn, samples, differences)
-    kernel = scipy.fft.fft(kernel)
-
-    def both_sides(half: Complex128Array) -> Complex128Array:
-        return np.concatenate([half[:, :0:-1].conj(), half], axis=1)
+    length = scipy.fft.next_fast_len(4 * bins, real=True)
+    # Two-sided spectra and the kernel are Hermitian: their transforms are real.
+    kernel = scipy.fft.hfft(_dirichlet(turn, samples, np.arange(2 * bins)), length)
 
     def leaked(half: Complex128Array) -> Complex128Array:
-        spread = scipy.fft.ifft(scipy.fft.fft(both_sides(half), length) * kernel)
-        return np.asarray(spread[:, bins - 1 : 2 * bins - 1])
+        return np.asarray(scipy.fft.ihfft(scipy.fft.hfft(half, length) * kernel)[:, :bins])
 
     wanted = sums.copy()
     wanted[:, 0] = wanted[:, 0].real
