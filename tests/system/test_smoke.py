@@ -24,7 +24,6 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "doctor": ([], ["doctor", RIG], []),
     "calibrate": ([], ["calibrate", RIG, "--only", "actuators"], []),
     "plan": ([], ["plan", "run.toml"], []),
-    "capture": ([], ["capture", "run.toml", "--bank", "again.h5"], ["again.h5"]),
     "resume": ([], ["resume", BANK], []),
     "remeasure": ([], ["remeasure", BANK, "--positions", "0"], []),
     "extend": ([], ["extend", BANK, "--run", "run.toml", "--bank", "new.h5"], ["new.h5"]),
@@ -39,9 +38,9 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "export": ([], ["export", BANK, "plate.npz", "--to", "npz"], ["plate.npz"]),
     "import": ([["export", BANK, "plate.npz", "--to", "npz"]], ["import", "plate.npz", "--bank", "new.h5"], ["new.h5"]),
 }  # fmt: skip
-# Commands whose smoke test is elsewhere: they need standard input, another process, or minutes.
+# Commands whose smoke test is below or elsewhere: they need standard input, another process or command, or minutes.
 ELSEWHERE = {
-    "operate", "emulate", "pause", "stop", "estimate", "live", "trials", "analyse", "bench", "gui", "demo",
+    "capture", "operate", "emulate", "pause", "stop", "estimate", "live", "trials", "analyse", "bench", "gui", "demo",
 }  # fmt: skip
 
 
@@ -64,7 +63,7 @@ def test_given_no_campaign_is_running_then_an_order_is_refused(order, bank):
     assert run([order, str(bank)]) == 2
 
 
-def test_given_kept_recordings_then_estimate_makes_their_bank_again(lab):
+def test_a_capture_that_keeps_recordings_then_estimate_makes_their_bank_again(lab):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / BANK)]) == 0
     assert run(["estimate", str(lab / "plate.raw.h5"), "--bank", str(lab / "again.h5")]) == 0
