@@ -34,6 +34,23 @@ def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(lab, bank,
     assert "6, 3 actuators, 18 records" in told.out
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["remeasure", "plate.h5"],
+        ["extend", "plate.h5", "--run", "run.toml", "--bank", "new.h5"],
+        ["capture", "run.toml", "--bank", "plate.h5", "--scene", "scene.toml"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_given_nothing_to_measure_then_a_program_is_told_the_end_of_the_session(bank, capsys, monkeypatch, command):
+    monkeypatch.chdir(bank.parent)
+    assert run([*command, "--json"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    ended = json.loads(line)
+    assert (ended["event"], ended["state"], ended["done"], ended["total"]) == ("session_ended", "finished", 6, 6)
+
+
 @pytest.mark.may_skip("only Linux has a device that is always full")
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_so(lab, capsys):

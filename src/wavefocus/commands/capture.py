@@ -17,7 +17,7 @@ from wavefocus.campaign.session_files import opened_campaign, resumed_campaign, 
 from wavefocus.campaign.sidecar_files import EventLines, log_path, read_drift
 from wavefocus.campaign.status import CampaignView
 from wavefocus.commands.status import is_paused, order
-from wavefocus.config.messages.campaign import Event, State, Subscriber
+from wavefocus.config.messages.campaign import Event, SessionEnded, State, Subscriber
 from wavefocus.console import Exit, print_line, progress, say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import stop_on_signals
@@ -26,7 +26,7 @@ from wavefocus.options import SessionOptions
 from wavefocus.rig.calibration_validity import refuse_other_devices
 from wavefocus.rig.setup import open_setup
 from wavefocus.rig.unattended import AliveSignal, kept_awake, messenger_for
-from wavefocus.storage.bank.ledger import STATUS_WORDS, Status, not_valid, row_ranges
+from wavefocus.storage.bank.ledger import STATUS_WORDS, Status, not_valid, row_ranges, status_counts
 from wavefocus.storage.bank.reading import open_bank, origins_of
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
@@ -50,7 +50,7 @@ def capture(run_file: Path, bank: Path, scene_files: Sequence[Path] = (), *, opt
     with open_bank(bank) as view:
         left = blueprint.plan.to_do(view.status)
     rows = [int(row) for row in left if row in needed]
-    done = _session(blueprint, bank, rows, options, earlier) if rows else Exit.DONE
+    done = _session(blueprint, bank, rows, options, earlier) if rows else _nothing_to_measure(bank, options)
     say(
         f"all {len(needed)} positions that are needed are in the bank; the other "
         f"{len(left) - len(rows)} are left, and measured by: {resume_line(bank, rig_file)}"
@@ -81,7 +81,7 @@ def extend(banks: Sequence[Path], bank: Path, run_file: Path | None = None, *, o
         left = int(np.count_nonzero(view.status == 0))
     if not left:
         say(f"{bank}: all {blueprint.plan.positions} positions are taken over, none is left to measure")
-        return Exit.DONE
+        return _nothing_to_measure(bank, options)
     say(f"{bank}: {left} positions are measured now, after the sentinel, which must be as it was")
     return _session(blueprint, bank, None, replace(options, rig_file=rig_file))
 
@@ -100,7 +100,7 @@ def remeasure(bank: Path, words: str, positions: str, *, replace: bool = False, 
     chosen = [int(row) for row in blueprint.plan.order if row in marked or row in set(rows)]
     if not chosen:
         say("no position of that status: nothing to measure again")
-        return Exit.DONE
+        return _nothing_to_measure(bank, options)
     history = read_drift(bank)
     suspect = history[-1].suspect if history else ()
     replaceable = chosen if replace or options.accept_drift or options.accept_calibration else suspect
@@ -114,6 +114,16 @@ def _status_bits(words: str) -> Status:
             raise InputError(f"--status: {word.strip()!r} is not known; allowed: poor, over-range, failed, valid")
         bits |= STATUS_WORDS[word.strip()]
     return bits
+
+
+def _nothing_to_measure(bank: Path, options: SessionOptions) -> Exit:
+    """End where no instrument is needed; a program gets the event that ends every session."""
+    if options.as_json:
+        with open_bank(bank) as view:
+            done, of, counts = np.count_nonzero(view.status), view.positions, status_counts(view.status)
+        ended = SessionEnded(0.0, State.FINISHED, int(done), of, counts)
+        EventLines(print_line, "standard output")(ended)
+    return Exit.DONE
 
 
 def _session(
