@@ -116,6 +116,17 @@ def write_bank(
     return path
 
 
+def green_of(position, attempt=1, actuators=2, taps=16):
+    """Green's functions of an attempt at a position."""
+    return np.random.default_rng([position, attempt]).normal(size=(actuators, taps)).astype(np.float32)
+
+
+def record_of(position, attempt=1, actuators=2, status=1):
+    """Status and figures of an attempt at a position."""
+    figures = np.arange(actuators, dtype=np.float32) + position + attempt / 10
+    return PointRecord(status, attempt, figures, -figures, figures / 100, figures * 2)
+
+
 def with_check_rows(bank, out, *rows):
     """Write the same bank with rows that lie off the grid and only judge what is between it."""
     with open_bank(bank) as view:

@@ -6,25 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.lab_files import attribute, put, without, write_bank
-from wavefocus.storage.bank.ledger import PointRecord, bank_row_shape, encode_row
+from tests.lab_files import attribute, green_of, put, record_of, without, write_bank
+from wavefocus.storage.bank.ledger import bank_row_shape, encode_row
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.pages import Replacement
 
 
-def measured(path, positions=3):
-    return write_bank(path, np.stack([green_of(position) for position in range(positions)]))
-
-
-def green_of(position, attempt=1):
-    return np.random.default_rng([position, attempt]).normal(size=(2, 16)).astype(np.float32)
-
-
-def record_of(attempt):
-    figures = np.ones(2, np.float32)
-    return PointRecord(1, attempt, figures, figures, figures, figures)
+def measured(path):
+    return write_bank(path, np.stack([green_of(position) for position in range(3)]))
 
 
 def foreign(path, green, **options):
@@ -48,7 +39,7 @@ def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_pa
         chunk = file["green"].id.get_chunk_info(1).byte_offset
     rows = bank_row_shape(2, 16)
     content = green_of(1, 2).tobytes().ljust(rows.chunk_bytes, b"\0")
-    half_way = Replacement(1, (content,), encode_row(1, record_of(2), green_of(1, 2)))
+    half_way = Replacement(1, (content,), encode_row(1, record_of(1, 2), green_of(1, 2)))
     overwrite(path, journal, rows.encode_journal(half_way))
     overwrite(path, chunk, content[:70])  # half of the replacement
     with open_bank(path) as bank:

@@ -4,10 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import attribute, flip, with_check_rows, within, write_bank
+from tests.lab_files import attribute, flip, record_of, with_check_rows, within, write_bank
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
 from wavefocus.calibration.check import check_bank
-from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
@@ -34,11 +33,6 @@ def flip_in(path, dataset, byte, chunk=None):
         kept = file[dataset].id
         offset = kept.get_offset() if chunk is None else kept.get_chunk_info(chunk).byte_offset
     flip(path, offset + byte)
-
-
-def only(findings):
-    assert len(findings) == 1, findings
-    return findings[0]
 
 
 def row_bytes(path, name):
@@ -85,7 +79,7 @@ def test_a_flipped_bit_is_an_error_at_its_position_and_opening_heals_figures(
 def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, position, severity, words):
     green = responses()
     green[rows] *= factor
-    finding = only(check_bank(measured(tmp_path / "bank.h5", green)))
+    (finding,) = check_bank(measured(tmp_path / "bank.h5", green))
     assert (finding.position, finding.severity) == (position, severity)
     assert finding.actuator == (2 if position is None else None)
     assert words in finding.message
@@ -94,7 +88,7 @@ def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, positio
 def test_two_positions_at_one_place_then_are_a_warning(tmp_path):
     grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
     grid[4] = grid[1]
-    finding = only(check_bank(measured(tmp_path / "bank.h5", responses(), grid)))
+    (finding,) = check_bank(measured(tmp_path / "bank.h5", responses(), grid))
     assert finding.position == 4
     assert "like position 1" in finding.message
 
@@ -115,8 +109,7 @@ def test_a_foreign_bank_with_values_that_are_not_finite_then_is_an_error(tmp_pat
 def test_a_check_during_a_run_then_has_no_findings(tmp_path):
     path = measured(tmp_path / "bank.h5", responses()[:3])
     with BankWriter.open(path) as writer:
-        figures = np.ones(ACTUATORS, np.float32)
-        writer.commit(3, responses()[3], PointRecord(1, 1, figures, figures, figures, figures))
+        writer.commit(3, responses()[3], record_of(3, actuators=ACTUATORS))
         assert check_bank(path) == []
 
 

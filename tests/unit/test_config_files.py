@@ -13,7 +13,7 @@ from wavefocus.config.loading import MAX_KEY_PARTS, parse_toml
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import RunConfig
 from wavefocus.config.scene import Output, Regularisation, SceneConfig
-from wavefocus.configuration import check_together, configuration_from_json, load_rig, load_run, plan_sha256
+from wavefocus.configuration import check_together, configuration_from_json, load_rig, load_run
 from wavefocus.rendering.scene import paths, signals
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.paths import TextPath
@@ -64,21 +64,14 @@ RIG_MISTAKES = [
     ("[mirror]\ndriver = 'asi'", 'mirror.driver = "asi": must be "virtual", "analog", "asi-tiger", "generic"'),
     ("[mirror]\ndriver = 'asi-tiger'", 'mirror.port: is missing; driver "asi-tiger" needs it, such as "/dev/ttyUSB0"'),
     ("[mirror]\nport = 'COM3'", 'mirror.port = "COM3": belongs to driver "asi-tiger", "generic"'),
-    ("[mirror]\ndriver = 'asi-tiger'\nport = 'COM3'\nfull_scale_mrad = 100",
-     'mirror.full_scale_mrad = 100.0: belongs to driver "mirrorcle-mti"'),
-    ("[mirror]\ndriver = 'mirrorcle-mti'\nport = 'COM3'", "mirror.full_scale_mrad: is missing; driver"),
     ("[mirror]\ndriver = 'generic'\nport = 'socket://somewhere'",
      'mirror.port = "socket://somewhere": must be socket://HOST:PORT'),
     ("[mirror]\ndriver = 'generic'\nport = 'serial-number:'",
      'mirror.port = "serial-number:": must be serial-number: and the number itself'),
-    (GENERIC + "baud = 100", "mirror.baud = 100: must be at least 300"),
     (GENERIC, 'recorder.driver = "virtual": a rig\'s instruments are all virtual or'),
     (NI, 'recorder.driver = "nidaqmx": a rig\'s instruments are all virtual or'),
     ("[vibrometer]\ndriver = 'polytec-ofv5000'\nport = 'COM4'",
      'vibrometer.driver = "polytec-ofv5000": a rig\'s instruments are all virtual or all real, and these are virt'),
-    ("[vibrometer]\nport = 'COM4'", 'vibrometer.port = "COM4": belongs to driver "polytec-ofv5000" or'),
-    ("[vibrometer]\ndriver = 'polytec-ofv5000'", "vibrometer.port: is missing; driver"),
-    ("[mirror]\nmap = [[1, 0], [0, 1]]", "mirror.map[0][2]: is missing"),
     ("[mirror]\nmap = [[1, 0, 0], [0, 1, 0], [1, 1, 0]]",
      "mirror.map = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]: must be a matrix that can be"),
     ("[mirror]\ndistance_mm = 900\nmap = [[1, 0, 0], [0, 1, 0], [0, 0, 900]]",
@@ -89,22 +82,17 @@ RIG_MISTAKES = [
     ("[recorder]\ntrigger = 'PFI0'", 'recorder.trigger = "PFI0": belongs to driver "nidaqmx"; the driver here is'),
     (NI + "reference_input = 'ai1'", 'recorder.response_input = "ai1": is already the reference_input'),
     (NI + "response_input = 'Dev1/ai1'", 'recorder.response_input = "Dev1/ai1": must be "ai0", "ai1" and so on'),
-    (NI + "terminal = 'single'", 'recorder.terminal = "single": must be "differential", "rse", "nrse" or'),
     (NI + "address = 'localhost'", 'recorder.address = "localhost": must be HOST:PORT of a gRPC Device Server'),
     (NI + f"tls_root = '{__file__}'",
      f"recorder.tls_root = {json.dumps(__file__)}: must be left out, or an address given"),
     (NI + f"address = 'a:1'\ntls_root = '{__file__}'\ntls_key = '{__file__}'",
      f"recorder.tls_key = {json.dumps(__file__)}: needs tls_root and tls_certificate"),
-    ("[player]\ndriver = 'sounddevice'", "player.device: is missing; driver"),
-    ("[player]\nblock_frames = 64", 'player.block_frames = 64: belongs to driver "sounddevice"'),
     ("[player]\nchannel_full_scale_v = [5.0, 5.0]", "player.channel_full_scale_v = [5.0, 5.0]: must have one entry"),
     ("[calibration]\nfile = 'nowhere.toml'", 'calibration.file = "nowhere.toml": must be a file; none found from'),
     ("[calibration]\nmeasured = {}", "calibration.measured: comes from the file that calibration.file names"),
     ("[[usb]]\nrole = 'camera'\nvendor_id = 1\nproduct_id = 1", 'usb[0].role = "camera": must be "mirror", "recorder"'),
-    ("[[usb]]\nrole = 'mirror'\nvendor_id = 0x10000", "usb[0].vendor_id = 65536: must be at most 65535"),
     ("[usb]\nrole = 'mirror'", "usb: must be a list of tables, each under [[usb]]"),
     ("[emulation]\ndead_actuators = [20]", "emulation.dead_actuators[0] = 20: must be below 20, the number of"),
-    ("[emulation]\nreversed_outputs = [0, 21]", "emulation.reversed_outputs[1] = 21: must be below 21, the number of"),
     ("[emulation]\ndead_actuators = [1]\nweak_actuators = [3, 1]", "emulation.weak_actuators[1] = 1: is already one"),
     ("[[emulation.fault_plan]]\nrole = 'player'\nkind = 'silent'\nat_call = 1",
      "emulation.fault_plan[0] = { role, kind, at_call }: fault kind of the player is 'silent'; allowed: underflow"),
@@ -117,7 +105,6 @@ RIG_MISTAKES = [
     ("[watch.noise]\nleaves_above = 1\nreturns_below = 2", "watch.noise.leaves_above = 1"),
     ("[watch.room]\nleaves_below = 18\nreturns_above = 17", "watch.room.returns_above = 17"),
     ("[watch.room]\nleaves_below = 18\nleaves_above = 18.5", "watch.room.returns_below"),
-    ("[watch.noise]\nleaves_above = true", "watch.noise.leaves_above = true"),
     ("[watch.wind]\nleaves_above = 1", "watch.wind"),
     (GENERIC + NI + "[player]\ndriver = 'sounddevice'\ndevice = 'USB'\n[watch.light]\nleaves_below = 0.2",
      'watch.light = "...": needs a vibrometer that reports it'),
@@ -133,15 +120,11 @@ RUN_MISTAKES = [
     ("[grid]\nspacing_m = 4", "grid.spacing_m = 4: unknown key; did you mean spacing_mm?"),
     ("[grid]\ntaps = 4", "grid.taps = 4: unknown key; it belongs to [capture]"),
     ("[grid]\ncolour = 4", "grid.colour = 4: unknown key; allowed: lattice, spacing_mm, margin_mm, positions_file"),
-    ("taps = 4", "taps = 4: unknown key; it belongs to [capture]"),
     ("[gird]\nspacing_mm = 4", "gird = { spacing_mm }: unknown key; did you mean grid?"),
-    ("grid = 4", "grid = 4: must be a table"),
-    ("[grid]\nspacing_mm = nan", "grid.spacing_mm = nan: must be a finite number"),
     ("[grid]\nspacing_mm = '4'", 'grid.spacing_mm = "4": must be a number'),
     ("[grid]\nspacing_mm = true", "grid.spacing_mm = true: must be a number"),
     ("[grid]\nspacing_mm = 1e-6", "grid.spacing_mm = 1e-06: gives more than 1,000,000 positions"),
     ("[grid]\nspacing_mm = 1e6", "grid.spacing_mm = 1e+06: leaves no position"),
-    ("[grid]\nmargin_mm = 75", "grid.margin_mm = 75: leaves no position"),
     ("[grid]\npositions_file = 'x.csv'", 'grid.positions_file = "x.csv": must be a file'),
     ("[sweep]\nstop_hz = 5000", "sweep.stop_hz = 5000.0: must be below 5000 (half of capture.sample_rate_hz)"),
     ("[sweep]\nstop_hz = 20", "sweep.stop_hz = 20.0: must be above start_hz = 20"),
@@ -152,7 +135,6 @@ RUN_MISTAKES = [
     ("[capture]\nstagger_s = 0.239", "capture.stagger_s = 0.239: must be at least 0.24 (1.2 times the response"),
     ("[capture]\ngroups = 21", "capture.groups = 21: must be at most 20, the number of actuators"),
     ("[settled]\nreason = 'a'", "settled: comes from the trial before a staggered campaign"),
-    ("[capture]\nexcitation = 'all'", 'capture.excitation = "all": must be "sequential" or "staggered"'),
     ("[capture]\nkeep_raw = 1", "capture.keep_raw = 1: must be true or false"),
     ("[drift]\nstop_level_db = 0.1", "drift.stop_level_db = 0.1"),
     ("[drift]\nstop_delay_samples = 0.1", "drift.stop_delay_samples = 0.1"),
@@ -173,8 +155,6 @@ RUN_MISTAKES = [
 
 SCENE_MISTAKES = [
     ("", "source: is missing"),
-    ("source = []", "source = []: must have at least 1 entries, has 0"),
-    ("[source]\nstart_s = 0", "source: must be a list of tables, each under [[source]]"),
     ("[[sources]]\nstart_s = 0", "source: is missing; sources = [{ start_s }]: unknown key; did you mean source?"),
     ("[[source]]\nsignal = { kind = 'impulse' }", "source[0].path: is missing"),
     (moving("{ kind = 'square' }"), 'source[0].path.kind = "square": must be one of "point", "line", "circle"'),
@@ -183,26 +163,16 @@ SCENE_MISTAKES = [
     (moving("{ kind = 'circle', radius_cm = 3 }"), "source[0].path.radius_mm: is missing; "),
     (moving("{ kind = 'circle', radius_mm = 3, radius_cm = 3 }"), "source[0].path.radius_cm = 3: unknown key; did"),
     (moving("{ kind = 'circle', radius_mm = -3 }"), "source[0].path.radius_mm = -3: must be at least 0"),
-    (moving("{ kind = 'circle', radius_mm = 3, turns = inf }"), "source[0].path.turns = inf: must be a finite"),
-    (moving("{ kind = 'line', start_mm = [0], end_mm = [0, 0] }"), "source[0].path.start_mm[1]: is missing"),
-    (moving("{ kind = 'polyline', points_mm = [] }"), "source[0].path.points_mm = []: must have at least 1"),
     (moving("{ kind = 'svg', file = 'no.svg' }"), 'source[0].path.file = "no.svg": must be a file'),
     (moving("{ kind = 'text', string = '', height_mm = 3 }"), 'source[0].path.string = "": must not be empty'),
     (CIRCLE + "step_mm = 4", "source[0].speed_mm_s: is needed in mm/s for a path of kind circle"),
     (CIRCLE + "speed_mm_s=4", "source[0].step_mm: is needed in mm for a path of kind circle"),
     (POINT + "speed_mm_s = -1", "source[0].speed_mm_s = -1: must be at least 0"),
-    (POINT + "step_mm = 0", "source[0].step_mm = 0: must be above 0"),
-    (POINT + "start_s = -1", "source[0].start_s = -1: must be at least 0"),
-    (POINT + "amplitude = nan", "source[0].amplitude = nan: must be a finite number"),
-    (POINT + "emission = 'once'", 'source[0].emission = "once": must be "per_point" or "continuous"'),
     (POINT + POINT + "start_s = -1", "source[1].start_s = -1: must be at least 0"),
     (POINT.replace("'impulse'", "'beep'"), 'source[0].signal.kind = "beep": must be one of "impulse", "sine"'),
     (POINT.replace("'impulse'", "'noise', band_hz = [450, 50], duration_s = 1"),
      "source[0].signal.band_hz = [450.0, 50.0]: must be [lower, upper] with lower below upper"),
-    (POINT.replace("'impulse'", "'sine', frequency_hz = 0, duration_s = 1"),
-     "source[0].signal.frequency_hz = 0: must be above 0"),
     (POINT.replace("'impulse'", "'file', path = 'no.wav'"), 'source[0].signal.path = "no.wav": must be a file'),
-    (POINT + "[regularisation]\nsaturation = -1", "regularisation.saturation = -1: must be at least 0"),
     (POINT + "[regularisation]\nsaturation = 0.5\nsaturation_absolute = 1",
      "regularisation.saturation_absolute = 1.0: must be 0 or left out where saturation is given"),
     (POINT + "[output]\nlimit_v = 0", "output.limit_v = 0: must be above 0"),
@@ -222,24 +192,29 @@ def test_a_mistake_in_a_file_is_one_line_with_file_key_value_and_what_is_allowed
     assert complaint_about(file, LOADS[kind]).startswith(f"{file}: {complaint}")
 
 
-def test_the_default_rig_has_20_actuators_wired_in_order_and_a_mirror_at_a_metre():
-    rig = default_rig()
+def test_an_empty_run_file_is_the_default_campaign_on_20_actuators(tmp_path):
+    there = load_run(write(tmp_path, ""))
+    assert (there.run, there.rig, there.position_mm.shape) == (RunConfig(), default_rig(), (1500, 2))
+    capture = there.run.capture
+    assert (capture.averages, capture.taps, capture.decay_s, capture.stagger_s) == (3, 2000, 0.2, 0.25)
+    rig = there.rig
+    assert rig.is_virtual
     assert rig.actuator_mm.shape == (20, 2)
     assert rig.actuator_mm[0].tolist() == [119, 0]
-    assert rig.player.channels == tuple(range(20))
-    assert rig.player.loopback_channel == 20
-    assert rig.is_virtual
+    assert (rig.player.channels, rig.player.loopback_channel) == (tuple(range(20)), 20)
     x_mrad, y_mrad = MirrorMap(rig.mirror.matrix).angles_mrad([0.0, 100.0], [0.0, -50.0])
     np.testing.assert_allclose(x_mrad, [0, 1000 * math.atan(0.1)])
     np.testing.assert_allclose(y_mrad, [0, -1000 * math.atan(0.05)])
 
 
-def test_a_rig_with_its_own_actuators_or_size_gets_channels_and_a_rim_for_them():
+def test_a_rig_of_its_own_gets_channels_and_a_rim_and_its_weakest_output_limits_it():
     rig = RigConfig.model_validate({"actuators": {"position_mm": [[0, 0], [10, 0], [0, 10]]}})
-    assert rig.player.channels == (0, 1, 2)
-    assert rig.player.loopback_channel == 3
+    assert (rig.player.channels, rig.player.loopback_channel) == ((0, 1, 2), 3)
     rig = RigConfig.model_validate({"surface": {"length_mm": 100, "width_mm": 60}})
     assert rig.actuator_mm[0].tolist() == [44, 0]
+    player = {"channels": [0, 1, 2], "loopback_channel": 3, "channel_full_scale_v": [4.0, 3.0, 5.0, 1.0]}
+    rig = RigConfig.model_validate({"actuators": {"position_mm": [[0, 0], [1, 0], [2, 0]]}, "player": player})
+    assert rig.player.largest_v == 3.0
 
 
 REAL = """
@@ -282,13 +257,6 @@ def test_real_rig_says_outright_what_its_drivers_take_where_they_are_told_nothin
     assert RigConfig.model_validate_json(rig.model_dump_json()) == rig
 
 
-def test_weakest_output_limits_what_may_be_asked_of_an_actuator():
-    volts = [4.0, 3.0, 5.0, 1.0]
-    player = {"channels": [0, 1, 2], "loopback_channel": 3, "channel_full_scale_v": volts}
-    rig = RigConfig.model_validate({"actuators": {"position_mm": [[0, 0], [1, 0], [2, 0]]}, "player": player})
-    assert rig.player.largest_v == 3.0
-
-
 @pytest.mark.parametrize(
     ("text", "area_mm2", "size_mm"),
     [
@@ -307,21 +275,9 @@ def test_given_another_kind_of_surface_then_outline_and_size_are_its_own(tmp_pat
     assert rig.surface.outline.contains(rig.actuator_mm).all()
 
 
-def test_empty_run_file_is_the_default_campaign(tmp_path):
-    configuration = load_run(write(tmp_path, ""))
-    assert configuration.run == RunConfig()
-    assert configuration.rig == default_rig()
-    assert configuration.position_mm.shape == (1500, 2)
-    capture = configuration.run.capture
-    assert (capture.averages, capture.taps, capture.decay_s, capture.stagger_s) == (3, 2000, 0.2, 0.25)
-
-
-LONG = MAX_KEY_PARTS + 1
-
-
 def numbers_beyond_a_bound():
-    """Every number of the tables of rigs and runs, beyond each of its bounds: file, table, key, value and sentence."""
-    for kind, model in (("rig", RigConfig), ("run", RunConfig)):
+    """Every number of rigs, runs and scenes, beyond each of its bounds: file, table, key, value and sentence."""
+    for kind, model in (("rig", RigConfig), ("run", RunConfig), ("scene", SceneConfig)):
         for table in model.model_fields:
             for inner in tables_of(model, table):
                 for key, field in inner.model_fields.items():
@@ -336,33 +292,21 @@ def test_a_number_beyond_any_bound_of_any_key_is_refused_with_key_value_and_boun
     cases = list(numbers_beyond_a_bound())
     assert len(cases) > 60
     for kind, table, key, value, sentence in cases:
-        heading = "[[usb]]" if table == "usb" else f"[{table}]"
+        heading = {"usb": "[[usb]]", "source": POINT, "quiet": "[[quiet]]\nat_mm = [0, 0]"}.get(table, f"[{table}]")
         complaint = complaint_about(write(tmp_path, f"{heading}\n{key} = {value}", f"{kind}.toml"), LOADS[kind])
         of_banks = key == "regular_positions"
         assert of_banks or re.search(rf": {table}.*\.{key}( = [-+.\de]+)?: {re.escape(sentence)}", complaint)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a" + ".a" * 450_000 + " = 1\n",
-        "[a" + ".a" * 450_000 + "]\n",
-        "[[a" + ' . "a"' * 200_000 + "]]\n",
-        "x = { 'a'" + ".'a'" * 200_000 + " = 1 }\n",
-        "x = 1\ny" + ".y" * LONG + " = 1\n",
-    ],
-    ids=["key", "heading", "quoted", "inline", "just too long"],
-)
-def test_given_a_key_of_too_many_parts_then_it_is_refused_with_its_line(text):
-    with pytest.raises(InputError, match=r"^deep\.toml: not TOML: line [12]: a key of more than 16 parts"):
-        parse_toml(text, "deep.toml")
-
-
-@pytest.mark.parametrize(
-    "text", ["a.b.c.d = 1", 'text = "' + "one. " * 100 + '"', "x = [" + "1.5, " * 100 + "]", "x = 1 # " + ". " * 100]
-)
-def test_given_dots_that_make_no_long_key_then_it_is_read(text):
-    assert parse_toml(text, "plain.toml")
+def test_a_key_of_too_many_parts_is_refused_with_its_line_and_other_dots_are_read():
+    for text in (
+        "a" + ".a" * 450_000 + " = 1\n", "[a" + ".a" * 450_000 + "]\n", "[[a" + ' . "a"' * 200_000 + "]]\n",
+        "x = { 'a'" + ".'a'" * 200_000 + " = 1 }\n", "x = 1\ny" + ".y" * (MAX_KEY_PARTS + 1) + " = 1\n",
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=r"^deep\.toml: not TOML: line [12]: a key of more than 16 parts"):
+            parse_toml(text, "deep.toml")
+    for text in ("a.b.c.d = 1", f'text = "{"one. " * 100}"', f"x = [{'1.5, ' * 100}]", "x = 1 # " + ". " * 100):
+        assert parse_toml(text, "plain.toml")
 
 
 def test_several_mistakes_and_control_characters_stay_in_one_line(tmp_path):
@@ -413,17 +357,14 @@ def test_virtual_settings_for_a_rig_with_other_drivers_are_refused():
         check_together(run, wired, "run.toml")
 
 
-def test_fault_plan_file_becomes_part_of_the_run(tmp_path):
+@pytest.mark.parametrize(
+    "text", ["", "[capture]\ntaps = 3000\ndecay_s = 0.3\n[virtual]\nnoise_v = 1e-3\nfault_plan = 'f.toml'"]
+)
+def test_configuration_and_its_fault_plan_survive_the_bank_and_keep_their_hash(tmp_path, text):
     write(tmp_path, "[[fault]]\nrole='recorder'\noperation='read'\nkind='short_read'\nposition=3\n", name="f.toml")
-    run = load_run(write(tmp_path, "[virtual]\nfault_plan = 'f.toml'")).run
-    assert run.virtual is not None
-    assert [(fault.role, fault.position) for fault in run.virtual.fault_plan] == [("recorder", 3)]
-    assert RunConfig.model_validate_json(run.model_dump_json()) == run
-
-
-@pytest.mark.parametrize("text", ["", "[capture]\ntaps = 3000\ndecay_s = 0.3\n[virtual]\nnoise_v = 1e-3"])
-def test_configuration_survives_the_bank_and_keeps_its_hash(tmp_path, text):
     there = load_run(write(tmp_path, text))
+    if there.run.virtual is not None:
+        assert [(fault.role, fault.position) for fault in there.run.virtual.fault_plan] == [("recorder", 3)]
     back = configuration_from_json(
         there.rig.model_dump_json(), there.run.model_dump_json(), there.position_mm, "bank.h5"
     )
@@ -437,15 +378,8 @@ def test_bank_with_a_spoilt_configuration_is_told_in_one_line(text):
         configuration_from_json(default_rig().model_dump_json(), text, POSITIONS, "bank.h5")
 
 
-def test_plan_hash_changes_with_a_position():
-    moved = POSITIONS + np.array([[0, 0], [0, 1e-9]])
-    assert plan_sha256(default_rig(), RunConfig(), moved) != plan_sha256(default_rig(), RunConfig(), POSITIONS)
-
-
 CONTRACT_EXAMPLE = """
-[scene]
-name = "circle"
-
+scene.name = "circle"
 [[source]]
 start_s = 0.0
 speed_mm_s = 80.0
@@ -470,8 +404,10 @@ def scene_of(folder, text):
     return load_scene(write(folder, text, "scene.toml"))
 
 
-def test_contracts_example_is_built_to_the_letter(tmp_path):
+def test_the_contracts_example_is_built_to_the_letter_and_a_point_has_defaults(tmp_path):
     scene = scene_of(tmp_path, CONTRACT_EXAMPLE)
+    written = SceneConfig.model_validate(parse_toml(CONTRACT_EXAMPLE, ""))
+    assert SceneConfig.model_validate_json(written.model_dump_json()) == written
     (source,) = scene.sources
     assert scene.name == "circle"
     assert source.path == paths.Circle((0, 0), 30, 1, 0)
@@ -480,15 +416,10 @@ def test_contracts_example_is_built_to_the_letter(tmp_path):
     assert source.emission == "per_point"
     assert scene.regularisation == Regularisation(saturation=0.5)
     assert scene.output == Output(interpolation="nearest", limit_v=1.0)
-
-
-def test_scene_with_a_bare_point_has_the_contracts_defaults(tmp_path):
     scene = scene_of(tmp_path, POINT)
     (source,) = scene.sources
     assert (source.start_s, source.amplitude, source.emission) == (0, 1, "continuous")
-    assert not scene.regularisation.saturation
-    assert not scene.regularisation.saturation_absolute
-    assert scene.regularisation.normalise
+    assert scene.regularisation == Regularisation(saturation=0.0, saturation_absolute=0.0, normalise=True)
     assert scene.output == Output(interpolation="auto")
 
 
@@ -515,26 +446,9 @@ def test_each_table_of_a_path_or_signal_builds_it(tmp_path, table, built):
 def test_files_are_found_beside_the_scene(tmp_path):
     (tmp_path / "a.svg").write_text('<svg><path id="p" d="M 0 0 L 10 0"/></svg>')
     (tmp_path / "a.wav").write_bytes(b"read when its samples are wanted")
-    text = (
-        "[[source]]\nspeed_mm_s = 80\nstep_mm = 4\n"
-        "path = { kind = 'svg', file = 'a.svg', path_id = 'p', scale = 2, origin_mm = [1, 2] }\n"
-        "signal = { kind = 'file', path = 'a.wav' }"
-    )
-    (source,) = scene_of(tmp_path, text).sources
+    text = moving("{ kind = 'svg', file = 'a.svg', path_id = 'p', scale = 2, origin_mm = [1, 2] }")
+    (source,) = scene_of(tmp_path, text.replace("kind = 'impulse'", "kind = 'file', path = 'a.wav'")).sources
     assert source.path == SvgPath(tmp_path / "a.svg", "p", 2, (1, 2))
     assert source.signal == signals.SoundFile(tmp_path / "a.wav")
-
-
-def test_svg_without_the_named_path_tells_scene_and_drawing(tmp_path):
-    (tmp_path / "a.svg").write_text('<svg><path id="p" d="M 0 0 L 10 0"/></svg>')
-    with pytest.raises(InputError) as told:
-        scene_of(tmp_path, moving("{ kind = 'svg', file = 'a.svg', path_id = 'q' }"))
-    message = str(told.value)
-    assert message.startswith(f"{tmp_path / 'scene.toml'}: source[0]: {tmp_path / 'a.svg'}")
-    assert message.isprintable()
-
-
-def test_scene_survives_json():
-    data = {"source": [{"path": {"kind": "point", "at_mm": [1, 2]}, "signal": {"kind": "impulse"}}]}
-    scene = SceneConfig.model_validate(data)
-    assert SceneConfig.model_validate_json(scene.model_dump_json()) == scene
+    complaint = complaint_about(write(tmp_path, text.replace("'p'", "'q'"), "scene.toml"), load_scene)
+    assert complaint.startswith(f"{tmp_path / 'scene.toml'}: source[0]: {tmp_path / 'a.svg'}")

@@ -55,7 +55,7 @@ def sound(request, tmp_path_factory):
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("count", [10, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("count", [6, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_single_mutations_then_are_found_where_they_change_a_value(tmp_path, sound, count):
     path, missed = tmp_path / "file.h5", []
     path.write_bytes(sound)
@@ -92,7 +92,7 @@ def keys_of(path):
 
 @pytest.mark.parametrize(
     ("count", "checked"),
-    [(4, True), (12, False), *(pytest.param(500, checked, marks=pytest.mark.nightly) for checked in (True, False))],
+    [(3, True), (8, False), *(pytest.param(500, checked, marks=pytest.mark.nightly) for checked in (True, False))],
 )
 def test_a_hostile_attribute_then_never_ends_in_a_traceback(tmp_path, sound, count, *, checked):
     path = tmp_path / "file.h5"

@@ -38,7 +38,7 @@ def a_field(path):
     write_field(path, field())
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 4), st.integers(0, 2**32 - 1))
 def test_a_drive_or_field_written_then_comes_back_bit_for_bit(tmp_path, rows, samples, foci, seed):
     written = drive(rows, samples, foci, seed)
@@ -81,8 +81,7 @@ def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path):
                 assert file[key].attrs["sha256"] == hashlib.sha256(values.tobytes()).hexdigest(), key
 
 
-@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
-@pytest.mark.parametrize("foci", [3, 0])
+@pytest.mark.parametrize(("engine", "foci"), [("h5netcdf", 3), ("netcdf4", 0)])
 def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(tmp_path, engine, foci):
     write_drive(tmp_path / "drive.h5", drive(foci=foci))
     a_field(tmp_path / "field.h5")

@@ -147,9 +147,6 @@ def test_given_a_hostile_file_then_one_sentence_says_why(tmp_path, capsys, make,
     assert sorted(tmp_path.iterdir()) == before
 
 
-FORMATS = ("sofa", "uff", "mat", "npz", "netcdf", "wav", "uff-binary", "npy")
-
-
 def mutated(content, source):
     changed = bytearray(content)
     at = source.randrange(min(len(changed), source.choice([256, 2048, len(changed)])))
@@ -195,8 +192,8 @@ def mutations(tmp_path, kind, count):
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("count", [6, pytest.param(300, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("count", [3, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("kind", ["sofa", "uff", "mat", "npz", "netcdf", "wav", "uff-binary", "npy"])
 def test_given_damaged_files_then_each_import_ends_with_a_bank_or_a_sentence(tmp_path, capsys, kind, count):
     for copy, form, options in mutations(tmp_path, kind, count):
         out = tmp_path / "out.h5"

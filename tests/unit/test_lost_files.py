@@ -8,18 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.lab_files import raw_header, write_bank
-from wavefocus.storage.bank.ledger import PointRecord
+from tests.lab_files import green_of, raw_header, record_of, write_bank
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import FileLostError
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 VOLTS = np.full((1, 64), 0.5, np.float32)
-
-
-def green_of(position):
-    return np.random.default_rng(position).normal(size=(2, 16)).astype(np.float32)
 
 
 def a_writer(path):
@@ -35,8 +30,7 @@ def commit(writer, position):
     if isinstance(writer, RawWriter):
         writer.commit(position, VOLTS, VOLTS)
     else:
-        figures = np.ones(2, np.float32)
-        writer.commit(position, green_of(position), PointRecord(1, 1, figures, figures, figures, figures))
+        writer.commit(position, green_of(position), record_of(position))
 
 
 def kept_in(path):

@@ -122,18 +122,18 @@ def test_template_of_fingers_keeps_the_others_quiet(tmp_path):
         assert quiet == places - {own}
 
 
-@pytest.mark.parametrize("name", ["rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"])
-def test_file_that_is_there_is_never_overwritten(tmp_path, name):
-    (tmp_path / name).write_text("mine")
-    with pytest.raises(InputError, match=rf"{name}: is there already"):
-        write_templates(tmp_path, "virtual")
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert (tmp_path / name).read_text() == "mine"
+def test_file_that_is_there_is_never_overwritten(tmp_path):
+    for name in ("rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(InputError, match=rf"{name}: is there already"):
+            write_templates(tmp_path, "virtual")
+        assert [path.name for path in tmp_path.iterdir()] == [name]
+        assert (tmp_path / name).read_text() == "mine"
+        (tmp_path / name).unlink()
 
 
 TABLES = {
-    (RunConfig, "run"): ("grid", "sweep", "capture", "quality", "drift", "tolerance", "publication",
-                         "virtual"),
+    (RunConfig, "run"): ("grid", "sweep", "capture", "quality", "drift", "tolerance", "publication", "virtual"),
     (RigConfig, "rig"): ("rig", "surface", "actuators", "mirror", "recorder", "player", "vibrometer", "recovery",
                          "watch", "watch.room", "messages", "calibration", "usb", "emulation"),
     (TrialsConfig, "trials"): ("trials", "stimuli", "adaptive", "masking"),

@@ -107,7 +107,8 @@ def _contents_sha256(file: h5py.File, later: Collection[str], without: Collectio
                 facts.append(_plain(hdf5_reading.read_whole(found), file))
         if isinstance(found, h5py.Group | h5py.Dataset):
             apart = {*_APART, *without} if name == "/" else _APART
-            facts += [[key, _plain(found.attrs[key], file)] for key in sorted(found.attrs) if key not in apart]
+            attributes = found.attrs
+            facts += [[key, _plain(attributes[key], file)] for key in sorted(attributes) if key not in apart]
         digest.update(json.dumps(facts).encode() + b"\n")
     return digest.hexdigest()
 

@@ -15,6 +15,8 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing
 from wavefocus.storage.text_file import permission_words, require_regular
 
+BARE_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
+"""How netCDF-4 names a dimension that has no values (netCDF-4 format specification, dimensions)."""
 _MAX_METADATA_BYTES = 64 << 20
 _MIN_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
 _MAX_VARIABLE = "WAVEFOCUS_MOST_GIB"
@@ -122,24 +124,28 @@ def plain_dataset(
 
     Raises InputError: when it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
     """
-    path, dataset = path_of(file), _find(file, name)
+
+    def refusal(words: str) -> InputError:
+        return InputError(f"{path_of(file)}: {name} {words}")
+
+    dataset = _find(file, name)
     if dataset is None:
-        raise InputError(f"{path} has no dataset {name}")
+        raise InputError(f"{path_of(file)} has no dataset {name}")
     if not isinstance(dataset, h5py.Dataset):
-        raise InputError(f"{path}: {name} is not a dataset")
+        raise refusal("is not a dataset")
     properties = dataset.id.get_create_plist()
     if properties.get_external_count() or properties.get_layout() == h5py.h5d.VIRTUAL:
-        raise InputError(f"{path}: {name} keeps its data in other files; only data inside the file itself is read")
+        raise refusal("keeps its data in other files; only data inside the file itself is read")
     try:
         kind = dataset.dtype.kind
     except TypeError:
         kind = "?"
     if kind not in kinds or dataset.shape is None or dataset.dtype.hasobject:
-        raise InputError(f"{path}: {name} holds no plain numbers; floats or integers are allowed")
+        raise refusal("holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
-        raise InputError(f"{path}: {name} has shape {dataset.shape}; {shape} is needed")
+        raise refusal(f"has shape {dataset.shape}; {shape} is needed")
     if not packed and ((stated := packing_of(dataset, written=True)).is_scaled or stated.has_fill):
-        raise InputError(f"{path}: {name} has a scale_factor, add_offset or _FillValue; plain values are needed here")
+        raise refusal("has a scale_factor, add_offset or _FillValue; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
     if declared > most_bytes() and declared > 100 * held:
@@ -178,11 +184,12 @@ def packing_of(dataset: h5py.Dataset, *, written: bool = False) -> Packing:
 
     written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
     """
-    attributes = {key: dataset.attrs[key] for key in KEYS if holds_attribute(dataset, key)}
+    stated = set(dataset.attrs)
+    attributes = {key: dataset.attrs[key] for key in KEYS if key in stated and holds_attribute(dataset, key)}
     fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
     if fill is not None and dataset.fillvalue != fill:
         fill = None
-    return Packing(attributes, dataset.dtype, f"{path_of(dataset)}: {dataset.name}", fill)
+    return Packing(attributes, dataset.dtype, f"{path_of(dataset)}: {dataset.name}" if attributes else "", fill)
 
 
 def _bytes_of(dataset: h5py.Dataset, shape: tuple[int, ...]) -> int:
@@ -218,8 +225,14 @@ def read_part(dataset: h5py.Dataset, selection: Any, words: str) -> NDArray[Any]
 
 
 def has(file: h5py.File, name: str) -> bool:
-    """Whether a name exists; InputError where it or a part of it is a link to elsewhere."""
-    return _find(file, name) is not None
+    """Whether a name exists and may hold values, as a netCDF dimension without a variable does not.
+
+    Raises InputError: it or a part of it is a link to elsewhere.
+    """
+    found, label = _find(file, name), None
+    with contextlib.suppress(InputError):
+        label = text(found, "NAME") if isinstance(found, h5py.Dataset) else None
+    return found is not None and not (label or "").startswith(BARE_DIMENSION)
 
 
 def _find(file: h5py.File, name: str) -> object:
@@ -258,7 +271,8 @@ def read_integers(file: h5py.File, name: str, shape: tuple[int, ...] | None = No
 
 def holds_attribute(item: h5py.File | h5py.Dataset, name: str) -> bool:
     """Whether an attribute is there and not empty; netCDF writes an empty text as an attribute without an extent."""
-    return name in item.attrs and item.attrs.get_id(name).get_space().get_simple_extent_type() != h5py.h5s.NULL
+    attributes = item.attrs
+    return name in attributes and attributes.get_id(name).get_space().get_simple_extent_type() != h5py.h5s.NULL
 
 
 def number(file: h5py.File | h5py.Dataset, name: str, default: float | None = None) -> float:
@@ -304,13 +318,14 @@ def text(file: h5py.File | h5py.Dataset, name: str) -> str | None:
 
 
 def _plain_attribute(file: h5py.File | h5py.Dataset, name: str) -> NDArray[np.generic]:
+    attributes = file.attrs
     try:
-        dtype = file.attrs.get_id(name).dtype
+        dtype = attributes.get_id(name).dtype
     except TypeError:
         dtype = np.dtype("V1")
     if dtype.kind not in "fiubSU" and h5py.check_string_dtype(dtype) is None:
         raise InputError(f"{path_of(file)}: attribute {name} holds neither plain numbers nor text")
-    return np.asarray(file.attrs[name])
+    return np.asarray(attributes[name])
 
 
 def require_format(file: h5py.File, name: str, version: int = 1, *, may_lack: bool = False) -> None:

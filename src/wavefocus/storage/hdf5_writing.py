@@ -16,13 +16,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage import durable, hdf5_digest
+from wavefocus.storage import durable, hdf5_digest, hdf5_reading
 from wavefocus.storage.durable import PAGE, PositionedFile
 from wavefocus.storage.output_files import replacement, require_outputs
 
 METADATA_BLOCK = 1 << 20
 """In files that are laid out once all metadata sits in blocks of this size, away from pages that are written later."""
-_NETCDF_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
 
 
 @contextmanager
@@ -186,7 +185,7 @@ def dimension_scale(file: h5py.File, name: str, values: NDArray[Any], unit: str 
 def bare_dimension(file: h5py.File, name: str, size: int) -> h5py.Dataset:
     """Create a dimension without values, as netCDF-4 marks it: never written and allocated late, it takes no space."""
     dataset = file.create_dataset(name, (size,), "u1", track_times=False)
-    dataset.make_scale(f"{_NETCDF_DIMENSION}{size:10d}")
+    dataset.make_scale(f"{hdf5_reading.BARE_DIMENSION}{size:10d}")
     return dataset
 
 

@@ -9,15 +9,21 @@ from wavefocus.storage.errors import InputError
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 """Units of places, in metres."""
 LENGTH_WORDS = {
-    "metre": "m", "meter": "m", "metres": "m", "meters": "m", "millimetre": "mm", "millimeter": "mm", "µm": "um",
+    **{
+        f"{prefix}{word}": f"{short}m"
+        for prefix, short in (("", ""), ("centi", "c"), ("milli", "m"), ("micro", "u"))
+        for word in ("metre", "metres", "meter", "meters")
+    },
+    "µm": "um", "μm": "um", "inch": "in", "inches": "in", "foot": "ft", "feet": "ft",
 }  # fmt: skip
+"""Words for units of places; both signs of the micrometre are written, that of micro and the Greek letter."""
 
 PLAYED_UNITS = ("V", "1")
 """Units of drives that are played as volts; 1 is that of a bank without a unit."""
 _ONE = ("", "1")
 _NAMES = {"volt": "V", "volts": "V", "Volt": "V", "Volts": "V", "newton": "N", "newtons": "N", "ampere": "A",
-          "amperes": "A", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "second": "s", "seconds": "s",
-          "sec": "s", "S": "s", "pascal": "Pa", "millivolt": "mV", "millivolts": "mV", "g_n": "g"}  # fmt: skip
+          "amperes": "A", "second": "s", "seconds": "s", "sec": "s", "S": "s", "pascal": "Pa", "millivolt": "mV",
+          "millivolts": "mV", "g_n": "g", **LENGTH_WORDS}  # fmt: skip
 _TIMES = ("s", "ms", "us", "min")
 _FACTOR = re.compile(r"(.*?[^\d^+-])\^?([+-]?\d+)")
 Factors = tuple[tuple[str, int], ...]

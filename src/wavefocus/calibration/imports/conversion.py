@@ -258,7 +258,10 @@ class Conversion:
             )
         if residual_db is not None and residual_db > _NOTICED_DB:
             what = "samples left out hold" if self._converter is None else f"FIRs of {self.taps} taps do not hold"
-            found.append(f"{what} {residual_db:.1f} dB of the energy; a larger --taps, or none, keeps it")
+            remedy = "a larger --taps, or none, keeps it"
+            if self._converter is None and not self._options.taps:
+                what, remedy = "samples before 0 s, which are left out, hold", "0 s must be the instant of the drive"
+            found.append(f"{what} {residual_db:.1f} dB of the energy; {remedy}")
         return found
 
     @property

@@ -142,7 +142,9 @@ _NUMBERS = {
 _FIRST_FIGURES = ("/status", *(f"/quality/{name}" for name in FIRST_QUALITY_NAMES))
 
 
-def create_bank(path: str | Path, header: BankHeader, *, open_file: durable.OpenFile = durable.open_file) -> None:
+def create_bank(
+    path: str | Path, header: BankHeader, *, open_file: durable.OpenFile = durable.open_file
+) -> LedgerLayout:
     """Make an unmeasured bank with all its space reserved; an existing file is never touched.
 
     header: What the bank says about itself.
@@ -151,7 +153,7 @@ def create_bank(path: str | Path, header: BankHeader, *, open_file: durable.Open
     Raises ExistsError: when the path exists. InputError: when the folder is missing, or the disk is too small; nothing
     is left behind.
     """
-    create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header), open_file)
+    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header), open_file)
 
 
 def quality_shape(name: str, positions: int, actuators: int) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage import durable, hdf5_reading
+from wavefocus.storage import durable
 from wavefocus.storage.bank.layout import BankHeader, create_bank, read_layout
 from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, PointRecord, Status, encode_row, figures_of
 from wavefocus.storage.bank.notes import Note, write_notes
@@ -177,16 +177,14 @@ def write_bank(
     Raises InputError: the bank cannot be written, or `rows` raises it; an older file of that name stays as it was.
     """
     with replacement(path) as temporary:
-        create_bank(temporary, header)
+        layout = create_bank(temporary, header)
         if notes:
             write_notes(temporary, notes)
-        with hdf5_reading.opened(temporary) as content:
-            layout = read_layout(content, temporary, contents=False)
         with durable.open_file(temporary, write=True) as file:
             for position, green, record in rows:
                 values = np.ascontiguousarray(green, "<f4")
                 row = encode_row(position, record, values)
                 file.write(int(layout.chunk_offset[0, position]), values.data)
                 file.write(layout.row_offset(position), row)
-        with BankWriter.open(temporary):
-            pass  # verifies every row, and writes /status and /quality from the ledger
+            # Verifies every row, and writes /status and /quality from the ledger.
+            BankWriter(temporary, file, layout).close()

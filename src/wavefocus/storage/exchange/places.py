@@ -104,7 +104,7 @@ def read_places(path: Path, options: ImportOptions) -> list[Place]:
         delimiter = max(",;\t", key=first.count)  # as spreadsheets of several countries write it
     lines = csv.reader(content[skipped:], delimiter=delimiter)
     try:
-        header = [name.strip().lower() for name in next(lines, [])]
+        header = [re.sub("[µμ]", "u", name.strip().lower()) for name in next(lines, [])]
         number_of = _Numbers(path, has_decimal_commas=delimiter != ",")
         columns, is_spherical = _columns(header, path, options)
         places = []
@@ -170,8 +170,9 @@ Of several columns all must agree. None: the coordinate is 0.
 
 def _columns(header: list[str], path: Path, options: ImportOptions) -> tuple[_Columns, bool]:
     """Columns of coordinates, and whether they are spherical."""
-    if len(set(header)) < len(header):
-        raise InputError(f"{path}: its header names a column twice; each may be there once")
+    twice = [name for name in header if header.count(name) > 1 and any(map(str.isalpha, name))]
+    if twice:
+        raise InputError(f"{path}: its header names the column {twice[0]!r} twice; each may be there once")
     named = {
         axis: [(f"{axis}_{unit}", metres) for unit, metres in METRES.items() if f"{axis}_{unit}" in header]
         for axis in ("x", "y", "z", "radius")

@@ -190,8 +190,8 @@ def create_file(
     about_bytes: int,
     lay_out: Callable[[h5py.File], LedgerLayout],
     open_file: durable.OpenFile = durable.open_file,
-) -> None:
-    """Make a ledger file with all its space reserved; an existing file is never touched.
+) -> LedgerLayout:
+    """Make a ledger file with all its space reserved, and return where it lies; an existing file is never touched.
 
     about_bytes: How large it will be, a little rounded up.
     lay_out: Writes attributes and datasets and returns where they lie.
@@ -219,6 +219,7 @@ def create_file(
                 disk.sync()
             place.complete()
             durable.publish_new(place.temporary, path)
+            return layout
     except FileExistsError as error:
         raise taken from error
     except InputError:

@@ -112,7 +112,7 @@ class LedgerWriter(Closing):
         raise NotImplementedError
 
     @staticmethod
-    def _create(path: Path, header: Any) -> None:
+    def _create(path: Path, header: Any) -> LedgerLayout:
         raise NotImplementedError
 
     def _recover(self) -> NDArray[np.bool_]:

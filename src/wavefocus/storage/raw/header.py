@@ -292,9 +292,9 @@ LEAK = "/leak_db"
 _WORDS = {"rig": "rig_json", "run": "run_json", **{name: name for name in ("plan_sha256", "software", "sweep_law")}}
 
 
-def create_raw(path: str | Path, header: RawHeader, *, open_file: durable.OpenFile = durable.open_file) -> None:
+def create_raw(path: str | Path, header: RawHeader, *, open_file: durable.OpenFile = durable.open_file) -> LedgerLayout:
     """Make an empty raw file with all its space reserved; arguments and errors as of `create_bank`."""
-    create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header), open_file)
+    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header), open_file)
 
 
 def read_raw_layout(file: h5py.File, path: Path) -> LedgerLayout:
