@@ -80,7 +80,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_given_what_must_stay_then_no_command_replaces_it(lab, name):
+def test_what_must_stay_is_replaced_by_no_command_and_an_older_output_with_force(lab, name):
     os.link("bank.h5", "hard.h5")
     Path("soft.h5").symlink_to("other.h5")
     os.mkfifo("pipe")
@@ -98,8 +98,13 @@ def test_given_what_must_stay_then_no_command_replaces_it(lab, name):
     assert {path: path.read_bytes() for path in kept} == kept
     assert sorted(entry.name for entry in lab.iterdir()) == entries
     Path("old").write_bytes(OLD)
+    Path("old").chmod(0o640)
     assert run([*COMMANDS[name], "old"]) == 2
     assert Path("old").read_bytes() == OLD
+    assert run([*COMMANDS[name], "old", "--force"]) == 0
+    assert Path("old").read_bytes() != OLD
+    assert Path("old").stat().st_mode & 0o777 == 0o640
+    assert not list(lab.glob(".*"))
 
 
 @pytest.mark.parametrize(
@@ -116,16 +121,6 @@ def test_given_an_input_or_another_output_then_it_is_not_replaced(lab, command, 
     before = (lab / victim).read_bytes() if (lab / victim).exists() else None
     assert run([*command, victim]) == 2
     assert ((lab / victim).read_bytes() if (lab / victim).exists() else None) == before
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_given_force_then_an_older_output_is_replaced(lab, name):
-    Path("old").write_bytes(OLD)
-    Path("old").chmod(0o640)
-    assert run([*COMMANDS[name], "old", "--force"]) == 0
-    assert Path("old").read_bytes() != OLD
-    assert Path("old").stat().st_mode & 0o777 == 0o640
-    assert not list(lab.glob(".*"))
 
 
 def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_it(lab):

@@ -122,7 +122,6 @@ def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path):
         (b",replays,", b",block,"),  # a column that is there already
         (b",", b";"),
         (b"P01,1,1", b"P01,1,0"),
-        (b"P01,1,1", b"P01,1"),
         (b"P01,1,1", b"Ann Smith,1,1"),
         (b"true", b"yes"),
         (b"40.0", b"inf"),
@@ -150,7 +149,7 @@ def test_given_a_link_or_a_second_process_then_nothing_is_written(tmp_path):
         AnswersFile(tmp_path / "folder")
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(
     text=st.text(st.characters(exclude_categories=["C", "Z"]), max_size=20),
     number=st.floats(allow_nan=False, allow_infinity=False),

@@ -62,11 +62,9 @@ def test_a_toml_file_in_place_of_a_bank_and_a_key_of_a_rig_in_a_run_file_are_nam
     [
         (["captrue", "run.toml"], "capture"),
         (["Capture", "run.toml"], "capture"),
-        (["verfy"], "verify"),
         (["exprot"], "export"),
         (["cap"], "capture"),
         (["plan", "run.toml", "--scnee", "a.toml"], "--scene"),
-        (["plan", "run.toml", "--josn"], "--json"),
         (["render", "s.toml", "--bank", "b.h5", "--out", "o.h5", "--Force"], "--force"),
         (["export", "b.h5", "o", "--to", "nectdf"], "netcdf"),
     ],

@@ -117,9 +117,6 @@ HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "soft link": (hdf5(put("green", h5py.SoftLink("/position_mm"))), "link"),
     "hollow": (dataset(shape=(6, 10_000, 10_000), dtype="f4", chunks=(1, 100, 100)), "holds"),
     "unfolding HDF5": (dataset(data=BOMB, chunks=(1, 2, BOMB.shape[2]), compression=9), "holds"),
-    "external storage": (
-        dataset(shape=GREEN.shape, dtype="f4", external=[("raw", 0, h5py.h5f.UNLIMITED)]), "other files",
-    ),
     "unfolding archive": (zipped(BOMB), "holds"),
     "huge shape": (zipped(GREEN, "(6, 2, 99999999999)"), "holds"),
     "pickled archive": (zipped(PICKLED, pickled=True), "pickled"),

@@ -61,7 +61,10 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(printable(f"{source}: not TOML: {error}")) from None
+        # What a path of Windows in double quotes leads to.
+        is_path = any(words in str(error) for words in ("Unescaped '\\'", "Invalid hex value"))
+        remedy = "; a path stands in single quotes, as 'C:\\lab\\rig.toml'" if is_path else ""
+        raise InputError(printable(f"{source}: not TOML: {error}{remedy}")) from None
     except (RecursionError, ValueError):  # ValueError: a whole number of thousands of digits
         raise InputError(printable(f"{source}: not TOML: nested too deeply, or a number too long")) from None
 

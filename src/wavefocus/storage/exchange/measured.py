@@ -196,7 +196,8 @@ def recognised(path: Path) -> str:
         with hdf5_reading.opened(path) as content:
             hdf5_reading.require_sound_texts(content)
             if "format" in content.attrs and "format_version" in content.attrs:
-                raise InputError(f"{path} is a file of this program ({hdf5_reading.text(content, 'format')})")
+                form = hdf5_reading.text(content, "format")
+                raise InputError(f"{path} is a file of this program ({form}); it is read without an import")
             found = "sofa" if "SOFAConventions" in content.attrs else "netcdf"
     found = found or next((name for name, form in IMPORTS.items() if path.suffix.lower() in form.endings), None)
     if found is None:
