@@ -95,6 +95,12 @@ class Bench:
                 self.instruments.player.mute()
         return take()
 
+    @staticmethod
+    def check_sentence(error, role):
+        """A refusal says who, what, why and what to do."""
+        assert role in error.instrument
+        assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
+
 
 def bench_of(rig, latency_s):
     limit_mrad = rig.mirror.limit_mrad

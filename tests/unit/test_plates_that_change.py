@@ -25,11 +25,6 @@ PLATES: list[tuple[str, dict[str, Any]]] = [
 ]  # fmt: skip
 
 
-def _response(name, keys, warmer_k=0.0, place=(12.0, -7.0)):
-    plate = make_plate(name, ACTUATOR_MM, RECTANGLE, chain_response, keys, warmer_k)
-    return plate.response(place, 50.0, 11, single=False)[:, 1:]
-
-
 def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_them(tmp_path, monkeypatch):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path))
     elements = Elements(triangulate(STADIUM, spacing_mm(SOFT_PLATE, 500.0)))
@@ -38,7 +33,7 @@ def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_the
     force = elements.forces(ACTUATOR_MM).astype(complex)
     places = np.array([[12.0, -7.0], [-20.0, 8.0], [-5.0, 4.5]])
     responses = [plate.response(tuple(place), 50.0, 10, single=False) for place in places]
-    for number in (1, 5, 9):
+    for number in (2, 8):
         frequency_hz = 50.0 * number
         angular = 2j * np.pi * frequency_hz
         impedance = angular * FINGER["mass_kg"] + FINGER["damping_n_s_m"] + FINGER["stiffness_n_m"] / angular
@@ -56,8 +51,10 @@ def test_finger_on_stadium_then_its_field_is_that_of_elements_with_finger_on_the
 def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothing(name, keys):
     def covered(damping):
         finger = {"finger": {"place_mm": (-5.0, 4.0), "mass_kg": 0.0, "damping_n_s_m": damping, "stiffness_n_m": 0.0}}
+        touched = keys if damping is None else keys | finger
+        plate = make_plate(name, ACTUATOR_MM, RECTANGLE, chain_response, touched)
         places = np.array([-5.0, 4.0]) + DISK_MM
-        each = [_response(name, keys if damping is None else keys | finger, place=tuple(place)) for place in places]
+        each = [plate.response(tuple(place), 100.0, 5, single=False)[:, 1:] for place in places]
         return np.tensordot(DISK_WEIGHTS, each, axes=1)
 
     np.testing.assert_allclose(covered(0.0), covered(None), rtol=1e-9)
@@ -65,7 +62,9 @@ def test_any_plate_then_a_hard_finger_holds_its_place_and_one_of_air_does_nothin
 
 
 def test_warmer_soft_plate_then_its_waves_are_those_of_slower_medium_that_moves_more():
-    found = _response("soft", {"speed_per_k": -0.01, "loss_per_k": 0.03}, 4.0)
+    keys = {"speed_per_k": -0.01, "loss_per_k": 0.03}
+    plate = make_plate("soft", ACTUATOR_MM, RECTANGLE, chain_response, keys, 4.0)
+    found = plate.response((12.0, -7.0), 50.0, 11, single=False)[:, 1:]
     slower = DampedWave(0.96 * SOFT_PLATE.speed_m_s, 1.12 * SOFT_PLATE.damping_per_s)
     hertz = 50.0 * np.arange(1, 11)
     distance_mm = np.hypot(*(ACTUATOR_MM - (12.0, -7.0)).T)[:, None]

@@ -35,10 +35,16 @@ def disk():
     return Elements(triangulate(Outline.stadium(2 * DISK_MM, 2 * DISK_MM), SPACING_MM))
 
 
-@pytest.fixture
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache"
+@pytest.fixture(scope="module")
+def elements():
+    return Elements(triangulate(STADIUM, SPACING_MM))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WAVEFOCUS_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 def _mean_over_disk(k):
@@ -72,12 +78,11 @@ def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(disk, 
 
 
 @pytest.mark.parametrize("admittance", [0.0, 0.7])
-def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache, admittance):
+def test_given_a_stadium_then_its_responses_are_those_of_all_elements(elements, admittance):
     plate = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like, rim_admittance=admittance)
-    elements = Elements(triangulate(STADIUM, SPACING_MM))
     response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
     assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
-    for place in (1, 4, 7, 10):
+    for place in (1, 5, 10):
         solved = elements.solve(SOFT_PLATE, admittance, 50.0 * place, elements.forces(ACTUATOR_MM))
         velocity = 2j * np.pi * 50.0 * place * elements.values_at(np.array([[-8.0, 3.0]]), solved)[0]
         assert np.linalg.norm(response[:, place] - velocity) < 3e-3 * np.linalg.norm(velocity)
@@ -86,7 +91,7 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache, adm
     assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
 
 
-def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache):
+def test_given_taps_then_the_spectra_are_those_of_the_cut_responses():
     plate = StadiumPlate(ACTUATOR_MM, STADIUM, lambda hertz: 1 / (1 + 1j * hertz / 800.0) ** 4)
     rate_hz, taps, length = 10_000.0, 400, 512
     spectra = plate.fir_spectra(PLACE_MM[:2] / 2, taps, rate_hz, length, slice(3, 30))
@@ -97,14 +102,20 @@ def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache):
         assert np.linalg.norm(found - wanted) < 1e-6 * np.linalg.norm(wanted)
 
 
-def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(cache):
-    first = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
-    (file,) = cache.iterdir()
+def test_given_a_plate_of_before_then_it_is_read_and_a_damaged_file_is_replaced(tmp_path, monkeypatch):
+    monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path))
+
+    def response():
+        plate = StadiumPlate(ACTUATOR_MM / 2, Outline.stadium(40.0, 40.0), np.ones_like)
+        return plate.response((0.0, 0.0), 100.0, 6, single=False)
+
+    first = response()
+    (file,) = tmp_path.iterdir()
     content = file.read_bytes()
-    second = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    second = response()
     assert file.read_bytes() == content
     file.write_bytes(content[:1000])
-    third = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like).response((0.0, 0.0), 100.0, 6, single=False)
+    third = response()
     assert len(file.read_bytes()) == len(content)
     # The first has shapes in double precision.
     assert np.linalg.norm(second - first) < 1e-6 * np.linalg.norm(first)
@@ -122,9 +133,6 @@ def test_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_tim
     )[0, 0]  # fmt: skip
     spectrum = STRENGTH * np.fft.rfft(rung)[:501] / rate_hz
     assert np.linalg.norm(response - spectrum) < 0.01 * np.linalg.norm(spectrum)
-
-
-def test_given_glass_of_another_outline_then_it_is_refused():
     with pytest.raises(ValueError, match="rectangle"):
         ThinRectangle(ACTUATOR_MM, STADIUM, np.ones_like)
 

@@ -9,7 +9,7 @@ from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates.soft import DampedWave, SolidPlate
 from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
 
-DISK = Outline.of("disk", 90.0, 90.0)
+DISK = Outline.of("disk", 64.0, 64.0)
 KEYS = {"shear_speed_m_s": 5.0, "pressure_speed_m_s": 8.0, "damping_per_s": 2500.0}
 """So lossy that nothing comes back from the rim of the disk."""
 SOURCE_MM = np.array([[4.0, -3.0]])

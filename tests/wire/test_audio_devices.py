@@ -58,7 +58,7 @@ def linux_only(test):
         (None, "Line (2- UMC1820)", 10),  # in another socket than when the rig file was written
         (None, "line (umc1820)", 10),
         (None, "Fire", r"3 outputs.*'Fireface UCX \(1\+2\)' \(MME.*player.host_api"),
-        ("JACK", "system", "no host API 'JACK'; there are 'MME', 'ASIO', 'Windows WASAPI'"),
+        ("JACK", "system", "no host API 'JACK'; there are 'MME', 'ASIO', 'Windows WASAPI'; .*player.host_api"),
         ("ASIO", "Babyface", r"'ASIO' has 'Fireface UCX' .*'ASIO4ALL v2' \(ASIO, 2 channels, 48000 Hz\);"),
     ],
 )
@@ -130,7 +130,6 @@ def test_an_interface_that_needs_all_channels_gets_all_and_no_more_than_there_ar
     ("settings", "cause", "remedy"),
     [
         ({"device": "Babyface"}, "no output of that name; host API 'ALSA' has 'filed'", "player.device"),
-        ({"host_api": "ASIO"}, "'ALSA'", "player.host_api"),
         (
             {"channels": 200, "channel_full_scale_v": (1.0,) * 200},
             "needs 200 channels, 'filed' (ALSA, 128 channels",

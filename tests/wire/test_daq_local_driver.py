@@ -13,23 +13,20 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="elsewhere libraries are not found by a path variable"),
 ]
 
-SESSION = """
+SESSION = r"""
 import ctypes, os, signal, sys, threading, warnings
 from pathlib import Path
 import pytest
 warnings.simplefilter("error")
+from wavefocus.configuration import load_rig
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
-from wavefocus.drivers.daq.ni.ni_process import ProcessRecorder
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordRequest, RecordLabel
-
-WIRING = dict(reference_input="ai0", response_input="ai1", terminal="differential", trigger=None)
+from wavefocus.rig.instruments import openers_of
 
 def opened():
-    return NiRecorder("Dev1", address=None, **WIRING)
-
-def in_a_process():
-    return ProcessRecorder("Dev1", **WIRING)
+    wiring = dict(reference_input="ai0", response_input="ai1", terminal="differential", trigger=None)
+    return NiRecorder("Dev1", address=None, **wiring)
 
 def request(samples=1000):
     return RecordRequest(samples, 10_000.0, (10.0, 10.0), RecordLabel(7, 1, 0))
@@ -49,93 +46,56 @@ def tasks():
     return ctypes.CDLL("libnidaqmx.so").shim_tasks()
 
 unplugged, hangs = (Path(os.environ[name]) for name in ("SHIM_UNPLUGGED", "SHIM_HANGS"))
-"""
 
+# By a rig file without an address, in a process of its own.
+recorder = openers_of(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
+assert "nidaqmx" not in sys.modules
 
-RIG = """
-[mirror]
-driver = "generic"
-port = "/nowhere"
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-[player]
-driver = "sounddevice"
-device = "none"
-"""
-
-
-@pytest.fixture(scope="module")
-def session(tmp_path_factory):
-    """Runs a script, whose assertions are the test's, in a process whose loader finds the stand-in."""
-    folder = tmp_path_factory.mktemp("driver")
-    # The name within the library is what the loader goes by.
-    command = ["gcc", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wl,-soname,libnidaqmx.so"]
-    source = Path(__file__).with_name("libnidaqmx.c")
-    subprocess.run([*command, "-o", folder / "libnidaqmx.so", source, "-lm"], check=True)
-    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    shim = {"SHIM_UNPLUGGED": str(folder / "unplugged"), "SHIM_HANGS": str(folder / "hangs")}
-    environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "RIG_FILE": str(folder / "rig.toml"), **shim}
-
-    def run(script):
-        done = subprocess.run(
-            [sys.executable, "-c", SESSION + script],
-            cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        assert not done.stderr
-
-    return run
-
-
-def test_the_local_driver_takes_records_tells_its_faults_and_gives_the_device_back(session):
-    session(r"""
-recorder = opened()
-assert recorder.identify() == (
+# In this process.
+here = opened()
+assert here.identify() == (
     "NI USB-6001, serial number 01C0FFEE, Dev1 on this computer, NI-DAQmx 23.8.1, ai0 and ai1 differential"
 )
 for record in range(3):
-    check_record(recorder)
+    check_record(here)
 assert tasks() == 1
-recorder.start(request(100_000))
+here.start(request(100_000))
 with pytest.raises(TransientInstrumentError, match="position 7, attempt 1, record 0: not finished after 0.01 s"):
-    recorder.read(0.01)
+    here.read(0.01)
 second = opened()
 with pytest.raises(InstrumentError, match="another program has reserved it"):
     second.start(request())
 second.close()
-recorder.abort()
-recorder.start(request())
-recorder.reconnect()
-assert taken(recorder, 1).volts.shape == (2, 1)
-recorder.close()
+here.abort()
+here.start(request())
+here.reconnect()
+assert taken(here, 1).volts.shape == (2, 1)
+here.close()
 assert tasks() == 0
 for status, error, cause in (
     ("-200284", TransientInstrumentError, r"did not come in time \(NI-DAQmx -200284\); 500"),
     ("-209999", InstrumentError, "NI-DAQmx says: As ordered"),
 ):
     os.environ["SHIM_READ_STATUS"] = status
-    recorder = opened()
+    here = opened()
     with pytest.raises(error, match=cause):
-        taken(recorder)
+        taken(here)
     assert tasks() == 0
-    recorder.close()
-""")
+    here.close()
+del os.environ["SHIM_READ_STATUS"]
 
-
-def test_a_library_broken_killed_or_hanging_works_again_in_a_fresh_process(session):
-    session("""
-# Of a rig file without an address.
-from wavefocus.configuration import load_rig
-from wavefocus.rig.instruments import openers_of
-recorder = openers_of(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
-assert recorder.identify().startswith("NI USB-6001")
-assert "nidaqmx" not in sys.modules
-recorder.close()
-
-recorder, here = in_a_process(), opened()
-process = recorder.process_id
+# And there.
+assert recorder.identify().startswith("NI USB-6001, serial number 01C0FFEE, Dev1 on this computer")
+assert str(recorder.identity) == "NI USB-6001, serial number 01C0FFEE"
+assert recorder.input_ranges_v == (10.0,)
 check_record(recorder)
+assert abs(recorder.read_input_v("ai2")) < 1.0
+recorder.start(request(100_000))
+recorder.abort()
+with pytest.raises(InstrumentError, match="no record was started"):
+    recorder.read(0.1)
+
+process, here = recorder.process_id, opened()
 unplugged.touch()
 with pytest.raises(InstrumentLostError, match="unplugged"):
     taken(recorder)
@@ -152,18 +112,6 @@ with pytest.raises(InstrumentLostError):
 recorder.reconnect()
 check_record(recorder)
 assert recorder.process_id != process
-assert recorder.identify().startswith("NI USB-6001, serial number 01C0FFEE, Dev1 on this computer")
-assert str(recorder.identity) == "NI USB-6001, serial number 01C0FFEE"
-assert recorder.input_ranges_v == (10.0,)
-assert abs(recorder.read_input_v("ai2")) < 1.0
-recorder.start(request(100_000))
-recorder.abort()
-with pytest.raises(InstrumentError, match="no record was started"):
-    recorder.read(0.1)
-recorder.start(request(100_000))
-with pytest.raises(TransientInstrumentError, match="not finished"):
-    recorder.read(0.01)
-recorder.abort()
 
 recorder.start(request(100_000))
 os.kill(recorder.process_id, signal.SIGKILL)
@@ -193,4 +141,33 @@ recorder.close()
 recorder.close()
 with pytest.raises(InstrumentError, match="it is closed"):
     recorder.start(request())
-""")
+"""
+
+RIG = """
+[mirror]
+driver = "generic"
+port = "/nowhere"
+[recorder]
+driver = "nidaqmx"
+device = "Dev1"
+[player]
+driver = "sounddevice"
+device = "none"
+"""
+
+
+def test_the_local_driver_takes_records_and_works_again_after_each_fault(tmp_path):
+    """`SESSION`, whose assertions are the test's, runs in a process whose loader finds the stand-in."""
+    # The name within the library is what the loader goes by.
+    command = ["gcc", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wl,-soname,libnidaqmx.so"]
+    source = Path(__file__).with_name("libnidaqmx.c")
+    subprocess.run([*command, "-o", tmp_path / "libnidaqmx.so", source, "-lm"], check=True)
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    names = {"LD_LIBRARY_PATH": "", "RIG_FILE": "rig.toml", "SHIM_UNPLUGGED": "unplugged", "SHIM_HANGS": "hangs"}
+    done = subprocess.run(
+        [sys.executable, "-c", SESSION],
+        env=os.environ | {name: str(tmp_path / file) for name, file in names.items()},
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr

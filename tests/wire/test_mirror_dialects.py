@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from tests.wire.serial_bench import DIALECTS, LIMIT_MRAD, LOCAL, answering, mirror_bench
+from tests.wire.serial_bench import DIALECTS, LIMIT_MRAD, LOCAL, mirror_bench
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.registry import MIRRORS
 from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
@@ -82,34 +82,9 @@ def test_a_move_goes_to_the_device_in_its_own_units(dialect, card, changes, targ
             assert bench.far.commands[:2] == ("MTI+EX", "$MTI$")
 
 
-class StartingTiger(AsiTigerDevice):
-    """Sends its banner when it is first spoken to."""
-
-    started = False
-
-    def answer(self, command):
-        banner, self.started = ("" if self.started else self.banner()), True
-        return banner + super().answer(command)
-
-
-@pytest.mark.parametrize(
-    ("dialect", "device"),
-    [
-        ("asi-tiger", answering(AsiTigerDevice, "PM", ":N-1")),  # older firmware has no input modes
-        ("asi-tiger", answering(AsiTigerDevice, "UM", ":A {axis}=1000")),
-        ("asi-tiger", answering(AsiTigerDevice, "UM", ":{axis}=1000.000000 A")),
-        ("asi-tiger", answering(AsiTigerDevice, "UM", "{axis}=1000 :A")),
-        # Refusals that one lost character of a command explains; it is asked once more.
-        ("asi-tiger", answering(AsiTigerDevice, "M ", ":N-2", times=1)),
-        ("asi-tiger", answering(AsiTigerDevice, "M ", ":N-4", times=1)),
-        ("asi-tiger", StartingTiger),
-        ("optotune-mre2", partial(OptotuneDevice, pro_mode=True)),  # it is brought back to simple mode
-    ],
-)
-def test_a_device_of_another_firmware_or_in_another_state_is_understood_and_moves(dialect, device, tmp_path):
-    limits = {"limit_mrad": 155.0, "park_mrad": (-150.0, -150.0)}
-    with mirror_bench(dialect, LOCAL, tmp_path, device=device) as bench:
-        bench.check_move(bench.mirror(**limits))
+def test_optotune_in_pro_mode_is_brought_back_to_simple_mode(tmp_path):
+    with mirror_bench("optotune-mre2", LOCAL, tmp_path, device=partial(OptotuneDevice, pro_mode=True)) as bench:
+        bench.check_move(bench.mirror())
 
 
 @pytest.mark.skipif(LOCAL != "pty", reason="a TCP port has no baud")

@@ -147,17 +147,13 @@ def test_given_lines_cut_anywhere_then_they_arrive_whole_and_in_order(wired, tex
     assert not line.received()
 
 
-def test_given_half_a_line_then_the_wait_ends_and_what_came_is_told(wired):
+def test_half_a_line_and_bytes_that_are_no_text_are_told_as_they_came(wired):
     line, client = wired
     client.sendall(b"12.3")
     with pytest.raises(NoAnswerError, match=r"broke off after b'12\.3'"):
         line.receive(time.monotonic() + 0.2)
     client.sendall(b"4\n")
     assert line.receive(time.monotonic() + 30) == "12.34"
-
-
-def test_given_bytes_that_are_no_text_then_they_are_told_as_bytes(wired):
-    line, client = wired
     client.sendall(b"\xff1\n")
     with pytest.raises(NoAnswerError, match="not text"):
         line.receive(time.monotonic() + 30)

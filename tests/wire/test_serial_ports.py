@@ -99,6 +99,8 @@ def test_given_no_port_there_then_the_plug_is_asked_for_and_a_file_is_none(name,
     (tmp_path / "notes.txt").write_text("no port")
     with pytest.raises(InstrumentLostError, match=sentence):
         line(str(tmp_path / name)).open()
+    with pytest.raises(InstrumentError, match="rig file"):
+        SerialLine("mirror", str(tmp_path / name), LineSettings(-1, "\n")).open()
 
 
 def test_given_an_address_where_nobody_listens_then_that_is_said():
@@ -106,11 +108,6 @@ def test_given_an_address_where_nobody_listens_then_that_is_said():
         reserved.bind(("127.0.0.1", 0))
         with pytest.raises(InstrumentLostError, match="nothing there accepts connections; switch the device"):
             line(f"socket://127.0.0.1:{reserved.getsockname()[1]}").open()
-
-
-def test_given_a_baud_that_no_port_has_then_the_rig_file_is_named(tmp_path):
-    with pytest.raises(InstrumentError, match="rig file"):
-        SerialLine("mirror", str(tmp_path / "port"), LineSettings(-1, "\n")).open()
 
 
 @pytest.mark.may_skip("POSIX permissions")
