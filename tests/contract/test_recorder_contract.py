@@ -32,7 +32,7 @@ def test_given_a_request_then_both_channels_have_that_many_counts_within_the_ran
             assert np.abs(volts).max() <= range_v * (1 + 1e-6)
 
 
-def test_one_record_at_a_time_an_unfinished_one_is_named_and_aborted_and_the_next_is_clean(bench):
+def test_one_record_at_a_time_an_unfinished_one_is_named_and_the_next_is_clean(bench):
     recorder = bench.instruments.recorder
     recorder.abort()
     with pytest.raises(InstrumentError):
@@ -54,7 +54,7 @@ def test_given_a_range_it_has_not_then_it_says_who_what_why_and_what_to_do(bench
 
 
 @pytest.mark.parametrize("range_v", [None, 0.2])
-def test_a_looped_back_tone_arrives_with_its_voltage_within_the_roll_or_the_flag_is_up(bench, range_v):
+def test_a_looped_back_tone_arrives_with_its_voltage_in_time_or_its_flag_is_up(bench, range_v):
     rate_hz, (recorder, player) = bench.sample_rate_hz, (bench.instruments.recorder, bench.instruments.player)
     tone = 0.5 * np.sin(2 * np.pi * 200 * np.arange(round(0.2 * rate_hz)) / rate_hz)
 

@@ -29,7 +29,7 @@ def test_row_29_a_growing_wave_is_refused():
         mean_hankel(np.conj(k), 0.01, 0.0025)
 
 
-def test_row_31_time_stepping_beyond_its_limit_is_refused_and_within_it_a_mode_rings_true():
+def test_row_31_time_stepping_beyond_its_limit_is_refused_and_within_it_true():
     limit_s = explicit_limit_s(GLASS, 0.008)
     assert limit_s == pytest.approx(10.2e-6, rel=0.01)  # notes/plates.md
     assert explicit_limit_s(GLASS, 0.004) == pytest.approx(2.55e-6, rel=0.01)

@@ -18,13 +18,14 @@ from wavefocus.drivers.audio.stream import (
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import DeviceIdentity
 
-APIS = ("MME", "ASIO", "Windows WASAPI")
+APIS = ("MME", "ASIO", "Windows WASAPI", "Core Audio")
 DEVICES = (
     OutputDevice(3, "MME", "Fireface UCX (1+2)", 2, 44_100.0),
     OutputDevice(7, "ASIO", "Fireface UCX", 28, 48_000.0),
     OutputDevice(8, "ASIO", "ASIO4ALL v2", 2, 48_000.0),
     OutputDevice(9, "Windows WASAPI", "Speakers (Fireface UCX)", 8, 48_000.0),
     OutputDevice(10, "Windows WASAPI", "Line (3- UMC1820)", 10, 48_000.0),
+    *(OutputDevice(index, "Core Audio", "AVB 24", 24, 48_000.0) for index in (11, 12)),
 )
 OPENING = """
 import sys
@@ -57,8 +58,13 @@ def linux_only(test):
         (None, "Line (3- UMC1820)", 10),
         (None, "Line (2- UMC1820)", 10),  # in another socket than when the rig file was written
         (None, "line (umc1820)", 10),
+        ("Core Audio", "AVB", "2 outputs are called that: 'AVB 24' .*where both have one name, unplug one or rename"),
         (None, "Fire", r"3 outputs.*'Fireface UCX \(1\+2\)' \(MME.*player.host_api"),
-        ("JACK", "system", "no host API 'JACK'; there are 'MME', 'ASIO', 'Windows WASAPI'; .*player.host_api"),
+        (
+            "JACK",
+            "system",
+            "no host API 'JACK'; there are 'MME', 'ASIO', 'Windows WASAPI', 'Core Audio'; .*player.host_api",
+        ),
         ("ASIO", "Babyface", r"'ASIO' has 'Fireface UCX' .*'ASIO4ALL v2' \(ASIO, 2 channels, 48000 Hz\);"),
     ],
 )
@@ -68,7 +74,7 @@ def test_a_host_api_and_a_part_of_a_name_mean_one_device_or_it_says_which_there_
         return
     with pytest.raises(DeviceChoiceError, match=found) as caught:
         choose(DEVICES, APIS, host_api, name)
-    assert caught.value.absent == (name != "Fire")
+    assert caught.value.absent == (name not in ("Fire", "AVB"))
 
 
 @pytest.mark.parametrize(

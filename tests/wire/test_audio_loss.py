@@ -125,7 +125,7 @@ def test_device_is_away_then_reconnecting_says_so_until_it_is_back_and_then_it_p
         heard_of(server, player, signals)
 
 
-def test_ctrl_c_leaves_a_stream_alone_and_reconnecting_a_sound_one_mutes_it_and_opens_it_anew(bench):
+def test_ctrl_c_leaves_a_stream_alone_and_reconnecting_mutes_it_and_opens_it_anew(bench):
     player = bench.player(bench.serve())
     start_playing(player)
     before = player.process_id

@@ -97,6 +97,10 @@ def test_a_fault_in_the_first_or_second_record_is_told_and_the_next_is_good(kind
     [
         (-88705, False, False, LOST, "not present .NI-DAQmx -88705"),
         (-50405, False, False, LOST, "USB transfer was aborted .NI-DAQmx -50405"),
+        (-50400, True, False, LOST, "USB transfer was aborted .NI-DAQmx -50400"),
+        (-201190, False, False, LOST, "cannot be accessed: unplugged"),
+        (-201252, False, False, LOST, "network connection to it is lost"),
+        (-200361, False, False, PASSING, "overwritten before they could be read .NI-DAQmx -200361"),
         (-200220, True, False, LOST, "not there any more .NI-DAQmx -200220"),
         (-200220, False, False, FOR_GOOD, "no device of this name"),
         (-50103, True, True, LOST, "reserved"),
@@ -162,7 +166,7 @@ def test_device_that_stays_away_then_reconnecting_says_so_each_time_until_it_is_
         check_tone(take_one(recorder))
 
 
-def test_a_server_that_was_stopped_is_named_and_reconnecting_takes_the_same_device_alone():
+def test_a_stopped_server_is_named_and_reconnecting_takes_the_same_device_alone():
     with daq_bench() as bench:
         recorder = bench.recorder()
         check_tone(take_one(recorder))

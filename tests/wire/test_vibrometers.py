@@ -218,7 +218,7 @@ def test_given_a_range_number_then_decoder_and_sensitivity_are_those_of_the_manu
 
 
 @pytest.mark.parametrize("level", ["41", "", "x", "LEV-1"])
-def test_under_local_control_it_is_put_under_remote_and_a_level_that_cannot_be_is_unknown(level, tmp_path):
+def test_under_local_control_remote_is_switched_on_and_an_odd_level_is_unknown(level, tmp_path):
     device = answering_to(Ofv3001Device, "level", level, needs_remote=True)
     reading, commands = read_alone(OLDER, device, tmp_path)
     assert "REN" in commands

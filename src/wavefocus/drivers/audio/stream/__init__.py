@@ -272,10 +272,10 @@ def choose(devices: Sequence[OutputDevice], host_apis: Sequence[str], host_api: 
     if len(found) == 1:
         return found[0]
     if found:
-        raise DeviceChoiceError(
-            f"{len(found)} outputs are called that: {_listed(found)}",
-            "set player.host_api and player.device to what only one of them has",
-        )
+        remedy = "set player.host_api and player.device to what only one of them has"
+        if len({(device.host_api, device.name) for device in found}) < len(found):
+            remedy += "; where both have one name, unplug one or rename it in the system's sound settings"
+        raise DeviceChoiceError(f"{len(found)} outputs are called that: {_listed(found)}", remedy)
     offered = f"host API {host_api!r} has" if host_api is not None else f"the host APIs {apis} have"
     raise DeviceChoiceError(
         f"there is no output of that name; {offered} {_listed(within)}",

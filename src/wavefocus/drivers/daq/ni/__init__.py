@@ -56,21 +56,26 @@ class _Meaning(NamedTuple):
 # _NO_SUCH_DEVICE and _RESERVED depend on what was before.
 MEANINGS = {
     _Meaning(InstrumentLostError, "it cannot be accessed: unplugged, without power or in reset", _PLUG): """
-        DEV_CANNOT_BE_ACCESSED DEVICE_REMOVED HARDWARE_NOT_RESPONDING HW_UNEXPECTEDLY_POWERED_OFF_AND_ON""",
+        DEV_CANNOT_BE_ACCESSED DEVICE_REMOVED HARDWARE_NOT_RESPONDING HW_UNEXPECTEDLY_POWERED_OFF_AND_ON
+        DEVICE_NOT_USABLE_UNTIL_USB_REPLUG""",
     _Meaning(InstrumentLostError, "it is not present", _PLUG): """
         PAL_DEVICE_NOT_FOUND DRIVER_DEVICE_GUID_NOT_FOUND_ROUTING""",
     _Meaning(
         InstrumentLostError,
         "the USB transfer was aborted",
-        "connect again, which resets it; if it stays, use another USB port or cable, and no hub",
-    ): "PAL_TRANSFER_ABORTED PAL_USB_TRANSACTION_ERROR PAL_COMMUNICATIONS_FAULT",
+        # nidaqmx-python issue 893: a USB-6009 came back only when it was plugged in again.
+        "connect again, which resets it; if it stays, unplug it and plug it in again, at another USB port and no hub",
+    ): """
+        PAL_TRANSFER_ABORTED PAL_TRANSFER_STOPPED PAL_TRANSFER_TIMED_OUT PAL_USB_TRANSACTION_ERROR
+        PAL_COMMUNICATIONS_FAULT PAL_CONNECTION_RESET PAL_CONNECTION_ABORTED""",
     _Meaning(InstrumentLostError, "the network connection to it is lost", "check its network cable and power"): """
-        NETWORK_STATUS_CONNECTION_LOST""",
+        NETWORK_STATUS_CONNECTION_LOST NETWORK_STATUS_DOWN NETWORK_STATUS_TIMED_OUT NETWORK_TARGET_UNREACHABLE""",
     _Meaning(
         InstrumentLostError, "the driver has forgotten the task: it or the device was restarted", "connect again"
     ): "INVALID_TASK",
     _Meaning(TransientInstrumentError, "samples were overwritten before they could be read", REPEAT): """
-        SAMPLES_NO_LONGER_AVAILABLE DATA_OVERWRITTEN_IN_DEVICE_MEMORY INPUT_FIFO_OVERFLOW
+        SAMPLES_NO_LONGER_AVAILABLE DATA_OVERWRITTEN_IN_DEVICE_MEMORY INPUT_FIFO_OVERFLOW INPUT_FIFO_OVERFLOW_2
+        INPUT_FIFO_OVERFLOW_3
         ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE ACQ_STOPPED_DRIVER_CANT_XFER_DATA_FAST_ENOUGH""",
     _Meaning(TransientInstrumentError, "samples are missing: they did not come in time", REPEAT): """
         SAMPLES_NOT_YET_AVAILABLE SAMPLES_WILL_NEVER_BE_AVAILABLE""",
