@@ -69,15 +69,12 @@ def test_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_t
     ask(roles)  # and now it is as the first time
 
 
-def test_given_a_failure_of_the_instrument_then_it_comes_through_with_its_role():
+def test_a_failure_comes_with_its_role_and_closed_instruments_say_so_and_close_twice():
     rig = VirtualRig(VirtualSettings(fault_plan=(RigFault("mirror", "move_to", "lost", at_call=1),)))
+    roles = bounded(rig.instruments, 5.0)
     with pytest.raises(InstrumentLostError, match="does not answer any more") as lost:
-        bounded(rig.instruments, 5.0).mirror.move_to(0.0, 0.0)
+        roles.mirror.move_to(0.0, 0.0)
     assert lost.value.role == "mirror"
-
-
-def test_closed_instruments_say_so_and_closing_twice_does_no_harm():
-    roles = bounded(VirtualRig(VirtualSettings()).instruments, 5.0)
     for instrument in (roles.mirror, roles.recorder, roles.player):
         instrument.close()
         instrument.close()

@@ -46,8 +46,7 @@ class AlsaFile:
 class AudioBench:
     """An emulated interface and the players on it.
 
-    Opening and closing take a period for each channel: a short one is quick. A sound that must go on through what
-    other programs take of the processors needs a long one.
+    Opening and closing take a period for each channel: a short one is quick, a long one keeps the sound going.
     """
 
     def __init__(self, stack, period_frames=1024):

@@ -66,20 +66,14 @@ def test_given_a_bank_at_another_rate_then_what_is_heard_is_the_band_limited_sig
     assert np.flatnonzero(frames.any(axis=1)).tolist() == [2, 20]
 
 
-def test_given_an_overshooting_signal_then_it_is_refused_and_the_next_play_is_whole(server, player):
+def test_an_overshooting_signal_is_refused_and_a_sweep_is_heard_where_it_is_played(server, player):
+    sweep = np.hanning(1000) * np.sin(np.arange(1000) / 9)
+    first = sounding(heard_of(server, player, {0: sweep, 12: sweep}, 10_000))
     overshooting = np.sign(np.sin(np.pi / 2 * np.arange(480) + np.pi / 4)) * np.hanning(480)
     with pytest.raises(InstrumentError, match=r"between its samples the signal of channel 4 reaches 1\.4"):
         player.play({0: np.hanning(480), 4: overshooting}, 10_000)
-    frames = sounding(heard_of(server, player, {0: np.hanning(480), 4: np.hanning(480)}, 10_000))
-    assert np.abs(frames[4]).max() == pytest.approx(1.0, abs=1e-3)
-
-
-def test_a_sweep_played_again_then_it_is_sent_once_and_heard_wherever_it_is_played(server, player):
-    sweep = np.hanning(1000) * np.sin(np.arange(1000) / 9)
-    first = sounding(heard_of(server, player, {0: sweep, 12: sweep}, 10_000))
-    for actuator in (4, 8):  # outputs of one full scale
-        frames = sounding(heard_of(server, player, {actuator: sweep.copy(), 12: sweep}, 10_000))
-        np.testing.assert_array_equal(frames[[actuator, 12]], first[[0, 12]])
+    frames = sounding(heard_of(server, player, {8: sweep.copy(), 12: sweep}, 10_000))  # of the same full scale
+    np.testing.assert_array_equal(frames[[8, 12]], first[[0, 12]])
 
 
 def test_a_play_that_cannot_be_begun_is_refused_with_the_way_out(player):
@@ -95,27 +89,6 @@ def test_a_play_that_cannot_be_begun_is_refused_with_the_way_out(player):
     player.begin_pieces([0], RATE_HZ, 0.1)
     with pytest.raises(InstrumentError, match="within full scale"):
         player.add_piece(np.full((1, 10), 1e3))
-
-
-def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(server, player):
-
-    def take():
-        player.play({0: np.full(5 * RATE_HZ, 0.5)}, RATE_HZ)
-        time.sleep(0.3)
-        asked_ns = time.monotonic_ns()
-        player.mute()
-        returned_ns = time.monotonic_ns()
-        player.wait(1)
-        first = int(server.played.frame_at(asked_ns))
-        return server.played.read(first, int(server.played.frame_at(returned_ns)) + RATE_HZ // 2)[0], returned_ns
-
-    frames, _ = undisturbed(player, take)
-    loud = np.flatnonzero(frames)
-    assert frames[0] == 0.5
-    assert np.abs(np.diff(frames)).max() < 0.02
-    # one period may be under way, and one more is in the buffer
-    assert loud[-1] < 3 * 2048 + 0.05 * RATE_HZ
-    player.play({0: np.full(100, 0.5)}, RATE_HZ)
 
 
 def test_server_that_stood_still_then_waiting_says_underflow_and_next_play_is_good(server, player):
@@ -147,7 +120,7 @@ def test_given_a_closed_player_then_the_outputs_are_silent_and_free_for_the_next
     np.testing.assert_array_equal(sounding(heard_of(server, player, signals)), as_played(signals))
 
 
-def test_given_a_signal_in_pieces_then_every_sample_leaves_its_output(server, player):
+def test_a_signal_in_pieces_leaves_to_the_sample_and_one_too_late_is_told(server, player):
     signals = noise(12_000, channels=(3, 0))
     volts = np.stack([signals[3], signals[0]])
 
@@ -161,9 +134,6 @@ def test_given_a_signal_in_pieces_then_every_sample_leaves_its_output(server, pl
         return played_between(server, asked_ns)
 
     np.testing.assert_array_equal(sounding(undisturbed(player, take)), as_played(signals))
-
-
-def test_given_pieces_that_come_too_late_then_it_is_told_and_silent(player):
     player.begin_pieces([0, 1], RATE_HZ, 0.02)
     player.add_piece(np.full((2, 4800), 0.1))
     with pytest.raises(TransientInstrumentError, match="underflow"):

@@ -122,7 +122,7 @@ def test_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an_under
     assert host.notice == "the next piece of the signal did not come in time"
 
 
-@pytest.mark.parametrize("factor", [44_100 / 48_000, 1.0, 1.0884, 2.0, 192_000 / 44_100])
+@pytest.mark.parametrize("factor", [44_100 / 48_000, 1.0, 192_000 / 44_100])
 def test_given_an_interface_at_another_rate_then_its_callbacks_tell_it(factor):
     playback, now_s = Playback(48_000, 0.02), 100.0
     period = np.zeros((512, 2), np.float32)

@@ -219,21 +219,16 @@ def test_a_device_that_cannot_be_understood_then_opening_says_what_to_check(
             bench.mirror(answer_s=ANSWER_S, patience_s=0.1, **changes)
 
 
-def test_given_a_board_that_starts_when_the_port_opens_then_it_is_waited_for(tmp_path):
-    fault = WireFault("mirror", "silent", "any", at_call=1, count=2)
-    with mirror_bench("generic", LOCAL, tmp_path, fault) as bench:
-        bench.check_move(bench.mirror(answer_s=ANSWER_S, patience_s=10.0))
-
-
-def test_given_lines_that_nobody_asked_for_then_they_are_not_taken_for_answers(tmp_path):
+def test_a_board_that_starts_is_waited_for_and_lines_nobody_asked_for_are_no_answers(tmp_path):
     class Chatty(GenericMirrorDevice):
         """Reports its motion on its own, in the very words of answers."""
 
         def answer(self, command):
             return super().answer(command) + ("0*30\r\n1*31\r\n" if command.startswith("XY=") else "")
 
-    with mirror_bench("generic", LOCAL, tmp_path, device=Chatty, settle_s=0.2) as bench:
-        mirror = bench.mirror(settle_s=0.0, answer_s=ANSWER_S)
+    starting = WireFault("mirror", "silent", "any", at_call=1, count=2)  # a board that starts when the port opens
+    with mirror_bench("generic", LOCAL, tmp_path, starting, device=Chatty, settle_s=0.2) as bench:
+        mirror = bench.mirror(settle_s=0.0, answer_s=ANSWER_S, patience_s=10.0)
         for target in ((10.0, 0.0), (20.0, 0.0)):
             try:
                 mirror.move_to(*target)

@@ -1,5 +1,6 @@
 """Controllers of vibrometers on their lines: what each driver must do, and what only one of them has."""
 
+import math
 from contextlib import contextmanager
 
 import pytest
@@ -10,8 +11,10 @@ from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.registry import VIBROMETERS
+from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
+from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 from wavefocus.mocks.wire.vibrometer import VIBROMETER_DRIVERS, Ofv3001Device, PolytecDevice, vibrometer_device
 from wavefocus.rig.setup import WatchedVibrometer, range_band
 
@@ -103,6 +106,12 @@ def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back
                 read(driver, emulated)
         emulated.plug()
         assert read(driver, emulated).sensitivity_m_s_per_v == pytest.approx(0.125)
+
+
+def test_another_device_at_the_port_is_not_taken_for_a_vibrometer(driver, tmp_path):
+    another = GenericMirrorDevice(MirrorMotion((0.0, 0.0), 0.0, math.inf, 250.0))  # answers ERR 1 unknown command
+    with pytest.raises(InstrumentLostError, match=r"asking who it is: .*driver and baud in the rig file"):
+        read_alone(driver, another, tmp_path, clock=HurriedClock, answer_s=0.1)
 
 
 # -- OFV-5000 ------------------------------------------------------------------------------------------

@@ -123,7 +123,7 @@ def _number(text: str) -> float:
 def _given(answer: str) -> str:
     """The answer, unless it says that there is none; a micro sign, in latin-1 or UTF-8, becomes u."""
     text = answer.strip().replace("\xc2\xb5", "u").replace("\xb5", "u")
-    if re.fullmatch(r"(?i)not (available|installed)|error[ -~]*|unknown[ -~]*", text):
+    if re.fullmatch(r"(?i)not (available|installed)|err(or)?\b[ -~]*|unknown[ -~]*", text):
         raise RefusedError(f"the controller answers {text!r}", "check the decoder's number in the rig file")
     return text
 
