@@ -137,12 +137,12 @@ def emulated_rig(folder, stack):
 
 
 def mirror_rig(kind, folder, stack):
-    """A rig of which only the mirror is there."""
-    if kind in ("analog", "shuttered"):
+    """A rig of which only the mirror is there; the analog one has a shutter."""
+    if kind == "analog":
         server = NiServer(Tone(), "USB-6211")
         server.start()
         stack.callback(server.stop)
-        return analog_rig(folder, server.address, "opens_s = 0.0\n" if kind == "shuttered" else None)
+        return analog_rig(folder, server.address, "opens_s = 0.0\n")
     motion = MirrorMotion((-240.0, -240.0), 0.005, math.inf, 250.0)
     side = stack.enter_context(EmulatedSerial(mirror_device(kind, motion, 260.0), serial_wire(LOCAL, folder)))
     rig_file = folder / "rig.toml"
@@ -158,7 +158,7 @@ def pytest_generate_tests(metafunc):
         metafunc.parametrize("bench", ["hardware"], indirect=True)
         return
     of_mirrors = metafunc.module.__name__.endswith("test_mirror_contract")
-    kinds = [*DIALECTS, "analog", "shuttered"] if of_mirrors else ["wire"]
+    kinds = [*DIALECTS, "analog"] if of_mirrors else ["wire"]
     metafunc.parametrize("bench", ["virtual", *kinds], indirect=True)
 
 

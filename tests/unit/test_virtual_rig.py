@@ -152,7 +152,6 @@ def test_given_a_play_that_began_before_then_its_rest_is_recorded(quiet_rig):
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
-        (("camera", "read", "lost"), "role is 'camera'"),
         (("mirror", "play", "lost"), "operation of the mirror is 'play'"),
         (("mirror", "park", "underflow"), "kind of mirror park is 'underflow'"),
         (("player", "wait", "lost"), "needs either at_call"),

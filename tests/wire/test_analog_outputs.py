@@ -187,6 +187,16 @@ def test_given_a_rig_beyond_the_outputs_then_it_is_refused(opened, product, keys
     assert box.written == []
 
 
+@pytest.mark.long
+def test_a_computer_on_which_programs_start_slowly_is_waited_for(box, tmp_path, monkeypatch):
+    (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(7)\n", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert "ao0 and ao1" in box.mirror().identify()
+
+
+# -- the shutter ---------------------------------------------------------------------------------------
+
+
 def test_a_shutter_that_opens_at_a_low_level_is_moved_by_one_driver_on_its_own_box(box):
     shutter = box.shutter(opens_when_high=False)
     assert isinstance(shutter, Shutter)
@@ -295,7 +305,7 @@ sys.stdin.readline()
 """
 
 
-# A program that is stopped instead of killed: test_campaign_through_wires.py.
+# A program that is stopped instead of killed: test_rigs_through_wires.py.
 def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_parks(box, tmp_path):
     box.rig(tmp_path, OPENS_AT_ONCE)
     command = [sys.executable, "-c", HOLD, str(tmp_path / "rig.toml")]

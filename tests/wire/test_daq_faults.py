@@ -124,6 +124,8 @@ def test_any_code_and_no_code_at_all_are_tried_again_on_a_device_that_has_record
              for code in DAQmxErrors]  # fmt: skip
     assert {type(one) for one in found} == {PASSING, LOST, UNKNOWN}
     rpc = RpcError(grpc.StatusCode.DATA_LOSS, "data loss")
+    gone = explain(RpcError(grpc.StatusCode.UNAVAILABLE, ""), "mirror Dev1", "opening", role="mirror")
+    assert "the recorder needs tls_root, and no mirror or shutter can be on it" in gone.remedy
     for failure in (rpc, ValueError("Cannot invoke RPC on closed channel!"), DaqWarning("", 200015)):
         for known in (True, False):
             explained = explain(failure, "recorder Dev1", "recording", known=known, owned=known)
@@ -247,9 +249,8 @@ def test_given_a_fault_on_the_way_out_then_closing_is_harmless(operation, kind):
     with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
         recorder = bench.recorder(answer_s=ANSWER_S)
         recorder.start(ask())
-        recorder.abort()
-        recorder.close()
-        recorder.close()
+        for way_out in (recorder.abort, recorder.close, recorder.close):
+            way_out()
 
 
 TLS = Path(__file__).with_name("tls")
@@ -269,7 +270,7 @@ def test_records_come_over_tls_with_the_right_certificates_else_the_key_is_named
             check_tone(take_one(recorder))
             recorder.reconnect()
             check_tone(take_one(recorder))
-            with pytest.raises(InstrumentLostError, match=r"cannot be reached.*tls_root of \[recorder\]"):
+            with pytest.raises(InstrumentLostError, match=r"cannot be reached.*needs tls_root"):
                 bench.recorder(tls=wrong, answer_s=5.0)
             with pytest.raises(InstrumentError, match=r"cannot be read.*correct tls_root"):
                 bench.recorder(tls=(tmp_path / "gone.pem", None, None))

@@ -19,7 +19,7 @@ from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.daq.ni.ni_task import count_scale
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity
-from wavefocus.mocks.wire.ni_products import PRODUCTS
+from wavefocus.mocks.wire.ni_products import PRODUCTS, Product
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.setup import with_stated_delay
 from wavefocus.storage.bank.layout import BankHeader
@@ -77,14 +77,6 @@ def test_a_device_then_it_tells_product_serial_number_driver_address_and_inputs(
     assert recorder.identity == DeviceIdentity("NI", "USB-6211", "01E57A2C")
     for part in ("USB-6211", "01E57A2C", "NI-DAQmx 24.5.0", bench.server.address, "Dev1", "ai0 and ai1 differential"):
         assert part in name
-
-
-def test_records_of_another_kind_get_a_task_of_their_own_of_which_one_is_left(bench):
-    recorder = bench.recorder()
-    take_one(recorder)
-    for number, change in enumerate(({"samples": 400}, {"range_v": (5.0, 10.0)}), start=1):
-        check_tone(take_one(recorder, **change), change.get("samples", 500))
-        assert (bench.calls("CreateTask"), bench.calls("ClearTask")) == (number + 1, number)
 
 
 @pytest.mark.parametrize("product", PRODUCTS.values(), ids=lambda product: product.name)
@@ -238,6 +230,18 @@ def test_another_input_then_its_volts_are_read_between_two_records_and_records_g
         recorder.abort()
         with pytest.raises(InstrumentError):
             recorder.read_input_v("ai99")
+
+
+def test_a_module_of_5_v_with_rates_of_its_own_then_its_other_inputs_are_read_too(monkeypatch):
+    # NI 9234: a converter for each input, 51.2 kS/s divided by a whole number.
+    module = Product("NI 9234", 4, ("differential",), (5.0,), 51.2e3, 51.2e3, (), 0, (), simultaneous=True)
+    monkeypatch.setitem(PRODUCTS, module.name, module)
+    with daq_bench(product=module.name) as bench:
+        recorder = bench.recorder()
+        check_tone(take_one(recorder, rate_hz=10_240.0, range_v=(5.0, 5.0)))
+        assert abs(recorder.read_input_v("ai2")) < 0.6
+        with pytest.raises(InstrumentError, match=r"no sample rate of 10000 Hz; choose the nearest one .* 10240 Hz"):
+            recorder.start(ask(range_v=(5.0, 5.0)))
 
 
 def test_one_server_at_an_address_serves_programs_of_nidaqmx_too(bench):

@@ -209,7 +209,7 @@ class DriverProcess:
 
         look: Gives what is waited for, None as long as it is not there; called with the lock held.
         until_s: When to give up, of `time.monotonic`; later by what this process was stopped meanwhile.
-        asks: False where it cannot answer meanwhile: while it opens its device.
+        asks: False where it cannot answer meanwhile: while it loads its packages and opens its device.
 
         Returns object: what `look` gave, None if the time is up.
         """

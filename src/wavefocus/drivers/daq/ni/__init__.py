@@ -163,8 +163,8 @@ def _meaning_of_rpc(failure: Any, unforeseen: type[InstrumentError]) -> _Meaning
             InstrumentLostError,
             "NI's gRPC Device Server cannot be reached, or went away during the call",
             "start ni_grpc_device_server on the computer with the device; its server_config.json must say "
-            '"address": "[::]", for otherwise it serves only its own computer ([::1]); check address and, where the '
-            "server has a certificate, tls_root of [recorder], and the network",
+            '"address": "[::]", for otherwise it serves only its own computer ([::1]); check address and the network; '
+            "where the server has a certificate, the recorder needs tls_root, and no mirror or shutter can be on it",
         )
     if failure.rpc_code == grpc.StatusCode.CANCELLED:
         return _Meaning(TransientInstrumentError, "the call was cancelled: the connection was closed", "connect again")

@@ -255,7 +255,9 @@ class _InProcess:
             raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
         try:
             process.send((number, method, arguments))
-            answer = process.wait_for(lambda: self._answers.get(number), time.monotonic() + limit_s)
+            # A process that is starting loads its packages first, which takes seconds on a slow disk.
+            until_s, asks = time.monotonic() + limit_s, method != "open"
+            answer = process.wait_for(lambda: self._answers.get(number), until_s, asks=asks)
             if answer is None:
                 process.kill(f"NI-DAQmx did not answer within {limit_s:g} s")
                 raise ProcessGoneError(process.gone)

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -23,8 +24,14 @@ from wavefocus.drivers.protocols import DeviceIdentity, Recorder, Recording, Rec
 _ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""
 
-# One period of the mains at 50 Hz; every box has a range of 10 V.
+# One period of the mains at 50 Hz.
 _INPUT_TIMING = TaskTiming(5000.0, 100, (10.0, 10.0))
+
+
+def _in_widest_range(timing: TaskTiming, session: NiSession) -> TaskTiming:
+    """The same in the device's widest range: not every one has 10 V, an NI 9234 ends at 5 V."""
+    widest_v = max(session.limits.ranges_v or timing.range_v)
+    return replace(timing, range_v=(widest_v, widest_v))
 
 
 class NiRecorder(Recorder):
@@ -178,7 +185,7 @@ class NiRecorder(Recorder):
             with session.explaining(doing):
                 if task is not None:
                     task.close()  # what is committed holds the converter
-                short = RecordTask(session, wiring, _INPUT_TIMING, doing)
+                short = RecordTask(session, wiring, _in_widest_range(_INPUT_TIMING, session), doing, exact=False)
                 try:
                     short.start()
                     done = short.wait(limit_s)
@@ -197,7 +204,7 @@ class NiRecorder(Recorder):
             session = self._connected(doing)
             if session.limits.simultaneous:
                 return 0.0
-            timing = TaskTiming(sample_rate_hz, _INPUT_TIMING.samples, _INPUT_TIMING.range_v)
+            timing = _in_widest_range(replace(_INPUT_TIMING, rate_hz=sample_rate_hz), session)
             with session.explaining(doing):
                 return conversion_delay_s(session, self._wiring, timing)
 

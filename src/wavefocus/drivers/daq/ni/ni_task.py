@@ -100,9 +100,13 @@ class RecordTask:
     """A committed task: it starts with one call, and can be started again when it has been stopped.
 
     Raises InstrumentError.
+
+    exact: Whether a rate or a range that the driver changes is refused.
     """
 
-    def __init__(self, session: NiSession, wiring: InputWiring, timing: TaskTiming, operation: str) -> None:
+    def __init__(
+        self, session: NiSession, wiring: InputWiring, timing: TaskTiming, operation: str, *, exact: bool = True
+    ) -> None:
         self.timing = timing
         self._session = session
         self._wiring = wiring
@@ -110,7 +114,8 @@ class RecordTask:
         self._task = session.new_task(session.task_name)
         try:
             channels = _configure(self._task, session, wiring, timing, self._acquired)
-            self._check(channels, operation)
+            if exact:
+                self._check(channels, operation)
             self._commit()
             self.converters = (self._scale(channels[0], timing.range_v[0]), self._scale(channels[1], timing.range_v[1]))
         except BaseException as failure:
