@@ -16,11 +16,11 @@ ROW = re.compile(r"^\| `([\w.]+)\.(\w+)` \| (.*?) \|", re.MULTILINE)
 def page() -> str:
     """The page with the values that the code has."""
 
-    def row(found: re.Match[str]) -> str:
+    def _row(found: re.Match[str]) -> str:
         value = getattr(import_module(f"wavefocus.{found[1]}"), found[2])
         return f"| `{found[1]}.{found[2]}` | {value:.4g} |"
 
-    return ROW.sub(row, PAGE.read_text(encoding="utf-8"))
+    return ROW.sub(_row, PAGE.read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

@@ -229,7 +229,7 @@ class Pictures:
         tab.live_panel.start.trigger()
         self.until(lambda: tab.live_run.state == LIVE)
 
-        def mouse(kind: QEvent.Type, angle: float) -> None:
+        def _mouse(kind: QEvent.Type, angle: float) -> None:
             x_mm, y_mm = 55.0 * math.cos(angle), 40.0 * math.sin(angle)
             at = QPointF(surface.mapFromScene(surface.box.mapViewToScene(QPointF(x_mm, y_mm))))
             button = none if kind == QEvent.Type.MouseMove else left
@@ -237,16 +237,16 @@ class Pictures:
                 surface.viewport(), QMouseEvent(kind, at, button, left, Qt.KeyboardModifier.NoModifier)
             )
 
-        def round_it() -> bool:
-            mouse(QEvent.Type.MouseMove, 2.0 * (time.monotonic() - begun_s))
+        def _round_it() -> bool:
+            _mouse(QEvent.Type.MouseMove, 2.0 * (time.monotonic() - begun_s))
             return time.monotonic() > begun_s + LIVE_S
 
         begun_s = time.monotonic()
-        mouse(QEvent.Type.MouseButtonPress, 0.0)
-        self.until(round_it)
+        _mouse(QEvent.Type.MouseButtonPress, 0.0)
+        self.until(_round_it)
         if not self.window.grab().save(str(self.out / "window-live-light.png")):
             raise SystemExit(f"{self.out} cannot be written")
-        mouse(QEvent.Type.MouseButtonRelease, 0.0)
+        _mouse(QEvent.Type.MouseButtonRelease, 0.0)
         tab.live_panel.stop.trigger()
         self.until(lambda: not tab.live_run.busy)
 
@@ -314,7 +314,7 @@ def take_trials(out: Path, trials_file: Path) -> None:
     window = TrialsWindow([trials_file.name, *files, "--fast"])
     window.resize(1000, 700)
 
-    def until(*waited: str) -> None:
+    def _until(*waited: str) -> None:
         ends_s = time.monotonic() + 600.0
         while window.waiting not in waited:
             if time.monotonic() > ends_s or not window.process.running:
@@ -322,22 +322,22 @@ def take_trials(out: Path, trials_file: Path) -> None:
             application.processEvents()
             time.sleep(0.01)
 
-    def keep(name: str) -> None:
+    def _keep(name: str) -> None:
         drawn_s = time.monotonic() + 0.3
         while time.monotonic() < drawn_s:
             application.processEvents()
         window.grab().save(str(out / f"trials-{name}.png"))
 
-    until("go_on")
-    keep("welcome")
+    _until("go_on")
+    _keep("welcome")
     asked = 0
     while asked == 0 or window.waiting != "go_on":
         QTest.keyClick(window, Qt.Key_Space if window.waiting == "go_on" else Qt.Key_Left)
-        until("go_on", "answer")
+        _until("go_on", "answer")
         asked += window.waiting == "answer"
         if asked == 1:
-            keep("question")
-    keep("break")
+            _keep("question")
+    _keep("break")
     window.close()
     while window.process.running:
         application.processEvents()

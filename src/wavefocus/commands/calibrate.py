@@ -190,7 +190,7 @@ class _LinesOperator:
             self._publish(faulted(failure))
 
 
-def forget_typed() -> None:
+def _forget_typed() -> None:
     """Drop what was typed and not read yet; what comes through a pipe or from a file stays."""
     if sys.stdin is None or not sys.stdin.isatty():
         return
@@ -254,9 +254,9 @@ def calibrate(
 
 def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
     if lines is None:
-        return TerminalOperator(sys.stdin.readline, forget_typed)
+        return TerminalOperator(sys.stdin.readline, _forget_typed)
 
-    def place_mm(x_mrad: float, y_mrad: float) -> tuple[float, float] | None:
+    def _place_mm(x_mrad: float, y_mrad: float) -> tuple[float, float] | None:
         try:
             x_mm, y_mm = setup.mirror_map.surface_mm(x_mrad, y_mrad)
         except InputError:  # a beam that never meets the surface
@@ -265,7 +265,7 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
 
     answers = LinesIn()
     answers.start()
-    return _LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, place_mm)
+    return _LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, _place_mm)
 
 
 def _kept(out: Path | None, record: CalibrationRecord, folder: Path) -> Path:

@@ -313,11 +313,11 @@ class _Work:
     def _publisher(self, report: Report) -> Subscriber:
         view = CampaignView(report)
 
-        def publish(event: Event) -> None:
+        def _publish(event: Event) -> None:
             view(event)
             self.log(event)
 
-        return publish
+        return _publish
 
     @contextmanager
     def _step(self, name: str, total: int) -> Iterator[Report]:
@@ -325,11 +325,11 @@ class _Work:
         logged = self.log.step(name, total)
         with progress(name, total) as people:
 
-            def report(done: int, total: int, note: str = "") -> None:
+            def _report(done: int, total: int, note: str = "") -> None:
                 people(done, total, note)
                 logged(done, total)
 
-            yield report
+            yield _report
 
 
 def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str, object]:
