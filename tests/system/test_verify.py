@@ -45,6 +45,18 @@ def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_say
         assert scan.attrs["start_s"] == field.attrs["start_s"]
 
 
+def test_given_a_bank_of_one_position_then_its_field_is_compared_and_no_focus(lab, capsys):
+    write_positions(lab, [(0, 0)])
+    line = '{ kind = "line", start_mm = [0, 0], end_mm = [8, 0] }'
+    change_text(lab / "scene.toml", line, '{ kind = "point", at_mm = [0, 0] }')
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "one.h5")]) == 0
+    capsys.readouterr()
+    assert _verify(lab, lab / "one.h5") == 0
+    figures = {one["name"]: one["value"] for one in json.loads(capsys.readouterr().out)["figures"]}
+    assert figures["normalised error"] < 2.0
+    assert figures["focus to path point"] is None
+
+
 def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, bank, capsys):
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
         rig.write("[emulation.finger]\nplace_mm = [0.0, 0.0]\nmass_kg = 2e-4\n")

@@ -191,7 +191,8 @@ class _Work:
         with self._step("compare and report", 2) as report:
             drift_limits, errors = self.configuration.run.drift, facts.interpolation_errors
             between = None if errors is None else errors.overall
-            offset = limits.focus_error_mm / grid_spacing_mm(bank.position_mm)
+            # Foci are not judged in a bank of one position, which has no spacing.
+            offset = limits.focus_error_mm / grid_spacing_mm(bank.position_mm) if bank.positions > 1 else 1.0
             tolerances = Tolerances(limits.normalised_error, limits.correlation, offset)
             verification = compare(
                 prediction, measured, drive, bank, tolerances, quiet=quiet, sentinel=sentinel, leak=leak,
