@@ -59,18 +59,14 @@ def measured(path, positions=4):
 def test_a_bank_opened_by_plain_h5py_then_holds_contract_section_2(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with h5py.File(path, "r") as file:
-        assert file.attrs["format"] == "wavefocus-bank"
-        assert file.attrs["format_version"] == 1
-        assert file.attrs["sample_rate_hz"] == 10_000.0
+        stated = {"format": "wavefocus-bank", "format_version": 1, "sample_rate_hz": 1e4, "plan_sha256": "ab" * 32}
+        assert {name: file.attrs[name] for name in stated} == stated
         assert file.attrs["band_hz"].tolist() == [20.0, 500.0]
         assert json.loads(file.attrs["run"]) == {"grid": {"spacing_mm": 4}}
-        assert file.attrs["plan_sha256"] == "ab" * 32
-        assert file["green"].dtype == np.float32
-        assert file["green"].chunks == (1, 2, 16)
-        assert file["green"].compression is None
-        assert np.array_equal(file["green"][2], green_of(2))
-        assert file["status"].dtype == np.uint8
-        assert file["status"][...].tolist() == [1, 1, 1, 1]
+        green, status = file["green"], file["status"]
+        assert (green.dtype, green.chunks, green.compression) == (np.float32, (1, 2, 16), None)
+        assert np.array_equal(green[2], green_of(2))
+        assert (status.dtype, status[...].tolist()) == (np.uint8, [1, 1, 1, 1])
         assert np.array_equal(file["position_mm"][...], header().position_mm)
         assert np.array_equal(file["time_s"][...], np.arange(16) / 10_000)
         for name in ("snr_db", "residual_db", "coherence", "peak_v"):
@@ -82,10 +78,10 @@ def test_a_bank_opened_by_plain_h5py_then_holds_contract_section_2(tmp_path):
 def test_a_bank_opened_by_xarray_then_shows_labelled_dimensions_and_units(tmp_path):
     path = measured(tmp_path / "bank.h5")
     with xarray.open_dataset(path, engine="h5netcdf") as dataset:
-        assert dataset["green"].dims == ("position", "actuator", "time_s")
-        assert dataset["position_mm"].dims == ("position", "axis")
-        assert dataset["actuator_mm"].dims == ("actuator", "axis")
-        assert dataset["status"].dims == ("position",)
+        assert {name: dataset[name].dims for name in ("green", "position_mm", "actuator_mm", "status")} == {
+            "green": ("position", "actuator", "time_s"), "position_mm": ("position", "axis"),
+            "actuator_mm": ("actuator", "axis"), "status": ("position",),
+        }  # fmt: skip
         assert dataset["axis"].values.tolist() == ["x", "y"]
         assert dataset["green"].attrs["units"] == "m/s/V"
         assert dataset["time_s"].attrs["units"] == "s"
@@ -284,29 +280,23 @@ def test_a_file_that_is_no_sound_bank_then_is_refused_in_one_line_and_untouched(
     assert [entry.name for entry in tmp_path.iterdir()] == ["bank.h5"]
 
 
-def test_a_bank_of_another_plan_then_is_refused_and_untouched(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "plan", "message"),
+    [
+        ("bank.h5", "cd", r"bank\.h5 belongs to another plan \(ababababab.*; resume it"),
+        ("link.h5", "ab", r"link\.h5 is a symbolic link to .*bank\.h5"),
+        ("missing.h5", "ab", "does not exist"), (".", "ab", "not a regular file"),
+    ],
+)  # fmt: skip
+def test_a_path_that_is_no_file_or_a_bank_of_another_plan_is_refused_and_untouched(tmp_path, name, plan, message):
     path = measured(tmp_path / "bank.h5")
+    (tmp_path / "link.h5").symlink_to(path)
     before, changed = path.read_bytes(), path.stat().st_mtime_ns
-    with pytest.raises(InputError, match=r"bank\.h5 belongs to another plan \(ababababab.*; resume it"):
-        BankWriter.open(path, plan_sha256="cd" * 32)
-    assert path.read_bytes() == before
-    assert path.stat().st_mtime_ns == changed
+    with pytest.raises(InputError, match=message):
+        BankWriter.open(tmp_path / name, plan_sha256=plan * 32)
+    assert (path.read_bytes(), path.stat().st_mtime_ns) == (before, changed)
     with BankWriter.open(path, plan_sha256="ab" * 32) as writer:
         assert writer.header.plan_sha256 == "ab" * 32
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("link.h5", r"link\.h5 is a symbolic link to .*bank\.h5"),
-        ("missing.h5", "does not exist"),
-        (".", "not a regular file"),
-    ],
-)
-def test_a_path_that_is_no_file_then_is_refused(tmp_path, name, message):
-    (tmp_path / "link.h5").symlink_to(measured(tmp_path / "bank.h5"))
-    with pytest.raises(InputError, match=message):
-        BankWriter.open(tmp_path / name)
 
 
 HOLD = """

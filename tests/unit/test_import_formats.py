@@ -50,6 +50,7 @@ def archive(path, **changes):
         ({"actuator_mm": np.ones((2, 2)), "actuator_in": np.ones((2, 2))}, "actuator_mm and actuator_in"),
         ({"time_s": np.arange(16) / 2000}, "sample_rate_hz is 1000, and time_s has 2000"),
         ({"drive_unit": "N"}, "drive_unit is 'N'"),
+        ({"green": GREEN.transpose(0, 2, 1), "time_s": np.arange(16) / 1000}, "16 values and the responses 2 .*--axes"),
     ],
 )
 def test_facts_that_an_archive_states_twice_and_otherwise_then_are_refused(tmp_path, imported, changes, message):

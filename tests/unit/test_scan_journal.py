@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.lab_files import flip
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
@@ -50,9 +51,7 @@ def test_given_a_kill_at_any_byte_then_whole_entries_count_and_the_next_one_is_k
 
 
 def test_given_a_flipped_bit_then_what_follows_is_scanned_again(path):
-    content = bytearray(path.read_bytes())
-    content[-(len(content) - 4096) // 2] ^= 1
-    path.write_bytes(content)
+    flip(path, -(path.stat().st_size - 4096) // 2)
     assert rows(path) == [4]
 
 

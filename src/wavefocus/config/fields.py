@@ -114,12 +114,12 @@ def like(pattern: str, allowed: str) -> AfterValidator:
     """
     form = re.compile(pattern)
 
-    def check(text: str) -> str:
+    def _check(text: str) -> str:
         if not form.fullmatch(text):
             raise mistake("", text, allowed)
         return text
 
-    return AfterValidator(check)
+    return AfterValidator(_check)
 
 
 UNITS = {
@@ -211,14 +211,14 @@ def choices_of(field: FieldInfo) -> list[str]:
     """The texts that a key may hold, as TOML; none where it may hold any."""
     found: list[str] = []
 
-    def walk(annotation: Any) -> None:
+    def _walk(annotation: Any) -> None:
         if get_origin(annotation) is Literal:
             found.extend(json.dumps(choice) for choice in get_args(annotation))
         elif get_origin(annotation) is not tuple:
             for part in get_args(annotation):
-                walk(part)
+                _walk(part)
 
-    walk(field.annotation)
+    _walk(field.annotation)
     return found
 
 
@@ -227,19 +227,19 @@ def _allowed(field: FieldInfo) -> tuple[str, str]:
     bounds: dict[str, float] = {}
     choices = choices_of(field)
 
-    def gather(metadata: Any) -> None:
+    def _gather(metadata: Any) -> None:
         for part in metadata:
             bounds.update({name: getattr(part, name) for name in _BOUNDS if getattr(part, name, None) is not None})
-            gather(getattr(part, "metadata", ()))
+            _gather(getattr(part, "metadata", ()))
 
-    def walk(annotation: Any) -> None:
+    def _walk(annotation: Any) -> None:
         if get_origin(annotation) not in (Literal, tuple):
-            gather(getattr(annotation, "__metadata__", ()))
+            _gather(getattr(annotation, "__metadata__", ()))
             for part in get_args(annotation):
-                walk(part)
+                _walk(part)
 
-    walk(field.annotation)
-    gather(field.metadata)
+    _walk(field.annotation)
+    _gather(field.metadata)
     listed = " or ".join(", ".join(choices).rsplit(", ", 1)) if len(choices) > 1 else ""
     if "ge" in bounds and "le" in bounds and "gt" not in bounds:
         return listed, f"{_number(bounds['ge'])} to {_number(bounds['le'])}"

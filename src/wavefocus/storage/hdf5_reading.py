@@ -125,27 +125,27 @@ def plain_dataset(
     Raises InputError: when it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
     """
 
-    def refusal(words: str) -> InputError:
+    def _refusal(words: str) -> InputError:
         return InputError(f"{path_of(file)}: {name} {words}")
 
     dataset = _find(file, name)
     if dataset is None:
         raise InputError(f"{path_of(file)} has no dataset {name}")
     if not isinstance(dataset, h5py.Dataset):
-        raise refusal("is not a dataset")
+        raise _refusal("is not a dataset")
     properties = dataset.id.get_create_plist()
     if properties.get_external_count() or properties.get_layout() == h5py.h5d.VIRTUAL:
-        raise refusal("keeps its data in other files; only data inside the file itself is read")
+        raise _refusal("keeps its data in other files; only data inside the file itself is read")
     try:
         kind = dataset.dtype.kind
     except TypeError:
         kind = "?"
     if kind not in kinds or dataset.shape is None or dataset.dtype.hasobject:
-        raise refusal("holds no plain numbers; floats or integers are allowed")
+        raise _refusal("holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
-        raise refusal(f"has shape {dataset.shape}; {shape} is needed")
+        raise _refusal(f"has shape {dataset.shape}; {shape} is needed")
     if not packed and ((stated := packing_of(dataset, written=True)).is_scaled or stated.has_fill):
-        raise refusal("has a scale_factor, add_offset or _FillValue; plain values are needed here")
+        raise _refusal("has a scale_factor, add_offset or _FillValue; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
     if declared > most_bytes() and declared > 100 * held:
@@ -361,11 +361,11 @@ def require_sound_texts(file: h5py.File) -> None:
     """Refuse damage to a file's texts before HDF5 meets it; searches all but the datasets' values."""
     values: list[tuple[int, int]] = []
 
-    def note(_: str, found: object) -> None:
+    def _note(_: str, found: object) -> None:
         if isinstance(found, h5py.Dataset):
             values.extend(_stored_pieces(found))
 
-    file.visititems(note)
+    file.visititems(_note)
     end, path = 0, path_of(file)
     size = path.stat().st_size
     with path.open("rb") as raw:
