@@ -318,6 +318,13 @@ def test_a_sound_file_that_is_read_then_says_how_its_samples_are_stored(imported
     soundfile.write(one_sound[0] / "a.wav", 0.5 * np.sin(np.arange(600) / 9), 8000, subtype=kind)
     _, bank = imported(one_sound[0], **one_sound[1])
     assert soundfile.available_subtypes("WAV")[kind] in bank.import_facts["read"][0]
+    whole = (one_sound[0] / "a.wav").read_bytes()
+    for size in (b"\0\0\0\0", b"\xff\xff\xff\xff"):  # of a program that did not know it
+        (one_sound[0] / "a.wav").write_bytes(whole[:4] + size + whole[8:])
+        imported(one_sound[0], **one_sound[1])
+    (one_sound[0] / "a.wav").write_bytes(whole[:300])
+    with pytest.raises(InputError, match=rf"a\.wav is truncated: it holds 300 of {len(whole)} bytes"):
+        imported(one_sound[0], **one_sound[1])
 
 
 def test_given_a_table_of_many_places_then_each_actuator_has_its_own_number(imported, one_sound):

@@ -215,7 +215,14 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 
 
 def _info(path: Path) -> Any:
-    """What a sound file holds; raises InputError where it cannot be read."""
+    """What a sound file holds; raises InputError where it cannot be read, or is shorter than it says."""
+    with path.open("rb") as file:
+        head = file.read(8)
+    # The library reads what is left of a file that was cut. The size stands in bytes 4 to 7 (RIFF WAVE, 1991); programs
+    # that do not know it beforehand write 0 or about the largest one, and some leave out the byte that makes it even.
+    declared, held = int.from_bytes(head[4:], "little") + 8, path.stat().st_size
+    if head.startswith(b"RIFF") and held + 1 < declared < 0x7FFF0000:
+        raise InputError(f"{path} is truncated: it holds {held} of {declared} bytes; restore a copy")
     try:
         return soundfile.info(str(path))
     except soundfile.LibsndfileError as error:
