@@ -6,7 +6,7 @@ The virtual rig, the production drivers on emulated wires, and with ``--hardware
 import math
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import pytest
 
@@ -35,23 +35,11 @@ class OpenedWhenUsed:
     """The instruments of a rig, each opened when a test first names it: a mirror's test needs no audio server."""
 
     def __init__(self, openers):
-        self._openers = openers
+        self._openers, self.clock = openers, openers.clock
 
-    @property
-    def clock(self):
-        return self._openers.clock
-
-    @cached_property
-    def mirror(self):
-        return self._openers.mirror()
-
-    @cached_property
-    def recorder(self):
-        return self._openers.recorder()
-
-    @cached_property
-    def player(self):
-        return self._openers.player()
+    def __getattr__(self, role):
+        self.__dict__[role] = opened = getattr(self._openers, role)()
+        return opened
 
     def rest(self):
         """Leave nothing under way for the next test, and open anew what this one has closed."""

@@ -41,8 +41,8 @@ OPENS_AT_ONCE = "opens_s = 0.0\n"
 class Box:
     """An emulated box with a mirror on its outputs, and what the outputs went through."""
 
-    def __init__(self, opened, *faults, product="USB-6211"):
-        self.server = NiServer(Tone(), product, faults=faults)
+    def __init__(self, opened, *faults):
+        self.server = NiServer(Tone(), faults=faults)
         self.server.start()
         opened.callback(self.server.stop)
         self._opened = opened
@@ -172,17 +172,9 @@ def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(r
     assert box.level(LINE) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("product", "keys", "word"),
-    [
-        ("USB-6211", {"volts_per_degree": 2.0}, "limit_v"),
-        ("USB-6211", {"limit_v": 3.0}, "limit_v"),
-        ("USB-6356", {}, "no output"),
-    ],
-)
-def test_given_a_rig_beyond_the_outputs_then_it_is_refused(opened, product, keys, word):
-    box = Box(opened, product=product)
-    with pytest.raises(InstrumentError, match=word):
+@pytest.mark.parametrize("keys", [{"volts_per_degree": 2.0}, {"limit_v": 3.0}])
+def test_given_a_rig_beyond_the_outputs_then_it_is_refused(box, keys):
+    with pytest.raises(InstrumentError, match="limit_v"):
         box.mirror(**keys)
     assert box.written == []
 
@@ -197,18 +189,15 @@ def test_a_computer_on_which_programs_start_slowly_is_waited_for(box, tmp_path, 
 # -- the shutter ---------------------------------------------------------------------------------------
 
 
-def test_a_shutter_that_opens_at_a_low_level_is_moved_by_one_driver_on_its_own_box(box):
+def test_a_shutter_that_opens_at_a_low_level_is_moved_on_its_own_box_alone(box):
     shutter = box.shutter(opens_when_high=False)
     assert isinstance(shutter, Shutter)
     for act, level in ((shutter.block_beam, 1.0), (shutter.open_beam, 0.0)):
         act()
         assert box.level(LINE) == level
-    with pytest.raises(InstrumentError, match="-50103") as refused:
-        box.shutter()
-    assert not isinstance(refused.value, InstrumentLostError)
     shutter.block_beam()
     box.server.stop()
-    other = NiServer(Tone(), "USB-6211", address=box.server.address, serial_number=0x0BADCAFE)
+    other = NiServer(Tone(), address=box.server.address, serial_number=0x0BADCAFE)
     other.start()
     with pytest.raises(InstrumentError, match="serial number 0BADCAFE answers instead of"):
         shutter.reconnect()

@@ -148,7 +148,7 @@ def test_an_interface_that_takes_seven_seconds_to_open_is_waited_for():
 
 def move_until(running, event, code=""):
     """Send positions until an event comes."""
-    for count in range(3000):
+    for count in range(6000):
         running.send(order="move", name="a", at_mm=[count % 9, 0.0], amplitude=0.5)
         time.sleep(0.01)
         told = running.next_of(event)
