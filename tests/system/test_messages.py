@@ -115,6 +115,15 @@ def test_given_an_address_that_takes_nothing_then_it_is_told_without_the_address
     assert PASSWORD not in told
 
 
+def test_given_an_address_of_no_kind_then_its_number_key_and_variable_are_named(tmp_path, monkeypatch, capsys):
+    (tmp_path / "run.toml").write_text("[grid]\nspacing_mm = 60\n", encoding="utf-8")
+    monkeypatch.setenv("WAVEFOCUS_MESSAGES", f"json://127.0.0.1 {PASSWORD}")
+    assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / "plate.h5")]) == 2
+    told = capsys.readouterr().err
+    assert "messages.urls, WAVEFOCUS_MESSAGES: address 1" in told
+    assert PASSWORD not in told
+
+
 # Mistaken tables of messages: without a kind before it, a password looks like any other text.
 MISTAKEN = [
     "[messages]\nurls = '{0}'",

@@ -92,6 +92,7 @@ def test_given_no_server_or_folder_then_it_is_said_once_and_without_the_address(
     assert said.count("messages.alive_url") == said.count("messages.alive_file") == 1
     assert "secret-check" not in said
     assert {one.verdict for one in alive_findings(section)} == {"fail"}
+    assert [one.verdict for one in alive_findings(MessagesSection(alive_file=str(tmp_path)))] == ["fail"]  # a folder
     with pytest.raises(InputError, match="alive_url"):
         AliveSignal(MessagesSection(alive_url="ftp://secret-check"))
     assert "secret-check" not in section.model_dump_json()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import queue
@@ -59,8 +60,8 @@ class AppriseOutbox:
             kind = "?" if scheme is None else scheme[0]
             if not one.add(url):
                 raise InputError(
-                    f"messages.urls[{number}]: apprise does not support this kind of address ({kind}), or it lacks "
-                    "a part; its documentation lists what each needs"
+                    f"messages.urls, {ADDRESSES_VARIABLE}: address {number}: apprise does not support this kind "
+                    f"({kind}), or it lacks a part; its documentation lists what each needs"
                 )
             self._each.append((kind, one))
 
@@ -209,7 +210,7 @@ def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Findi
         try:
             refused = AppriseOutbox([url]).send(f"{name}: test", "A test message of wavefocus doctor.")
         except InputError as wrong:
-            yield Finding("messages", check, "fail", str(wrong).partition(": ")[2], "correct it", edit)
+            yield Finding("messages", check, "fail", str(wrong).split(": ", 2)[-1], "correct it", edit)
         else:
             taken = Finding("messages", check, "ok", f"{kind}: took a message")
             yield Finding("messages", check, "fail", f"{kind}: took no message", REMEDY, edit) if refused else taken
@@ -258,8 +259,14 @@ class AliveSignal:
 
     def signals(self) -> dict[str, Callable[[], None]]:
         """How a sign of life is given once, by the key that asks for it."""
-        touch: dict[str, Callable[[], None]] = {} if self._file is None else {"alive_file": self._file.touch}
+        touch: dict[str, Callable[[], None]] = {} if self._file is None else {"alive_file": self._touch}
         return touch | ({"alive_url": self._ask} if self._url else {})
+
+    def _touch(self) -> None:
+        assert self._file is not None
+        if self._file.is_dir():  # other files change its time, too
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        self._file.touch()
 
     def _ask(self) -> None:
         with urllib.request.urlopen(self._url, timeout=20.0) as answer:
