@@ -16,7 +16,7 @@ os.environ.setdefault("QT_FONT_DPI", "96")
 
 from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt
 from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QAction, QApplication, QToolButton, QWidget
+from PyQt5.QtWidgets import QAction, QApplication, QMenu, QTabWidget, QToolButton, QWidget
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
@@ -126,8 +126,13 @@ def tab_of(window: Window, kind: type[AnyTab]) -> AnyTab:
 
 def shown_tab(window: Window, kind: type[AnyTab]) -> AnyTab:
     """The tab of a kind, brought to the front."""
-    window._pages.setCurrentWidget(tab := tab_of(window, kind))
+    pages_of(window).setCurrentWidget(tab := tab_of(window, kind))
     return tab
+
+
+def pages_of(window: Window) -> QTabWidget:
+    """The tabs of a window."""
+    return next(one for one in window.findChildren(QTabWidget) if one.count() == len(window.tabs))
 
 
 def campaign_of(window: Window) -> CampaignTab:
@@ -150,6 +155,13 @@ def press(qtbot: QtBot, button: QWidget | QAction) -> None:
         button = next(one for one in button.associatedWidgets() if isinstance(one, QToolButton))
     wait(qtbot, lambda: button.isVisible() and button.isEnabled())
     qtbot.mouseClick(button, LEFT)
+
+
+def menus(window: Window) -> dict[str, QMenu]:
+    """The menus of a window, by their titles."""
+    bar = window.menuBar()
+    assert bar is not None
+    return {action.text().replace("&", ""): menu for action in bar.actions() if (menu := action.menu()) is not None}
 
 
 def answer(window: Window, word: str) -> None:

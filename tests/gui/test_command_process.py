@@ -4,9 +4,11 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 
 import pytest
 from PyQt5.QtCore import QObject
+from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import SOON_MS
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
@@ -31,6 +33,12 @@ def started(script: str, owner: QObject, **options: object) -> CommandProcess:
     return CommandProcess(["echo"], owner, program=(sys.executable, "-c", script), **options)  # type: ignore[arg-type]
 
 
+def finished(qtbot: QtBot, process: CommandProcess, act: Callable[[], object] = lambda: None) -> None:
+    """Let a process end, perhaps by an act."""
+    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
+        act()
+
+
 @pytest.fixture
 def owner(qapp):
     return QObject()
@@ -43,8 +51,7 @@ def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot, owner):
         pass
     assert process.running
     process.send(order="mute")
-    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
-        process.close_input()
+    finished(qtbot, process, process.close_input)
     assert received == [{"event": "ready"}, {"order": "mute"}]
     assert (process.exit_code, process.last_line, process.failure) == (0, "all is done", "")
 
@@ -57,40 +64,30 @@ def test_a_message_written_before_anybody_listens_is_received(qtbot, owner, tmp_
     time.sleep(0.1)  # a thread that read already would have emitted it by now
     with qtbot.waitSignal(process.received, timeout=SOON_MS) as received:
         pass
-    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
-        process.close_input()
+    finished(qtbot, process, process.close_input)
     assert received.args == [{"event": "ready"}]
 
 
-@pytest.mark.parametrize(
-    ("script", "code", "failure"),
-    [
-        ("import sys; sys.exit('wavefocus: this is wrong')", 1, "this is wrong"),
-        ("raise SystemExit(3)", 3, "the test ended with exit code 3"),
-        (f"raise SystemExit({STOPPED_BY_USER})", STOPPED_BY_USER, f"the test ended with exit code {STOPPED_BY_USER}"),
-    ],
-)
-def test_given_a_failure_then_its_last_line_says_why(qtbot, owner, script, code, failure):
-    process = started(script, owner, name="the test")
-    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
-        pass
-    assert (process.exit_code, process.failure) == (code, failure)
+ENDS = {
+    "import sys; sys.exit('wavefocus: this is wrong')": (1, "this is wrong"),
+    "raise SystemExit(3)": (3, "the test ended with exit code 3"),
+    f"raise SystemExit({STOPPED_BY_USER})": (STOPPED_BY_USER, f"the test ended with exit code {STOPPED_BY_USER}"),
+}
 
 
-def test_given_a_process_that_ignores_everything_then_stop_kills_it(qtbot, owner):
+def test_given_failures_then_the_last_line_says_why_and_one_ignoring_all_is_killed(qtbot, owner):
+    for script, ended in ENDS.items():
+        process = started(script, owner, name="the test")
+        finished(qtbot, process)
+        assert (process.exit_code, process.failure) == ended
     process = started(STUBBORN, owner, advice="look at it")
     with qtbot.waitSignal(process.received, timeout=SOON_MS):
         pass
-    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
-        process.stop(1, 1)
+    finished(qtbot, process, lambda: process.stop(1, 1))
     assert process.exit_code == -signal.SIGKILL
     assert process.failure.endswith("; look at it")
-
-
-def test_given_a_command_that_is_not_there_then_it_ends_with_127(qtbot, owner):
     process = CommandProcess(["status"], owner, program=("/nowhere/wavefocus",))
-    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
-        pass
+    finished(qtbot, process)
     assert (process.exit_code, process.pid) == (127, None)
     assert "/nowhere/wavefocus" in process.failure
 
@@ -105,7 +102,6 @@ def test_given_a_link_in_place_of_the_log_file_then_its_target_stays(qtbot, owne
     for link in (tmp_path / "lab" / log_file.name, tmp_path / log_file.name):
         link.symlink_to(precious)
     process = started("import sys; sys.exit('wavefocus: nothing here')", owner, log_file=log_file)
-    with qtbot.waitSignal(process.finished, timeout=SOON_MS):
-        pass
+    finished(qtbot, process)
     assert process.last_line == "nothing here"
     assert precious.read_text(encoding="utf-8") == "precious"

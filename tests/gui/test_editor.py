@@ -27,8 +27,8 @@ def tab(shared_window):
     assert shared_window.tracebacks == []
 
 
-def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot, tab):
-    page = tab.pages[FileKind.RUN]
+def test_given_letters_then_keys_are_completed_and_with_ctrl_f_the_text_is_searched(qtbot, tab):
+    page, messages = tab.pages[FileKind.RUN], tab.context.messages
     text = page.editor.text
     text.setFocus()
     qtbot.keyClicks(text, "[gri")
@@ -43,10 +43,6 @@ def test_given_letters_then_keys_are_completed_by_enter_and_undone(qtbot, tab):
     qtbot.keyClicks(text, "-1")
     wait(qtbot, lambda: [one.line for one in page.document.mistakes] == [1])
     assert "must be above 0" in page.editor.problem.text()
-
-
-def test_given_ctrl_f_then_the_text_is_searched_and_escape_closes_no_message(qtbot, tab):
-    page, messages = tab.pages[FileKind.RUN], tab.context.messages
     page.document.replace("[grid]\nspacing_mm = 4.0\n")
     with qtbot.waitActive(tab.window()):
         tab.window().activateWindow()
@@ -80,7 +76,7 @@ def test_an_unsaved_run_then_its_grid_and_hours_are_shown_with_the_rig_that_it_n
     assert rig.table.item(0, 2).text() == "0"
 
 
-def test_a_file_that_another_program_writes_is_read_again_unsaved_text_is_kept(tab, tmp_path):
+def test_a_file_that_another_program_writes_or_deletes_then_no_text_is_lost(tab, tmp_path):
     page, file = tab.pages[FileKind.RUN], tmp_path / "run.toml"
     file.write_text("[grid]\nspacing_mm = 4.0\n", encoding="utf-8")
     page.files.open(file)
@@ -98,6 +94,12 @@ def test_a_file_that_another_program_writes_is_read_again_unsaved_text_is_kept(t
     answer(tab.window(), "Save over it")
     assert file.read_text(encoding="utf-8") == page.document.toml()
     assert "changed on disk" not in page.bar.name.text()
+    file.unlink()
+    for _ in range(2):
+        page.files.look()
+    assert page.bar.name.text() == "run.toml • (deleted on disk)"
+    page.bar.actions_by_name["save"].trigger()
+    assert file.read_text(encoding="utf-8") == page.document.toml()
 
 
 def test_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_next_window(open_window, memory):
@@ -116,7 +118,7 @@ def test_both_texts_unsaved_then_closing_asks_once_and_keeps_both_for_next_windo
     assert texts == ["[sweep]\n", '[mirror]\ndriver = "virt\u00a0ual"\n']
 
 
-def test_each_kind_of_path_and_signal_is_inserted_and_written_as_the_same_scene():
+def test_each_kind_of_path_signal_and_section_is_inserted_in_a_step_that_is_undone():
     kinds = [source_on_path(kind) for kind in tables_by_kind(PathTable)]
     for text in kinds + [source_with_signal(kind) for kind in tables_by_kind(SignalTable)]:
         document = SceneDocument()
@@ -131,9 +133,6 @@ def test_each_kind_of_path_and_signal_is_inserted_and_written_as_the_same_scene(
         document.begin(scene_toml(draft), None)
         assert document.draft == draft
         assert draft.scene.name == 'abc "XYZ" \\ é☺#{}'
-
-
-def test_given_the_menu_of_a_rig_then_each_section_is_added_in_a_step_that_is_undone():
     document = TextDocument("rig")
     menu = insert_menu(document)
     actions = menu.actions()

@@ -5,13 +5,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PyQt5.QtCore import QSettings
-from PyQt5.QtWidgets import QFileDialog
+from PyQt5.QtWidgets import QFileDialog, QGraphicsTextItem
 
-from tests.gui.conftest import answer, campaign_of, edit, shown_tab, tab_of, wait, write_lab
+from tests.gui.conftest import (
+    answer,
+    campaign_of,
+    edit,
+    kept_window,
+    menus,
+    pages_of,
+    shown_tab,
+    tab_of,
+    wait,
+    write_lab,
+)
 from tests.lab_files import change_text
 from wavefocus.config.scene import LineTable
 from wavefocus.gui.field_map import ColourBar
-from wavefocus.gui.files import FileKind, PathField, misplaced
+from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.document import new_source
 from wavefocus.gui.scene.tab import SceneTab
@@ -27,20 +38,15 @@ def draw(window: Window, *, end_mm: float = 4.5) -> SceneTab:
     return tab
 
 
-def type_path(field: PathField, path: Path) -> None:
+def type_path(field: PathField, path: Path | str) -> None:
     field.line.setText(str(path))
     field.line.editingFinished.emit()
 
 
 @pytest.mark.parametrize(("word", "table"), [("Virtual rig", "[virtual]"), ("Own instruments", "[mirror]")])
 def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, open_window, tmp_path, word, table):
-    window = open_window()
-    window._choose_lab()
-    (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
-    lab = tmp_path / "new lab"
-    dialog.fileSelected.emit(str(lab))
-    dialog.reject()
-    answer(window, word)
+    window, lab = open_window(), tmp_path / "new lab"
+    make_lab(window, lab, word)
     wait(qtbot, lambda: tab_of(window, RigTab).rig_field.path == lab / "rig.toml")
     wait(qtbot, lambda: campaign_of(window).run_field.path == lab / "run.toml")
     assert tab_of(window, SceneTab).document.path == lab / "scene.toml"
@@ -49,7 +55,7 @@ def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, 
     assert table in files["rig.toml"] + files["run.toml"]
     if word == "Virtual rig":
         wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
-        window._make_lab(lab, "virtual")  # nothing in it is touched
+        make_lab(window, lab, word)  # nothing in it is touched
         wait(qtbot, lambda: str(lab) in window.messages.sentence and "the lab is in" not in window.messages.sentence)
         assert {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()} == files
 
@@ -81,19 +87,14 @@ def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_ban
     assert "averages" not in window.messages.sentence  # the error holds no longer
 
 
-def test_given_a_rig_without_a_bank_then_scenes_are_drawn_on_its_surface(qtbot, open_window, tmp_path):
-    rig = tmp_path / "rig.toml"
-    rig.write_text('[rig]\nname = "disc"\n[surface]\nlength_mm = 180.0\nwidth_mm = 120.0\n', encoding="utf-8")
-    window = open_window(rig)
-    outline_mm = tab_of(window, SceneTab).live.backdrop.outline_mm
-    assert np.ptp(outline_mm, axis=0) == pytest.approx([180.0, 120.0], abs=0.1)
-
-
-def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(qtbot, open_window, finished):
-    lab = finished.parent
-    window = open_window()
+def test_given_a_run_rig_bank_or_scene_in_one_tab_then_all_tabs_have_it(qtbot, open_window, finished, tmp_path):
+    window, lab, disc = open_window(), finished.parent, tmp_path / "disc.toml"
     campaign, rig = campaign_of(window), tab_of(window, RigTab)
     scene, verification = tab_of(window, SceneTab), tab_of(window, VerificationTab)
+    disc.write_text('[rig]\nname = "disc"\n[surface]\nlength_mm = 180.0\nwidth_mm = 120.0\n', encoding="utf-8")
+    window.open_file(disc)
+    # Without a bank, scenes are drawn on the rig's surface.
+    assert np.ptp(scene.live.backdrop.outline_mm, axis=0) == pytest.approx([180.0, 120.0], abs=0.1)
     type_path(campaign.run_field, lab / "run.toml")
     assert rig.rig_field.path == lab / "rig.toml"
     assert scene.results.rig_field.path == verification.form.rig.path == lab / "rig.toml"
@@ -110,15 +111,23 @@ def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(qtbot, open_wind
         for chosen in (copy, finished):
             type_path(field, chosen)
             assert {scene.document.bank, verification.form.bank.path, campaign.bank_field.path} == {chosen}
+    draw(window)
+    assert verification.form.missing() == "choose a scene file"  # what is not in a file cannot be verified
+    scene.document.save(saved := lab / "mine.toml")
+    assert (verification.form.scene.path, verification.form.missing()) == (saved, "")
+    for text, named in (("virtual", "virtual"), ("rig.toml", str(Path("rig.toml").absolute())), ("virtual", "virtual")):
+        type_path(scene.results.rig_field, text)
+        assert scene.results.rig == named
+    assert scene.results.rig_field.line.text() == "virtual"  # a word, no path
 
 
-def test_given_a_saved_scene_then_it_is_the_one_to_verify(open_window, finished):
-    window = open_window(finished.with_name("run.toml"), finished)
-    drawn, tab = draw(window), tab_of(window, VerificationTab)
-    assert tab.form.missing() == "choose a scene file"  # what is not in a file cannot be verified
-    drawn.document.save(saved := finished.with_name("mine.toml"))
-    assert tab.form.scene.path == saved
-    assert tab.form.missing() == ""
+def make_lab(window: Window, lab: Path, word: str) -> None:
+    """Choose a folder for a new lab, and its kind of rig."""
+    next(action for action in menus(window)["File"].actions() if "lab" in action.text()).trigger()
+    (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
+    dialog.fileSelected.emit(str(lab))
+    dialog.reject()
+    answer(window, word)
 
 
 WRONG = (
@@ -143,7 +152,7 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
         assert (fields[wanted].path, window.messages.sentence) == (None, misplaced(path, wanted))
         assert str(path) in window.messages.sentence
         assert str(wanted) in window.messages.sentence
-        window._pages.setCurrentIndex((window._pages.currentIndex() + 1) % 4)
+        pages_of(window).setCurrentIndex((pages_of(window).currentIndex() + 1) % 4)
         assert window.messages.sentence == ""  # the field is out of sight, and has its former file
     right = {FileKind.BANK: "plate.h5", FileKind.RIG: "rig.toml", FileKind.RUN: "run.toml"}
     for wanted, name in right.items():
@@ -153,26 +162,26 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
         assert window.messages.sentence == ""  # it holds no longer
 
 
-def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(
-    qtbot, open_window, tmp_path, memory
-):
+def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
-    blocked = QSettings(str(tmp_path / "file" / "memory.ini"), QSettings.Format.IniFormat)
-    memory._settings = blocked
-    window = open_window()
-    draw(window)
+    place = str(tmp_path / "file" / "memory.ini")
+    with kept_window(Settings(QSettings(place, QSettings.Format.IniFormat))) as window:
+        draw(window)
+        close_where_nothing_can_be_saved(window, tmp_path)
+    assert "[[source]]" in QSettings(place, QSettings.Format.IniFormat).value("scene/unsaved")
+
+
+def close_where_nothing_can_be_saved(window: Window, folder: Path) -> None:
     window.close()
     words = [button.text() for button in window.messages.buttons]
     assert words == ["Save and close", "Close without saving", "Do not close"]
-    assert str(tmp_path / "file") in window.messages.sentence
+    assert str(folder / "file") in window.messages.sentence
     assert window.isVisible()
-    (tmp_path / "file").unlink()
+    (folder / "file").unlink()
     answer(window, "Do not close")
     window.close()
     answer(window, "Close and keep for next time")
     assert not window.isVisible()
-    kept = QSettings(str(tmp_path / "file" / "memory.ini"), QSettings.Format.IniFormat)
-    assert "[[source]]" in kept.value("scene/unsaved")
 
 
 def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, shared_window):
@@ -185,7 +194,7 @@ def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, shared_window):
         bar.resize(bar.sizeHint())
         bar.show()
         qtbot.wait(20)
-        label = bar._bar.axis.label
+        (label,) = (item for item in bar.items() if isinstance(item, QGraphicsTextItem))
         inside = label.mapRectToScene(label.boundingRect()).bottom() - label.document().documentMargin()
         assert inside <= bar.height()
 
@@ -203,12 +212,3 @@ def test_given_another_run_file_then_the_bank_of_the_former_one_is_let_go(qtbot,
     window.open_file(finished)
     window.open_file(other)  # the same run again: the bank that was chosen stays
     assert tab.bank_field.path == finished
-
-
-def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(shared_window):
-    bar = shown_tab(shared_window, SceneTab).results
-    for text, rig in (("virtual", "virtual"), ("rig.toml", str(Path("rig.toml").absolute())), ("virtual", "virtual")):
-        bar.rig_field.line.setText(text)
-        bar.rig_field.line.editingFinished.emit()
-        assert bar.rig == rig
-    assert bar.rig_field.line.text() == "virtual"

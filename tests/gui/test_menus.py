@@ -10,7 +10,7 @@ from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtTest import QTest
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import campaign_of, tab_of, wait
+from tests.gui.conftest import campaign_of, menus, pages_of, tab_of, wait
 from wavefocus.config.scene import LineTable, SceneConfig
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.rig.tab import RigTab
@@ -19,12 +19,6 @@ from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.tab import Tab
 from wavefocus.gui.window import Window
-
-
-def menus(window: Window) -> dict[str, QtWidgets.QMenu]:
-    bar = window.menuBar()
-    assert bar is not None
-    return {action.text().replace("&", ""): menu for action in bar.actions() if (menu := action.menu()) is not None}
 
 
 def actions(menu: QtWidgets.QMenu) -> list[QtWidgets.QAction]:
@@ -72,7 +66,7 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
             for action in actions(menu):
                 if action.text() in ("&Quit", "&Documentation"):
                     continue
-                window._pages.setCurrentIndex(tab)
+                pages_of(window).setCurrentIndex(tab)
                 window.refresh()
                 action.trigger()
                 QtWidgets.QApplication.processEvents()
@@ -89,7 +83,7 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
 def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
     """Show each page of each tab, one after the other."""
     for tab in window.tabs:
-        window._pages.setCurrentWidget(tab)
+        pages_of(window).setCurrentWidget(tab)
         book = tab.findChild(QtWidgets.QTabWidget)
         for page in range(1 if book is None else book.count()):
             if book is not None:
@@ -123,14 +117,14 @@ def test_given_help_then_the_documentation_beside_the_program_is_opened(shared_w
     assert page.name in ("index.html", "README.md")
 
 
-def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(qtbot, open_window, finished):
+def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened_and_remembered(qtbot, open_window, finished, memory):
     scene = write_scene(finished.parent)
     window = open_window()
     for tab in range(4):
         close_dialogs(window)
         with qtbot.waitActive(window):
             window.activateWindow()
-        window._pages.setCurrentIndex(tab)
+        pages_of(window).setCurrentIndex(tab)
         QTest.keyClick(window, Qt.Key.Key_O, Qt.KeyboardModifier.ControlModifier)
         (dialog,) = (dialog for dialog in window.findChildren(QtWidgets.QFileDialog) if dialog.isVisible())
     chosen = [str(finished.with_name("run.toml")), str(finished.with_name("rig.toml")), str(scene), str(finished)]
@@ -140,7 +134,10 @@ def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(qtbot, open_windo
     assert tab_of(window, CampaignTab).bank_field.path == finished
     assert tab_of(window, RigTab).rig_field.path == finished.with_name("rig.toml")
     assert tab_of(window, SceneTab).document.path == scene
-    assert window._pages.currentWidget() is tab_of(window, CampaignTab)  # that of the last one
+    assert pages_of(window).currentWidget() is tab_of(window, CampaignTab)  # that of the last one
+    assert memory.recent()[:4] == [Path(one) for one in reversed(chosen)]
+    window.open_file(finished.with_name("positions.txt"))
+    assert "no tab opens such a file" in window.messages.sentence
 
 
 @pytest.mark.timeout(500)

@@ -8,7 +8,7 @@ from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWid
 
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.tab import SceneTab
-from wavefocus.gui.widgets import NumberBox, typed_number
+from wavefocus.gui.widgets import NumberBox
 
 # Texts, and the number that each is; None for those that are refused.
 TYPED = {
@@ -35,10 +35,6 @@ def type_into(box: QAbstractSpinBox, text: str, end: Qt.Key = Qt.Key.Key_Return)
     for character in text:  # QTest.keyClicks knows ASCII only
         QApplication.sendEvent(box, QKeyEvent(QEvent.Type.KeyPress, 0, Qt.KeyboardModifiers(), character))
     QTest.keyClick(box, end)
-
-
-def test_given_texts_then_point_and_comma_separate_decimals_and_all_else_is_refused():
-    assert {text: typed_number(text) for text in TYPED} == TYPED
 
 
 def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(locale, open_window):

@@ -186,8 +186,17 @@ def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(qt
     qtbot.waitUntil(lambda: _ended(pid), timeout=SOON_MS)
 
 
-def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_lives(qtbot, tab, rig):
-    window = tab.window()
+def test_given_no_rig_a_wrong_one_or_a_run_then_it_is_said_or_taken(qtbot, open_window, rig, tmp_path):
+    window = open_window()
+    tab = shown_tab(window, RigTab)
+
+    def enabled() -> set[str]:
+        window.refresh()
+        return {action.text() for action in tab.menu_actions() if action is not None and action.isEnabled()}
+
+    assert enabled() == set()
+    window.open_file(rig)
+    assert enabled() == {"E&xamine", "&Open instruments"}
     rig.write_text(RIG + "[mirror]\nlimit_mrad = -5\n", encoding="utf-8")
     press(qtbot, tab.examination.examine)
     wait(qtbot, lambda: "mirror.limit_mrad" in window.messages.sentence)
@@ -195,25 +204,10 @@ def test_given_a_rig_file_with_a_mistake_then_it_is_a_sentence_and_the_window_li
     rig.write_text("[rig\n", encoding="utf-8")
     tab.open_file(rig)
     assert f"{rig}: not TOML" in window.messages.sentence
-
-
-def test_given_a_run_file_then_the_rig_that_it_names_is_taken(tab, tmp_path):
     run = write_lab(tmp_path / "lab", 2, 2)
-    tab.window().open_file(run)
+    window.open_file(run)
     assert tab.rig.path == run.parent / "rig.toml"
     assert tab.rig.actuator_mm == [(110.0, 0.0), (0.0, 60.0), (-110.0, 10.0)]
-
-
-def test_given_no_rig_or_free_instruments_then_neither_sweep_nor_mute_can_be_pressed(qtbot, open_window, rig):
-    window = open_window()
-    tab = shown_tab(window, RigTab)
-    window.refresh()
-    enabled = {action.text(): action.isEnabled() for action in tab.menu_actions() if action is not None}
-    assert enabled == dict.fromkeys(enabled, False)
-    window.open_file(rig)
-    window.refresh()
-    enabled = {action.text() for action in tab.menu_actions() if action is not None and action.isEnabled()}
-    assert enabled == {"E&xamine", "&Open instruments"}
 
 
 def test_given_findings_then_a_button_is_offered_where_the_window_can_do_something():
@@ -229,37 +223,29 @@ def test_given_findings_then_a_button_is_offered_where_the_window_can_do_somethi
     assert button_of(replace(finding, verdict="ok")) is None
 
 
-@pytest.mark.parametrize(
-    ("text", "kind"),
-    [
-        ('[[source]]\npath = { kind = "point" }\n', FileKind.SCENE),
-        ('[scene]\nbank = "plate.h5"\n', FileKind.SCENE),
-        (REAL_RIG, FileKind.RIG),
-        ('[mirror]\ndriver = "virtual"\n[player]\nlimit_v = 1.0\n', FileKind.RIG),
-        ("[actuators]\nposition_mm = [[0, 0], [10, 0]]\n", FileKind.RIG),
-        ('[rig]\nname = "lab"\n', FileKind.RIG),
-        ('rig = "rig.toml"\n\n[grid]\nspacing_mm = 2.0\n', FileKind.RUN),
-        ('format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n', FileKind.CALIBRATION),
-        ("\ufeff" + REAL_RIG, FileKind.RIG),  # with a byte-order mark
-        ("rig = [", None),
-        (None, None),
-    ],
-)
-def test_the_kind_of_a_file_follows_from_its_tables(tmp_path, text, kind):
-    file = tmp_path / "file.toml"
-    if text is not None:
-        file.write_text(text, encoding="utf-8")
-    assert kind_of(file) is kind
+KINDS = {
+    '[[source]]\npath = { kind = "point" }\n': FileKind.SCENE, '[scene]\nbank = "plate.h5"\n': FileKind.SCENE,
+    REAL_RIG: FileKind.RIG, "\ufeff" + REAL_RIG: FileKind.RIG,  # with a byte-order mark
+    '[mirror]\ndriver = "virtual"\n[player]\nlimit_v = 1.0\n': FileKind.RIG,
+    "[actuators]\nposition_mm = [[0, 0], [10, 0]]\n": FileKind.RIG, '[rig]\nname = "lab"\n': FileKind.RIG,
+    'rig = "rig.toml"\n\n[grid]\nspacing_mm = 2.0\n': FileKind.RUN, "rig = [": None, None: None,
+    'format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n': FileKind.CALIBRATION,
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "with a byte-order mark"])
-def test_real_instruments_are_known_whatever_editor_wrote_the_files(tmp_path, mark):
+def test_the_kind_of_a_file_follows_from_its_tables_whatever_editor_wrote_it(tmp_path):
+    for number, (text, kind) in enumerate(KINDS.items()):
+        file = tmp_path / f"{number}.toml"
+        if text is not None:
+            file.write_text(text, encoding="utf-8")
+        assert kind_of(file) is kind
     rig, run = tmp_path / "rig.toml", tmp_path / "run.toml"
-    rig.write_text(mark + REAL_RIG, encoding="utf-8")
-    run.write_text(mark + 'rig = "rig.toml"\n', encoding="utf-8")
-    assert not names_virtual_rig(rig)
-    assert rig_of_run(run) == rig
-    assert not read_rig_file(rig).is_virtual
+    for mark in ("", "\ufeff"):
+        rig.write_text(mark + REAL_RIG, encoding="utf-8")
+        run.write_text(mark + 'rig = "rig.toml"\n', encoding="utf-8")
+        assert not names_virtual_rig(rig)
+        assert rig_of_run(run) == rig
+        assert not read_rig_file(rig).is_virtual
 
 
 def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None:

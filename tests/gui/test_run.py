@@ -13,7 +13,6 @@ import pytest
 
 from tests.gui.conftest import answer, campaign_of, edit, line_scene, press, shown_tab, tab_of, wait, write_lab
 from tests.lab_files import ABSENT_RIG, change_text
-from wavefocus.__main__ import run as wavefocus
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.gui.campaign.follower import Follower
 from wavefocus.gui.rig.tab import RigTab
@@ -68,18 +67,6 @@ def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_clo
     assert sorted(one["position"] for one in records if one["event"] == "position_committed") == list(range(40))
 
 
-def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(qtbot, shared_window, finished):
-    window, tab = shared_window, campaign_of(shared_window)
-    window.open_file(finished)
-    with held_by_another(finished) as owner:
-        wait(qtbot, lambda: tab.progress.state.text() == "preparing")
-        assert not tab.controls.buttons["resume"].isEnabled()
-        # Even one who is quicker than the buttons harms nothing.
-        tab.run.start(["resume", str(finished)], finished)
-        wait(qtbot, lambda: "owned by process" in window.messages.sentence)
-        assert f"process {owner}" in window.messages.sentence
-
-
 def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, shared_window, finished, tmp_path):
     window, tab = shared_window, campaign_of(shared_window)
 
@@ -87,6 +74,14 @@ def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, sha
         wait(qtbot, lambda: words in window.messages.sentence)
         assert "Traceback" not in window.messages.sentence
 
+    window.open_file(finished)
+    with held_by_another(finished) as owner:
+        wait(qtbot, lambda: tab.progress.state.text() == "preparing")
+        assert not tab.controls.buttons["resume"].isEnabled()
+        # Even one who is quicker than the buttons harms nothing.
+        tab.run.start(["resume", str(finished)], finished)
+        refused("owned by process")
+        assert f"process {owner}" in window.messages.sentence
     (tmp_path / "no.h5").write_bytes(b"nothing of the kind" * 100)
     window.open_file(tmp_path / "no.h5")
     refused("no.h5")
@@ -217,7 +212,7 @@ def test_given_an_own_run_then_closing_can_leave_it_to_continue(qtbot, open_wind
     answer(window, "Continue in the background")
     wait(qtbot, lambda: not window.isVisible())
     assert bank_owner(bank) is not None
-    assert wavefocus(["stop", str(bank)]) == 0
+    press(qtbot, campaign_of(open_window(bank)).controls.buttons["stop"])  # an order reaches the run of another window
     wait(qtbot, lambda: bank_owner(bank) is None)
 
 

@@ -8,8 +8,8 @@ from PyQt5.QtGui import QTextDocument
 from PyQt5.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, click, drag, edit, pixel, scene_of, shown_tab, wait
-from wavefocus.config.scene import LineTable, NoiseTable, PathTable, PointTable, SceneConfig, SceneTable, TextTable
+from tests.gui.conftest import LEFT, NO_KEY, answer, click, drag, edit, pixel, scene_of, shown_tab, wait
+from wavefocus.config.scene import PathTable, SceneConfig, SceneTable, TextTable
 from wavefocus.gui.files import kind_of
 from wavefocus.gui.scene.canvas import SceneCanvas
 from wavefocus.gui.scene.document import NEW_SCENE, NOTHING, changed, new_source
@@ -49,16 +49,6 @@ def tab(qtbot, shared_window):
     laid_out(shown.surface.canvas)
     yield shown
     assert shared_window.tracebacks == []
-
-
-@pytest.fixture
-def own_tab(qtbot, open_window, memory, tmp_path):
-    """The Scene tab of a window that may be closed."""
-    memory.keep("folder/.toml", str(tmp_path))
-    shown = shown_tab(open_window(), SceneTab)
-    wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.idle)
-    laid_out(shown.surface.canvas)
-    return shown
 
 
 def laid_out(canvas: SceneCanvas) -> None:
@@ -186,93 +176,83 @@ def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene
     assert document.draft == before
 
 
-def test_given_unsaved_changes_then_closing_asks_and_saving_closes(qtbot, own_tab, tmp_path):
-    window = own_tab.window()
-    draw(qtbot, own_tab, "line")
+def test_given_unsaved_changes_then_closing_asks_and_saving_closes(qtbot, open_window, memory, tmp_path):
+    memory.keep("folder/.toml", str(tmp_path))
+    window, file = open_window(), tmp_path / "drawn.toml"
+    tab = shown_tab(window, SceneTab)
+    settled(qtbot, tab)
+    laid_out(tab.surface.canvas)
+    draw(qtbot, tab, "line")
     window.close()
     assert window.isVisible()
-    answers = {button.text(): button for button in window.messages.buttons}
     assert "has unsaved changes" in window.messages.sentence
-    qtbot.mouseClick(answers["Save and close"], LEFT)
-    dialog = own_tab.findChild(QFileDialog)
+    answer(window, "Save and close")
+    dialog = tab.findChild(QFileDialog)
     assert not dialog.isModal()
-    file = tmp_path / "drawn.toml"
     dialog.fileSelected.emit(str(file))
     dialog.close()
     assert not window.isVisible()
     assert len(load_scene(file).sources) == 1
 
 
-def test_given_a_window_that_is_gone_with_unsaved_changes_then_the_next_one_has_them(
-    qtbot, open_window, own_tab, memory, tmp_path
-):
+def test_a_window_gone_with_unsaved_changes_then_the_next_one_has_them(qtbot, open_window, memory, tmp_path):
     file = tmp_path / "two.toml"
     file.write_text(SCENE, encoding="utf-8")
-    own_tab.open_file(file)
-    edit(own_tab.document, changed(own_tab.document.draft, scene=SceneTable(name="three")))
+    gone = shown_tab(open_window(file), SceneTab)
+    edit(gone.document, changed(gone.document.draft, scene=SceneTable(name="three")))
     wait(qtbot, lambda: 'name = "three"' in memory.text("scene/unsaved"))
     other = shown_tab(open_window(), SceneTab)
-    assert other.document.draft == own_tab.document.draft
+    assert other.document.draft == gone.document.draft
     assert (other.document.path, other.document.saved) == (file, False)
     assert "two.toml" in other.context.messages.sentence
-    other.bar.actions_by_name["save"].trigger()
+    file.write_text(SCENE + "# of another program, before the next window\n", encoding="utf-8")
+    third = shown_tab(open_window(), SceneTab)
+    third.bar.actions_by_name["save"].trigger()
+    assert "another program" in third.context.messages.sentence
+    assert "# of another program" in file.read_text(encoding="utf-8")
+    answer(third.window(), "Save over it")
     assert load_scene(file).name == "three"
     assert memory.text("scene/unsaved") == ""
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("[scene]\nname = 3\n[[source]]\n", "scene.name = 3: must be text in quotes"),
-        ("[[source]\n", "not TOML"),
-        (SCENE.replace("radius_mm", "radius"), "did you mean radius_mm?"),
-    ],
-)
-def test_a_wrong_scene_file_is_shown_with_its_mistakes_and_cannot_be_saved(qtbot, tab, tmp_path, text, sentence):
-    file = tmp_path / "wrong.toml"
-    file.write_text(text, encoding="utf-8")
-    tab.open_file(file)
-    assert tab.document.toml() == text
-    assert any(sentence in mistake.sentence for mistake in tab.document.mistakes)
-    assert f"line {tab.document.mistakes[0].line + 1}" in tab.editor.problem.text()
-    assert tab.document.draft == NEW_SCENE
-    with pytest.raises(InputError, match="not saved"):
-        tab.document.save(file)
+POINT = '[[source]]\npath = { kind = "point", at_mm = [0, 0] }\nsignal = { kind = "impulse" }\n'
+NOISE = '{ kind = "noise", band_hz = [300.0, 20.0], duration_s = 0.1 }'
+BAND = "source[0].signal.band_hz = [300.0, 20.0]: must be [lower, upper] with lower below upper"
+WRONG = {
+    "[[source]\n": "not TOML",
+    "[scene]\nname = 3\n[[source]]\n": "scene.name = 3: must be text in quotes",
+    SCENE.replace("radius_mm", "radius"): "did you mean radius_mm?",
+    SCENE.replace('{ kind = "impulse" }', NOISE): BAND,
+    f'[scene]\nname = "a\udcff"\n{POINT}': "scene.name",
+    "[output]\nlimit_v = -0.5\n": "output.limit_v = -0.5",
+}
 
 
-def test_given_a_text_without_a_source_then_its_other_tables_are_read_and_checked(tab):
-    document = tab.document
-    for text in ("", "[output]\nlimit_v = 0.5\n"):
-        document.begin(text, None)
-        assert (document.mistakes, document.draft.source) == ([], ())
-    assert document.draft.output.limit_v == 0.5
-    document.begin("[output]\nlimit_v = -0.5\n", None)
-    assert [mistake.line for mistake in document.mistakes] == [1]
-
-
-def test_scene_that_commands_would_refuse_then_window_says_so_and_does_not_write_it(qtbot, tab, tmp_path):
-    document = tab.document
+def test_given_wrong_scenes_then_their_mistakes_are_shown_and_none_is_saved(qtbot, tab, tmp_path):
+    document, file, wrong = tab.document, tmp_path / "wrong.toml", tmp_path / "scene.toml"
     with pytest.raises(InputError, match="has no source yet"):
         scene_of(document)
-    with pytest.raises(InputError, match="not saved: the scene has no source yet"):
-        document.save(tmp_path / "empty.toml")
-    noise = NoiseTable.model_construct(band_hz=(300.0, 20.0), duration_s=0.1)
-    wrong = changed(new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(30.0, 0.0))), signal=noise)
-    edit(document, changed(NEW_SCENE, source=(wrong,)), chosen=0)
-    wait(qtbot, lambda: "band_hz = [300.0, 20.0]" in tab.surface.problem)
-    assert tab.surface.problem == (
-        "source[0].signal.band_hz = [300.0, 20.0]: must be [lower, upper] with lower below upper"
-    )
-    with pytest.raises(InputError, match="band_hz"):
-        document.save(tmp_path / "wrong.toml")
-    assert list(tmp_path.glob("*.toml")) == []
-    letters = new_source(TextTable(string="\U00013000", height_mm=20.0))
-    edit(document, SceneConfig(source=(letters,)), chosen=0)
+    for text, sentence in WRONG.items():
+        document.clear()
+        document.replace(text)
+        assert any(sentence in mistake.sentence for mistake in document.mistakes), text
+        assert f"line {document.mistakes[0].line + 1}" in tab.editor.problem.text()
+        assert document.mistakes[0].sentence == tab.surface.problem
+        assert document.draft == NEW_SCENE
+        with pytest.raises(InputError, match="not saved"):
+            document.save(file)
+    for text in ("", "[output]\nlimit_v = 0.5\n"):  # not finished, but not wrong
+        document.begin(text, None)
+        assert (document.mistakes, document.draft.source) == ([], ())
+        with pytest.raises(InputError, match="not saved: the scene has no source yet"):
+            document.save(file)
+    assert document.draft.output.limit_v == 0.5
+    assert list(tmp_path.iterdir()) == []
+    wrong.write_text("[[source]\n", encoding="utf-8")
+    tab.open_file(wrong)
+    assert document.toml() == "[[source]\n"
+    edit(document, SceneConfig(source=(new_source(TextTable(string="\U00013000", height_mm=20.0)),)), chosen=0)
     wait(qtbot, lambda: "DejaVu Sans cannot draw" in tab.surface.problem)
-    scene = SceneTable.model_construct(name="a\udcff")
-    edit(document, changed(NEW_SCENE, scene=scene, source=(new_source(PointTable(at_mm=(0.0, 0.0))),)), chosen=0)
-    with pytest.raises(InputError, match=r"scene\.name"):
-        document.save(tmp_path / "name.toml")
 
 
 WILD = """

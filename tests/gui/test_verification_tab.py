@@ -102,9 +102,8 @@ def cells(tab: VerificationTab, row: int) -> list[str]:
     return [table.item(row, column).text() for column in range(table.columnCount())]
 
 
-@pytest.mark.smoke
-def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(qtbot, shown, verified):
-    tab = shown
+def test_an_earlier_verification_then_its_fields_and_figures_are_those_of_its_files(qtbot, shown, verified):
+    tab, record = shown, json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
     predicted, scanned, difference = tab.maps.maps
     with h5py.File(verified / "verify" / "scan.h5", "r") as file:
         sample = round((tab.maps.time.time_s - file.attrs["start_s"]) * file.attrs["sample_rate_hz"])
@@ -116,11 +115,6 @@ def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(qtbot,
     assert "mm/s" in predicted.bar.accessibleName()
     in_mm_s = 1e-3 if "µm/s" in difference.bar.accessibleName() else 1.0
     np.testing.assert_allclose(in_mm_s * difference.values, scanned.values - predicted.values, atol=1e-6)
-
-
-def test_the_figures_then_they_are_those_of_the_file_with_verdict_and_definition(qtbot, shown, verified):
-    tab = shown
-    record = json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
     assert tab.figures.table.rowCount() == len(record["figures"])
     for row, figure in enumerate(record["figures"]):
         texts = cells(tab, row)
@@ -132,13 +126,11 @@ def test_the_figures_then_they_are_those_of_the_file_with_verdict_and_definition
     assert cells(tab, 0)[3:5] == [f"{error['difference']:.3g} %", "≤ 5 %"]
 
 
-def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(qtbot, shown, verified):
-    tab = shown
+def test_given_a_click_on_a_map_or_the_slider_then_waveforms_figures_and_maps_follow(qtbot, shown):
+    tab, index = shown, 7
     qtbot.waitExposed(tab.window())
-    scan = tab.maps.maps[1]
+    scan, record = tab.maps.maps[1], tab.results.record
     QApplication.processEvents()
-    index = 7
-    record = tab.results.record
     qtbot.mouseClick(scan.viewport(), LEFT, pos=pixel(scan, *record.position_mm[index]))
     wait(qtbot, lambda: tab.maps.marked == index)
     assert all(one.marked == index for one in tab.maps.maps)
@@ -150,13 +142,8 @@ def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(qtbot
     np.testing.assert_allclose(lines[2], lines[1] - lines[0], atol=1e-6 * np.abs(lines[1]).max())
     qtbot.keyClick(scan, Qt.Key.Key_Right)
     assert tab.maps.marked == index or record.position_mm[tab.maps.marked][0] > record.position_mm[index][0]
-
-
-def test_given_the_time_slider_then_it_goes_from_focus_to_focus_and_the_maps_follow(qtbot, shown, verified):
-    tab = shown
-    time, focus = tab.maps.time, tab.results.record.focus_s
+    time, focus, before = tab.maps.time, record.focus_s, tab.maps.maps[0].values.copy()
     assert time.time_s == pytest.approx(focus[0], abs=1e-4)
-    before = tab.maps.maps[0].values.copy()
     qtbot.mouseClick(time.next, LEFT)
     assert time.time_s == pytest.approx(focus[1], abs=1e-4)
     assert time.time_label.text() == f"{1e3 * time.time_s:.2f} ms"
@@ -266,45 +253,33 @@ def test_check_positions_of_the_bank_then_they_are_rings_and_take_no_cells(qtbot
     assert set(np.unique(surface.raster.index)) == {*range(13)} - {5, 10}  # the last one: no position
 
 
-def test_files_then_each_opens_or_belongs_to_a_field_and_the_next_window_has_them(qtbot, open_window, lab):
-    tab = opened(qtbot, open_window(), lab / "verify" / "scan.h5")
-    assert (kind_of(lab / "verify" / "scan.h5"), kind_of(lab / "plate.h5")) == (FileKind.VERIFICATION, FileKind.BANK)
-    tab.form.take_bank(lab / "plate.h5")
-    tab.form.out.show_path(lab / "empty")
-    assert tab.form.missing() == ""
-    chosen = [lab / "scene.toml", lab / "plate.h5", lab / "rig.toml", lab / "empty"]
-    assert [field.path for field in (tab.form.scene, tab.form.bank, tab.form.rig, tab.form.out)] == chosen
-    tab.form.positions.setText("path")
-    tab.save_settings()
-    again = shown_tab(open_window(), VerificationTab)
-    assert [field.path for field in (again.form.scene, again.form.bank, again.form.rig, again.form.out)] == chosen
-    assert again.form.positions.text() == "path"
-
-
-def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(shared_window, lab):
-    form = ready(shared_window, lab / "plate.h5").form
+@pytest.mark.smoke
+def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(shared_window, tmp_path):
+    bank, record = tmp_path / "plate.h5", tmp_path / "verify" / "verify.json"
+    record.parent.mkdir()
+    for path in (bank, record, record.with_name("scan.h5"), tmp_path / "scene.toml", tmp_path / "rig.toml"):
+        path.write_bytes(b"")
+    assert kind_of(record.with_name("scan.h5")) == FileKind.VERIFICATION
+    assert kind_of(bank) == FileKind.BANK
+    form = ready(shared_window, bank).form
     form.positions.clear()
-
-    def options() -> list[str]:
-        arguments = form.arguments(Path("out"))
-        return arguments[arguments.index("--json") + 1 :]
-
-    assert options() == []
+    files = ["--bank", str(bank), "--rig", str(tmp_path / "rig.toml"), "--out", "out", "--json"]
+    assert form.arguments(Path("out")) == ["verify", str(tmp_path / "scene.toml"), *files]
     form.positions.setText(" 0-3,7 ")
-    assert options() == ["--positions", "0-3,7"]
+    assert form.arguments(Path("out"))[-2:] == ["--positions", "0-3,7"]
     form.rig.line.setText("virtual")
     arguments = form.arguments(Path("out"))
     assert arguments[arguments.index("--rig") + 1] == "virtual"
-    form.take_bank(lab / "plate.h5")
+    form.take_bank(bank)
     assert form.rig.line.text() == "virtual"  # what was typed stays
     # The next folder with a number is taken.
-    (lab / "render").mkdir()
-    (lab / "render" / "drive.h5").write_bytes(b"precious")
+    (tmp_path / "render").mkdir()
+    (tmp_path / "render" / "drive.h5").write_bytes(b"precious")
     for used, free in (("render", "render-2"), ("verify", "verify-2")):
-        assert unused_folder(lab / used) == lab / free
-    (lab / "verify-2").mkdir()
-    (lab / "verify-2" / "report.html").write_text("earlier", encoding="utf-8")
-    assert unused_folder(lab / "verify-2") == lab / "verify-3"
-    assert (lab / "render" / "drive.h5").read_bytes() == b"precious"
+        assert unused_folder(tmp_path / used) == tmp_path / free
+    (tmp_path / "verify-2").mkdir()
+    (tmp_path / "verify-2" / "report.html").write_text("earlier", encoding="utf-8")
+    assert unused_folder(tmp_path / "verify-2") == tmp_path / "verify-3"
+    assert (tmp_path / "render" / "drive.h5").read_bytes() == b"precious"
     form.scene.line.clear()
     assert form.missing() == "choose a scene file"

@@ -5,7 +5,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from PyQt5.QtCore import Qt
+from PyQt5.QtCore import QModelIndex, Qt
 from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
@@ -24,7 +24,7 @@ RUN = """
 rig = "rig.toml"
 
 [grid]
-spacing_mm = 4.0
+spacing_mm = 10.0
 
 [sweep]
 duration_s = 0.3
@@ -56,16 +56,14 @@ name = "six"
 position_mm = [[109.0, 11.0], [50.0, 68.0], [-50.0, 68.0], [-109.0, -11.0], [-50.0, -68.0], [50.0, -68.0]]
 """
 DARK = 5
-# What 1500 positions may take on a busy machine; nothing is judged by it.
+# What the campaign may take on a busy machine; nothing is judged by it.
 A_NIGHT_MS = 600_000
 
 
 def turn_to(qtbot: QtBot, window: Window, title: str) -> None:
     """Click on a tab."""
     bar = window.findChild(QTabBar)
-    assert bar is not None
-    index = next(index for index in range(bar.count()) if bar.tabText(index) == title)
-    qtbot.mouseClick(bar, LEFT, pos=bar.tabRect(index).center())
+    qtbot.mouseClick(bar, LEFT, pos=bar.tabRect([one.title for one in window.tabs].index(title)).center())
 
 
 def take(qtbot: QtBot, name: str, window: Window) -> None:
@@ -74,22 +72,17 @@ def take(qtbot: QtBot, name: str, window: Window) -> None:
     dialog = next(one for one in window.findChildren(QFileDialog) if one.isVisible())
     if name:
         files = dialog.findChild(QListView, "listView")
-        assert files is not None
         model = files.model()
-        assert model is not None
 
-        def found() -> list[int]:
-            root = files.rootIndex()
-            return [row for row in range(model.rowCount(root)) if model.index(row, 0, root).data() == name]
+        def found() -> list[QModelIndex]:
+            rows = (model.index(row, 0, files.rootIndex()) for row in range(model.rowCount(files.rootIndex())))
+            return [one for one in rows if one.data() == name]
 
         wait(qtbot, lambda: len(found()) == 1)
-        index = model.index(found()[0], 0, files.rootIndex())
-        files.scrollTo(index)
-        qtbot.mouseClick(files.viewport(), LEFT, pos=files.visualRect(index).center())
+        files.scrollTo(found()[0])
+        qtbot.mouseClick(files.viewport(), LEFT, pos=files.visualRect(found()[0]).center())
     box = dialog.findChild(QDialogButtonBox)
-    assert box is not None
-    accepts = next(one for one in box.buttons() if box.buttonRole(one) == QDialogButtonBox.ButtonRole.AcceptRole)
-    press(qtbot, accepts)
+    press(qtbot, next(one for one in box.buttons() if box.buttonRole(one) == QDialogButtonBox.ButtonRole.AcceptRole))
 
 
 def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:

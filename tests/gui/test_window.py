@@ -1,9 +1,6 @@
 """The window's frame: errors, messages, files, size, theme, settings, accessibility, fast start."""
 
-import ast
-import importlib
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,12 +21,12 @@ from PyQt5.QtWidgets import (
     QTableView,
 )
 
-import wavefocus.gui
-from tests.gui.conftest import campaign_of, shown_tab, tab_of, wait, write_lab
+from tests.gui.conftest import campaign_of, pages_of, shown_tab, tab_of, wait
 from tests.system.test_process_of_a_command import loaded_by
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, palette_of
+from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window
 from wavefocus.storage.errors import InputError
 
@@ -40,6 +37,7 @@ from pathlib import Path
 from PyQt5.QtCore import QSettings
 from wavefocus.gui.window import make_application
 from wavefocus.gui.files import Settings
+from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window
 application = make_application()
 window = Window(Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
@@ -97,20 +95,6 @@ def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(q
     assert messages.sentence == ""
 
 
-def test_given_files_then_a_tab_opens_each_and_they_are_remembered(open_window, finished, memory, tmp_path):
-    window = open_window()
-    rig, run = tmp_path / "rig.toml", write_lab(tmp_path / "other", 2, 2)
-    rig.write_text("[rig]\n", encoding="utf-8")
-    (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
-    for path in (rig, tmp_path / "scene.toml", finished, run):
-        window.open_file(path)
-    tab = campaign_of(window)
-    assert (tab.run_field.path, tab.bank_field.path) == (run, finished)
-    assert memory.recent()[:2] == [run, finished]
-    window.open_file(run.with_name("positions.txt"))
-    assert "no tab opens such a file" in window.messages.sentence
-
-
 def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(qtbot, open_window, finished):
     font = QApplication.font()
     large = QFont(font)
@@ -120,7 +104,7 @@ def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen
         window = open_window(finished)
         window.messages.fault(f"/{'a_folder_without_spaces' * 40}/plate.h5: no such file")
         for tab in window.tabs:
-            window._pages.setCurrentWidget(tab)
+            pages_of(window).setCurrentWidget(tab)
             QApplication.processEvents()
             least = window.minimumSizeHint().expandedTo(window.minimumSize())
             assert least.width() <= 1280 - 16
@@ -157,41 +141,45 @@ def test_a_double_click_after_zooming_then_the_whole_of_a_clipped_plot_is_seen(q
     assert high >= 1.0
 
 
-def test_given_size_run_and_bank_then_the_next_window_has_them_again(qtbot, open_window, finished, memory):
-    window = open_window(finished.with_name("run.toml"))
-    assert campaign_of(window).bank_field.path == finished
+def test_given_size_files_splitters_and_numbers_then_the_next_window_has_them_again(
+    qtbot, open_window, finished, memory
+):
+    lab = finished.parent
+    (lab / "scene.toml").write_text("[scene]\n", encoding="utf-8")
+    window = open_window(lab / "run.toml")
+    form = tab_of(window, VerificationTab).form
+    form.take_bank(finished)
+    form.out.show_path(lab / "empty")
+    form.positions.setText("path")
+    for splitter in splitters_of(window).values():
+        pages_of(window).setCurrentWidget(next(tab for tab in window.tabs if tab.isAncestorOf(splitter)))
+        sizes = splitter.sizes()
+        splitter.setSizes([sizes[0] + 40, sizes[1] - 40, *sizes[2:]])
+    tab_of(window, SceneTab).live_panel.look_ahead.setValue(120)
+    moved = {name: (splitter.orientation(), splitter.saveState()) for name, splitter in splitters_of(window).items()}
+    assert len(moved) >= 6
     window.resize(780, 560)
     window.close()
+    memory.keep("scene/columns", QSplitter(Qt.Orientation.Vertical).saveState())  # as another version had it
     again = Window(memory)
     assert (again.width(), again.height()) == (780, 560)
     assert campaign_of(again).bank_field.path is None
     again.restore_settings()
-    tab = campaign_of(again)
-    assert (tab.run_field.path, tab.bank_field.path) == (finished.with_name("run.toml"), finished)
+    tab, form = campaign_of(again), tab_of(again, VerificationTab).form
+    assert (tab.run_field.path, tab.bank_field.path) == (lab / "run.toml", finished)
+    files = [field.path for field in (form.scene, form.bank, form.rig, form.out)]
+    assert files == [lab / "scene.toml", finished, lab / "rig.toml", lab / "empty"]
+    assert form.positions.text() == "path"
+    assert tab_of(again, SceneTab).live_panel.look_ahead.whole() == 120
+    for name, splitter in splitters_of(again).items():
+        assert splitter.orientation() == moved[name][0]
+        assert splitter.saveState() == moved[name][1] or name == "columns"
     wait(qtbot, lambda: tab.campaign.measured == 12)
     again.close_at_once()
 
 
-def test_splitters_and_numbers_then_next_window_has_them_and_each_its_own_direction(open_window, memory):
-    window = open_window()
-    splitters = {name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QSplitter)}
-    assert len(splitters) >= 6
-    for splitter in splitters.values():
-        window._pages.setCurrentWidget(next(tab for tab in window.tabs if tab.isAncestorOf(splitter)))
-        sizes = splitter.sizes()
-        splitter.setSizes([sizes[0] + 40, sizes[1] - 40, *sizes[2:]])
-    tab_of(window, SceneTab).live_panel.look_ahead.setValue(120)
-    moved = {name: (splitter.orientation(), splitter.saveState()) for name, splitter in splitters.items()}
-    window.close()
-    turned = QSplitter(Qt.Orientation.Vertical)
-    memory.keep("scene/columns", turned.saveState())
-    again = open_window()
-    assert tab_of(again, SceneTab).live_panel.look_ahead.whole() == 120
-    for tab in again.tabs:
-        for name, one in tab.remembered.items():
-            if isinstance(one, QSplitter):
-                assert one.orientation() == moved[name][0]
-                assert one.saveState() == moved[name][1] or name == "columns"
+def splitters_of(window: Window) -> dict[str, QSplitter]:
+    return {name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QSplitter)}
 
 
 @pytest.mark.smoke
@@ -216,7 +204,7 @@ def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(o
     assert [key for key in own_keys if key and keys.count(key) != 1] == []
     scene, campaign = tab_of(window, SceneTab), campaign_of(window)
     for tab, plot in ((campaign, campaign.map_panel.map), (scene, scene.surface.canvas)):
-        window._pages.setCurrentWidget(tab)
+        pages_of(window).setCurrentWidget(tab)
         plot.getPlotItem().getViewBox().setRange(xRange=(-0.3, 0.3), yRange=(-0.3, 0.3))
         for side, word in (("left", "y (mm)"), ("bottom", "x (mm)")):
             axis = plot.getPlotItem().getAxis(side)
@@ -265,27 +253,3 @@ def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path):
         "wavefocus.rendering.drive.rendering",
         "wavefocus.rendering.scene.model",
     }
-
-
-def own_names(node: ast.AST, context: type[ast.expr_context]) -> set[str]:
-    """Names that are read (Load) or set (Store) of `self`."""
-    found = [one for one in ast.walk(node) if isinstance(one, ast.Attribute) and isinstance(one.ctx, context)]
-    return {one.attr for one in found if isinstance(one.value, ast.Name) and one.value.id == "self"}
-
-
-def test_given_all_classes_of_the_window_then_what_they_read_of_themselves_exists():
-    """PyQt5's types give QObject a `__getattr__`, so that the type checker lets any name pass."""
-    folder, nodes = Path(wavefocus.gui.__file__).resolve().parent, {}
-    for path in folder.rglob("*.py"):
-        parts = path.relative_to(folder).with_suffix("").parts
-        module = importlib.import_module(".".join(["wavefocus.gui", *parts]).removesuffix(".__init__"))
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef):
-                nodes[getattr(module, node.name)] = node
-    assert len(nodes) > 60
-    missing = {}
-    for kind, node in nodes.items():
-        held = set(dir(kind)).union(*(getattr(base, "__annotations__", ()) for base in kind.__mro__))
-        held = held.union(*(own_names(nodes[base], ast.Store) for base in kind.__mro__ if base in nodes))
-        missing[kind] = own_names(node, ast.Load) - held
-    assert {kind: names for kind, names in missing.items() if names} == {}

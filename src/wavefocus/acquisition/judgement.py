@@ -398,5 +398,6 @@ def _low_signal(estimate: Estimate, usable: BoolArray, limits: QualityLimits) ->
     best_db = float(np.max(estimate.snr_db[usable]))
     if best_db >= limits.poor_snr_db:
         return []
-    sentence = f"the best record has {best_db:.1f} dB signal-to-noise ratio (the record's, not the row's error)"
+    ratio = f"{best_db:.1f} dB signal-to-noise ratio (the record's, not the row's error)"
+    sentence = f"the best record has {ratio if best_db > 0 else 'no signal above its noise'}"
     return [RecordDefect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)]

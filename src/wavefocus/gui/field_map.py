@@ -29,13 +29,15 @@ class Plot(Themed, pyqtgraph.PlotWidget):
     axis_px: Width of the left axis, where plots above one another are to have the same.
     """
 
+    _empty = False
+
     def __init__(
         self, name: str, bottom: str, left: str, legend_at: tuple[int, int] | None = None, axis_px: int | None = None
     ) -> None:
         super().__init__(enableMenu=False)
         self.setAccessibleName(name)
         plot = self.getPlotItem()
-        self._legend = None if legend_at is None else plot.addLegend(offset=legend_at)
+        self._legend = None if legend_at is None else plot.addLegend(offset=legend_at, brush=self.theme.base)
         plot.setLabel("bottom", bottom)
         plot.setLabel("left", left)
         if axis_px is not None:
@@ -60,9 +62,12 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         plot.setClipToView(clips)
 
     def title(self, words: str, *, faint: bool = False, size: str | None = None) -> None:
-        """Set the line above the plot."""
+        """Set the line above the plot; a faint one says why it is empty, and then there are no axes."""
         colour = self.theme.faint if faint else self.theme.text
-        self.getPlotItem().setTitle(words, color=colour, **({} if size is None else {"size": size}))
+        for side in ("left", "bottom") if faint != self._empty else ():
+            self.getPlotItem().showAxis(side, not faint)
+        self._empty = faint
+        self.getPlotItem().setTitle(words or None, color=colour, **({} if size is None else {"size": size}))
 
     def line(
         self, x: Real, y: Real, colour: str, width: float = 1.0, name: str | None = None

@@ -170,9 +170,11 @@ class MessageBar(Themed, QFrame):
         act()
 
     def _fit(self) -> None:
-        """Show as much of the text as two lines hold; a path may break after each slash."""
-        metrics, width = self.label.fontMetrics(), self.label.width()
-        text = metrics.elidedText(self.sentence or self._idle, Qt.TextElideMode.ElideRight, int((_LINES - 0.3) * width))
+        """Show as much of the text as two lines hold, of a path at the beginning its end; it may break at slashes."""
+        metrics, width, whole = self.label.fontMetrics(), self.label.width(), self.sentence or self._idle
+        begins_with_path = whole[:1] in ("/", "~", "\\") or whole[1:3] in (":\\", ":/")
+        side = Qt.TextElideMode.ElideLeft if begins_with_path else Qt.TextElideMode.ElideRight
+        text = metrics.elidedText(whole, side, int((_LINES - 0.3) * width))
         self.label.setText(text.replace("/", "/\u200b"))
         self.label.setToolTip(self.sentence if self.sentence and text != self.sentence else "")
 

@@ -82,6 +82,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
         self.setBackground(theme.base)
         theme_axes(plot)
+        self._show_axes(False)  # there is nothing to measure yet
         self._fits = True
 
     def _add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
@@ -122,8 +123,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self._checks.clear()
         self.mark(-1)
         self.show_sources(_NOWHERE_MM)
-        for side in ("left", "bottom"):
-            self.getPlotItem().showAxis(side, surface is not None)
+        self._show_axes(surface is not None)
         self.show_outline(_NOWHERE_MM if surface is None or surface.outline_mm is None else surface.outline_mm)
         self.show_actuators(_NOWHERE_MM if surface is None else surface.actuator_mm)
         draw_line(self._paths, () if surface is None else surface.paths_mm)
@@ -134,6 +134,12 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     def show_outline(self, outline_mm: Float64Array) -> None:
         """Draw the rim, shape (points, 2)."""
         draw_line(self._outline, [outline_mm])
+        if len(outline_mm):
+            self._show_axes(True)
+
+    def _show_axes(self, shown: bool) -> None:
+        for side in ("left", "bottom"):
+            self.getPlotItem().showAxis(side, shown)
 
     def show_actuators(self, actuator_mm: Float64Array) -> None:
         """Draw the actuators that are not NaN, shape (actuators, 2)."""

@@ -145,11 +145,11 @@ class OwnCommand(QObject):
         if received is not None:
             process.received.connect(received)
 
-        def over() -> None:
+        def _over() -> None:
             self.own = None
             ended(process)
 
-        process.finished.connect(over)
+        process.finished.connect(_over)
 
     def interrupt(self) -> None:
         """Ask it to stop, as Ctrl-C does."""

@@ -19,7 +19,7 @@ from wavefocus.gui.theme import Themed
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
 
-def typed_number(text: str) -> float | None:
+def _typed_number(text: str) -> float | None:
     """Return the number that a person typed, None where the text is not a number.
 
     text: Digits with a point or a comma as the decimal separator, perhaps with a sign and an exponent.
@@ -64,7 +64,7 @@ class NumberBox(QtWidgets.QDoubleSpinBox):
         typed, low, high = self._without_unit(text or ""), self.minimum(), self.maximum()
         kind = "number" if self.decimals() else "whole number"
         limits = f"{self.textFromValue(low)} to {self.textFromValue(high)}{self.suffix()}"
-        allowed = kind if typed_number(typed) is None else f"{kind} from {limits}"
+        allowed = kind if _typed_number(typed) is None else f"{kind} from {limits}"
         sentence = f"“{typed}” is not a {allowed}; the value stays {self.textFromValue(super().value())}{self.suffix()}"
         QtWidgets.QToolTip.showText(self.mapToGlobal(self.rect().bottomLeft()), sentence, self)
         return text or ""
@@ -83,7 +83,7 @@ class NumberBox(QtWidgets.QDoubleSpinBox):
 
     def _number(self, text: str) -> float | None:
         """Return the number of a text, rounded to the decimals of the box; None where the box cannot hold it."""
-        number = typed_number(self._without_unit(text))
+        number = _typed_number(self._without_unit(text))
         # A value that rounding makes vanish, 0.0001 in a box of three decimals, is not in its range.
         if number is None or not self.minimum() <= number <= self.maximum():
             return None

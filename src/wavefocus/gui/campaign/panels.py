@@ -120,10 +120,10 @@ class ProgressRow(Themed, QtWidgets.QWidget):
         self.bar.setTextVisible(of > 0)  # without a bank and a plan there is nothing to count
         self.bar.setMaximum(max(of, 1))
         self.bar.setValue(done)
-        self.figures.setText(pace_text(session, going_on=state.going_on) if paced else plan)
+        self.figures.setText(_pace_text(session, going_on=state.going_on) if paced else plan)
 
 
-def pace_text(session: CampaignStatus, *, going_on: bool) -> str:
+def _pace_text(session: CampaignStatus, *, going_on: bool) -> str:
     """Rate and finish of a session; the finish only while it is going on, for a pause may last."""
     progress, at = session.progress, session.progress_at
     if progress is None or at is None:

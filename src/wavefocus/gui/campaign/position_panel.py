@@ -89,24 +89,23 @@ class DriftPlot(QWidget):
         ui.column(*self.plots, owner=self, spacing=8)
 
     def show_drift(self, points: Sequence[DriftPoint], limits: DriftLimits) -> None:
-        """Draw the points and the limits for a warning; those for a stop once a value is beyond the former."""
+        """Draw the points, and the limits at which a campaign stops once a value comes near; a step is only marked."""
         at_s, theme, last = np.array([point.at.timestamp() for point in points]), self.plots[0].theme, self.plots[-1]
         known = {"steady": ("o", theme.good), "warn": ("t", theme.warning)}
         looks = [known.get(point.verdict, ("x", theme.fault)) for point in points]
         rows = (
-            ([point.level_db for point in points], limits.warn_level_db, limits.stop_level_db),
-            ([point.delay_samples for point in points], limits.warn_delay_samples, limits.stop_delay_samples),
-            ([1 - point.correlation for point in points], 1 - limits.warn_correlation, 1 - limits.stop_correlation),
+            ([point.level_db for point in points], limits.stop_level_db),
+            ([point.delay_samples for point in points], limits.stop_delay_samples),
+            ([1 - point.correlation for point in points], 1 - limits.stop_correlation),
         )
-        for plot, (numbers, warn, stop) in zip(self.plots, rows, strict=True):
+        for plot, (numbers, stop) in zip(self.plots, rows, strict=True):
             item, values = plot.getPlotItem(), np.array(numbers, dtype=float)
             item.clear()
             largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
-            span = 1.15 * max(warn if largest <= warn else stop, largest)
-            for end, colour in ((warn, theme.warning), (stop, theme.fault)):
-                for limit in (end, -end) if plot is not last else (end,):
-                    if end <= span:
-                        item.addLine(y=limit, pen=pyqtgraph.mkPen(colour, style=Qt.PenStyle.DashLine))
+            span = 1.15 * max(stop if largest > 0.25 * stop else 0.25 * stop, largest)
+            for limit in (stop, -stop)[: 1 if plot is last else 2]:
+                if stop <= span:
+                    item.addLine(y=limit, pen=pyqtgraph.mkPen(theme.fault, style=Qt.PenStyle.DashLine))
             plot.setYRange(-span if plot is not last else -0.04 * span, span, padding=0)
             item.addLine(y=0.0, pen=pyqtgraph.mkPen(theme.grid))
             plot.line(at_s, values, theme.faint)
@@ -117,7 +116,7 @@ class DriftPlot(QWidget):
             ]
             item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
         none = "the sentinel position has not been measured again yet"
-        self.plots[0].title("● steady, ▼ warn, ✕ stop; dashed: limits" if points else none)
+        self.plots[0].title("● steady, ▼ step (warn), ✕ stop; dashed: limits of a stop" if points else none)
         if points:
             room_s = max(60.0, 0.05 * (at_s[-1] - at_s[0]))
             self.plots[0].setXRange(at_s[0] - room_s, at_s[-1] + room_s, padding=0)
@@ -146,7 +145,7 @@ class PositionPanel(QTabWidget):
         self.drift_plot = DriftPlot()
         self.actuator = ui.choice("Emphasised actuator", "Emphasised actuator of both plots", [_ALL])
         titles = ["actuator", *(title for title, _ in _FIGURES.values())]
-        self.actuators = ui.table(titles, "Quality per actuator", stretched=range(len(titles)))
+        self.actuators = ui.table(titles, "Quality per actuator", stretched=(0,))
         self.addTab(self.green_plot, "Green's functions")
         self.addTab(self.spectrum_plot, "Spectrum")
         self.addTab(self.actuators, "Quality")
@@ -161,7 +160,7 @@ class PositionPanel(QTabWidget):
         surface = self._campaign.surface
         if surface is None or not 0 <= position < surface.positions:
             self._context.settle("position")
-            self._clear("click a position on the map")
+            self._clear("no bank is open" if surface is None else "click a position on the map")
             return
         if self.greens is None:
             self._clear(f"reading position {position}…")

@@ -160,7 +160,10 @@ class TextFiles(QObject):
     def __init__(self, context: TabContext, document: TextDocument, owner: QWidget) -> None:
         super().__init__(owner)
         self._context, self._document, self._owner = context, document, owner
-        self._text, self._place, self._owner_pid = (f"{document.kind}/unsaved{part}" for part in ("", "_file", "_by"))
+        self._text, self._place, self._owner_pid, self._seen = (
+            f"{document.kind}/unsaved{part}" for part in ("", "_file", "_by", "_seen")
+        )
+        self._missing = False
         self._soon = ui.later(self, 1000, self.save_settings)
         document.changed.connect(self._soon.start)
         self._looks = QTimer(self)
@@ -175,13 +178,18 @@ class TextFiles(QObject):
     def shown_name(self) -> str:
         """The name with what a person should know: that it is not saved, or that its file has changed."""
         document = self._document
-        return f"{self.name}{'' if document.saved else ' •'}{' (changed on disk)' if document._changed_outside else ''}"
+        outside = f" ({'deleted' if self._missing else 'changed'} on disk)" if document._changed_outside else ""
+        return f"{self.name}{'' if document.saved else ' •'}{outside}"
 
     def look(self) -> None:
         """Read a file again that another program has written; with unsaved changes, say that it has changed."""
         document = self._document
         if not document._changed_outside or document.path is None:
+            self._missing = False
             return
+        former, self._missing = self._missing, not document.path.exists()
+        if former and self._missing:  # not just between two steps of another program: only this text is left of it
+            document.text.setModified(True)
         anew = document.saved and document.path.is_file() and self._reported(document.reload)
         if anew and not self._context.messages.sentence:  # no other fault is hidden
             self._context.messages.note(f"{document.path} was changed by another program and is read again")
@@ -193,11 +201,11 @@ class TextFiles(QObject):
     def open(self, path: Path) -> None:
         """Open a file, and remember it as one of the last."""
 
-        def show() -> None:
+        def _show() -> None:
             if self.show(path):
                 self._context.settings.opened(path)
 
-        self._unless_unsaved(f"opening {path.name}", show)
+        self._unless_unsaved(f"opening {path.name}", _show)
 
     def save(self, then: Then | None = None) -> None:
         """Save to the file, or ask for one; calls `then` when it is saved."""
@@ -227,6 +235,7 @@ class TextFiles(QObject):
         if not document.saved and document.worth_keeping:
             settings.keep(self._text, document.toml())
             settings.keep(self._place, str(document.path or ""))
+            settings.keep(self._seen, str(document.seen))
             settings.keep(self._owner_pid, os.getpid())
         elif self._is_ours():
             settings.keep(self._text, "")
@@ -239,6 +248,9 @@ class TextFiles(QObject):
             return
         path = Path(place) if place else None
         self._document.restore(text, path)
+        if settings.text(self._seen, str(self._document.seen)) != str(self._document.seen):
+            self._document.seen = ()  # another program wrote it meanwhile: saving asks
+            self._document.file_changed.emit()
         self._context.messages.note(
             f"{path.name} has unsaved changes of the last session; restored"
             if path else f"the unsaved {self._document.kind} of the last session is restored"

@@ -230,8 +230,9 @@ class FileBar(QtWidgets.QWidget):
             "undo": ui.action(owner, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),
             "redo": ui.action(owner, "&Redo", text.redo, "Ctrl+Shift+Z", tip="Redo the change"),
         }
-        text.undoAvailable.connect(self.actions_by_name["undo"].setEnabled)
-        text.redoAvailable.connect(self.actions_by_name["redo"].setEnabled)
+        for word, available in (("undo", text.undoAvailable), ("redo", text.redoAvailable)):
+            available.connect(self.actions_by_name[word].setEnabled)
+            self.actions_by_name[word].setEnabled(False)
         for action in self.actions_by_name.values():
             # Other tabs mean something else by the same keys.
             action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
@@ -370,6 +371,7 @@ class _FilePage(Themed, QtWidgets.QWidget):
     def _ask(self) -> None:
         """Find out in a thread what the text means, while it is shown."""
         document = self.document
+        self.lines.setEnabled(not document.mistakes)  # else it is the meaning of an earlier text
         if not self.isVisible() or document.mistakes or not document.worth_keeping:
             return
         work = partial(MEANINGS[document.kind], document.toml(), document.place)

@@ -142,6 +142,7 @@ class CalibrationPage(Themed, QWidget):
             self._set_texts("measuring…", "")
             return
         self.picture.show_spot(None)
+        self.picture.show_marks(self._marks_mm, -1, len(self._marks_mm) if outcome is not None and outcome.file else 0)
         if outcome is None:
             self._set_texts(calibration.ending, "")
             return

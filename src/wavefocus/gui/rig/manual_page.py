@@ -239,13 +239,14 @@ class _SoundPanel(Themed, QWidget):
         self.length_s = ui.number_box("Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0, value=0.5)
         tip = "Play one sweep and show its recording"
         self.sweep = ui.action(self, "S&weep", self._take_sweep, "F5", tip=tip)
-        self.figures = ui.label("Figures of the sweep", "no sweep yet", wraps=True, any_width=True)
+        self.figures = ui.label("Figures of the sweep", wraps=True, any_width=True)
         self.verdict = ui.label("Defects of the sweep", wraps=True, any_width=True)
         self.waveform = Plot("Waveform of the sweep", "time (s)", "mV", legend_at=_LEGEND_AT)
         bottom = "frequency (Hz); dashed: the sweep's band; dB re 1 V/√Hz"
         self.spectrum = Plot("Spectrum of the sweep", bottom, "dB", legend_at=_LEGEND_AT)
         for plot in (self.waveform, self.spectrum):
             plot.setMinimumHeight(90)
+            plot.title("no sweep yet", faint=True, size="9pt")
         first = (*ui.labelled("A&ctuator", self.actuator), *ui.labelled("Le&vel", self.level_v), ui.button(self.sweep))
         pairs = (("F&rom", self.start_hz), ("to", self.stop_hz), ("for", self.length_s))
         second = [part for pair in pairs for part in ui.labelled(*pair)]
@@ -306,6 +307,7 @@ class _SoundPanel(Themed, QWidget):
     def _draw_waveform(self, sweep: SweepTaken) -> None:
         """Draw both inputs; the reference is scaled to the response's peak."""
         plot = self.waveform.getPlotItem()
+        self.waveform.title("")
         plot.clear()
         response_v, reference_v = np.array(sweep.response_v), np.array(sweep.reference_v)
         response_peak_v = sweep.level.response.peak_v
@@ -320,6 +322,7 @@ class _SoundPanel(Themed, QWidget):
 
     def _draw_spectrum(self, sweep: SweepTaken) -> None:
         plot, theme, frequency_hz = self.spectrum.getPlotItem(), self.theme, np.array(sweep.frequency_hz)
+        self.spectrum.title("")
         plot.clear()
         self.spectrum.line(frequency_hz, np.array(sweep.noise_db), theme.faint, 1.0, "in silence")
         self.spectrum.line(frequency_hz, np.array(sweep.response_db), theme.traces[0], 1.6, "with the sweep")

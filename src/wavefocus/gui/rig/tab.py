@@ -50,7 +50,7 @@ def read_rig_file(path: Path) -> _RigFile:
     return _RigFile(path, is_virtual(content), surface_from(surface), actuator_mm)
 
 
-_HEADINGS = ("", "instrument", "check", "finding", "remedy", "")
+_HEADINGS = ("verdict", "instrument", "check", "finding", "remedy", "")
 # Mark and word of a verdict, and its word in the summary.
 _VERDICTS = {
     "fail": ("✖ fail", "not good enough"),

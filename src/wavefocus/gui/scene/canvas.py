@@ -121,8 +121,6 @@ class SceneCanvas(SurfaceView):
         backdrop, former_mm, view = self._live.backdrop, self._outline_mm, self.box.viewRect()
         self._outline_mm = backdrop.outline_mm
         show_backdrop(self, backdrop)
-        for side in ("left", "bottom"):
-            self.getPlotItem().showAxis(side)
         if np.array_equal(former_mm, backdrop.outline_mm):
             self.box.setRange(view, padding=0)
         else:

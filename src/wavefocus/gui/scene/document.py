@@ -135,14 +135,14 @@ def scene_toml(scene: config.SceneConfig) -> str:
 def with_absolute_files(scene: config.SceneConfig, folder: Path) -> config.SceneConfig:
     """The scene with full names of the files that it names relative to a folder."""
 
-    def named(table: FilesTable) -> FilesTable:
+    def _named(table: FilesTable) -> FilesTable:
         if isinstance(table.path, config.SvgTable | config.TrajectoryTable):
             table = changed(table, path=changed(table.path, file=str(folder / table.path.file)))
         if isinstance(table, config.SourceTable) and isinstance(table.signal, config.FileTable):
             table = changed(table, signal=changed(table.signal, path=str(folder / table.signal.path)))
         return table
 
-    return changed(scene, source=tuple(map(named, scene.source)), quiet=tuple(map(named, scene.quiet)))
+    return changed(scene, source=tuple(map(_named, scene.source)), quiet=tuple(map(_named, scene.quiet)))
 
 
 def build_draft(draft: config.SceneConfig, place: Path) -> Scene:
@@ -153,10 +153,10 @@ def build_draft(draft: config.SceneConfig, place: Path) -> Scene:
     Raises InputError: The scene is not finished, or a value or a file that it names is wrong; the message says which
         key, without the scene file's name.
     """
-    from wavefocus.rendering.scene.model import build_scene  # loads scipy, in a thread
-
     if not draft.source:
         raise InputError(EMPTY)
+    from wavefocus.rendering.scene.model import build_scene  # loads scipy, in a thread
+
     try:
         return build_scene(draft, place)
     except InputError as error:
@@ -188,6 +188,9 @@ class SceneDocument(TextDocument):
         super().__init__("scene", parent)
         self.draft, self.problem, self.chosen = NEW_SCENE, "", NOTHING
         self.bank: Path | None = None
+        self.text.setPlainText(scene_toml(self.draft))
+        self.text.setModified(False)
+        self._soon.stop()  # the draft says the same
 
     @property
     def worth_keeping(self) -> bool:

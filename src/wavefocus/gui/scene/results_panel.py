@@ -44,8 +44,6 @@ class _DrivesView(Plot):
         """Show drives, or none."""
         plot = self.getPlotItem()
         plot.clear()
-        for side in ("left", "bottom"):
-            plot.showAxis(side, results is not None)
         if results is None:
             self.title("no drives to show", faint=True, size="9pt")
             return
@@ -117,7 +115,7 @@ class _FieldView(FilmPlayer):
         marks_s: Float64Array,
         sources_mm: Callable[[float], Float64Array],
     ) -> None:
-        def response(place: int) -> tuple[str, list[Real]]:
+        def _response(place: int) -> tuple[str, list[Real]]:
             x_mm, y_mm = surface.position_mm[place]
             return f"position {field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm", [field.field[place]]
 
@@ -126,7 +124,7 @@ class _FieldView(FilmPlayer):
         self.show_film(
             Film(
                 surface, field.start_s, field.sample_rate_hz, field.field.shape[1],
-                lambda sample: [field.field[:, sample]], sources_mm, marks, response, field.response_unit,
+                lambda sample: [field.field[:, sample]], sources_mm, marks, _response, field.response_unit,
                 [("response", float(max(field.field.max(), -field.field.min())))],
             )
         )  # fmt: skip

@@ -173,11 +173,11 @@ class SceneTab(Tab):
             self.context.messages.warn(f"{path.name}: choose the bank that it belongs to, then open it again")
             return
 
-        def show(read: tuple[Field, PlotSurface]) -> None:
+        def _show(read: tuple[Field, PlotSurface]) -> None:
             self.use_mode(DRAW)
             self.results.show_field_file(path, *read)
 
-        self.context.background.ask("field", partial(read_field_on, path, bank), show, self.context.report_failure)
+        self.context.background.ask("field", partial(read_field_on, path, bank), _show, self.context.report_failure)
 
     def _drawn(self, kind: str, path: PathTable) -> None:
         if kind == QUIET and isinstance(path, PointTable):

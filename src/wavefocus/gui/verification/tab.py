@@ -93,14 +93,14 @@ class _VerificationRun(OwnCommand):
         if not self.running:
             return None
 
-        def stop(close: Callable[[], object]) -> None:
+        def _stop(close: Callable[[], object]) -> None:
             self._close = close
             self.cancel()
             if not self.running:
                 close()
 
         sentence = f"A verification plays and scans into {self.out.name}. Stop it when the window closes?"
-        return sentence, (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop))
+        return sentence, (("Continue in the background", lambda close: close()), ("Stop, mute and park", _stop))
 
     def _forget(self) -> None:
         self.step, self.message, self._reason = _NO_STEP, "", ""
@@ -176,7 +176,7 @@ class _RequestForm(QWidget):
         """What has to be chosen first; empty when a verification can be started."""
         names = (self.scene, "a scene file"), (self.bank, "a bank"), (self.rig, "a rig file"), (self.out, "a folder")
         words = [word for field, word in names if not field.line.text().strip()]
-        return "" if not words else f"choose {', and '.join(words)}"
+        return f"choose {' and '.join(filter(None, [', '.join(words[:-1]), *words[-1:]]))}" if words else ""
 
     def arguments(self, out: Path) -> list[str]:
         """The command of the present choices, into a folder."""

@@ -205,7 +205,7 @@ VERDICT_COLOURS = {"steady": "#0b3c5d", "warn": "#e69f00", "stop": "#d55e00"}
 
 @drawn_in_style
 def drift_over_time(points: Sequence[DriftPoint], limits: DriftLimits) -> Picture:
-    """Level, delay and correlation of the sentinel position over the hours, with the limits."""
+    """Level, delay and correlation of the sentinel position over the hours, with the limits of a stop."""
     from matplotlib.patches import Patch
 
     canvas = Canvas("drift", 1120, 470)
@@ -213,19 +213,19 @@ def drift_over_time(points: Sequence[DriftPoint], limits: DriftLimits) -> Pictur
     days = np.array([point.at.timestamp() / 86_400.0 for point in points])
     # Correlation as distance from 1, so that all three are zero where nothing has changed.
     rows = (
-        ("level (dB)", "level_db", limits.warn_level_db, limits.stop_level_db),
-        ("delay (samples)", "delay_samples", limits.warn_delay_samples, limits.stop_delay_samples),
-        ("1 - correlation", "correlation", 1.0 - limits.warn_correlation, 1.0 - limits.stop_correlation),
+        ("level (dB)", "level_db", limits.stop_level_db),
+        ("delay (samples)", "delay_samples", limits.stop_delay_samples),
+        ("1 - correlation", "correlation", 1.0 - limits.stop_correlation),
     )
     colours = [VERDICT_COLOURS.get(point.verdict, FAINT) for point in points]
     room = max(0.02 * (days[-1] - days[0]), 600.0 / 86_400.0)
-    for row, (label, name, warn, stop) in enumerate(rows):
+    for row, (label, name, stop) in enumerate(rows):
         values = np.array([getattr(point, name) for point in points])
         values = 1.0 - values if name == "correlation" else values
         axes = canvas.plot(80, 14 + 130 * row, 1020, 112, ylabel=label)
         axes.plot(days, values, "-", color=FAINT, lw=0.8, zorder=2)
         axes.scatter(days, values, c=colours, s=16, zorder=3)
-        _draw_limits(axes, values, warn, stop, both_sides=row < 2)
+        _draw_limits(axes, values, stop, both_sides=row < 2)
         axes.set_xlim(days[0] - room, days[-1] + room)
         _label_clock(axes, with_labels=row == 2)
     keys = [Patch(color=colour, label=word) for word, colour in VERDICT_COLOURS.items()]
@@ -233,16 +233,15 @@ def drift_over_time(points: Sequence[DriftPoint], limits: DriftLimits) -> Pictur
     return canvas.picture()
 
 
-def _draw_limits(axes: Axes, values: np.ndarray, warn: float, stop: float, *, both_sides: bool) -> None:
-    """Show the limits that are near enough to the values, and the span that leaves."""
+def _draw_limits(axes: Axes, values: np.ndarray, stop: float, *, both_sides: bool) -> None:
+    """Show the limit of a stop where values come near it, and the span that leaves."""
     finite = np.abs(values[np.isfinite(values)])
     largest = float(finite.max(initial=0.0))
     # Steady figures fill the middle of the picture; limits far beyond them would flatten them.
-    span = 1.35 * max(warn if largest <= warn else stop, largest)
-    for limit, colour in ((warn, VERDICT_COLOURS["warn"]), (stop, VERDICT_COLOURS["stop"])):
-        for side in (1.0, -1.0) if both_sides else (1.0,):
-            if limit < span:
-                axes.axhline(side * limit, color=colour, lw=0.8, ls="--", zorder=1)
+    span = 1.35 * max(stop if largest > 0.25 * stop else 0.25 * stop, largest)
+    for side in (1.0, -1.0) if both_sides else (1.0,):
+        if stop < span:
+            axes.axhline(side * stop, color=VERDICT_COLOURS["stop"], lw=0.8, ls="--", zorder=1)
     axes.axhline(0.0, color=FAINT, lw=0.5, zorder=1)
     axes.set_ylim(-span if both_sides else -0.04 * span, span)
 
