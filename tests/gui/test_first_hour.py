@@ -194,7 +194,8 @@ def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, shared_window):
         bar.resize(bar.sizeHint())
         bar.show()
         qtbot.wait(20)
-        (label,) = (item for item in bar.items() if isinstance(item, QGraphicsTextItem))
+        texts = (item for item in bar.items() if isinstance(item, QGraphicsTextItem))
+        label = next(one for one in texts if "Focus instant" in one.toPlainText())
         inside = label.mapRectToScene(label.boundingRect()).bottom() - label.document().documentMargin()
         assert inside <= bar.height()
 

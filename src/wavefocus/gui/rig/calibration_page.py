@@ -1,7 +1,9 @@
 """Calibration wizard: its options, its questions, the beam and the residuals of the mirror map."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAbstractItemView, QPlainTextEdit, QPushButton, QWidget
@@ -22,7 +24,9 @@ _PARTS = (
     ("actuators", "Actuato&rs: polarity and level", "Nothing to do; the mirror map must be measured before"),
 )
 _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
+# Answers of both buttons.
 _YES = {AskJog: "here", MapView: "keep", AskConnect: "done", AskAgain: "again"}
+_NO = {MapView: "drop", AskAgain: "skip"}
 
 
 class CalibrationPage(Themed, QWidget):
@@ -30,7 +34,7 @@ class CalibrationPage(Themed, QWidget):
 
     def __init__(self, calibration: Calibration, start: Callable[[list[str]], object]) -> None:
         super().__init__()
-        self._calibration, self._start = calibration, start
+        self._calibration = calibration
         self._marks_mm: list[Numbers] = []
         self.picture = SurfacePicture("Surface with the marks of the mirror map")
         self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
@@ -38,7 +42,7 @@ class CalibrationPage(Themed, QWidget):
         tip = "Its values override the rig file's; a measured bank keeps its own calibration"
         self.use = ui.check("&Name the new file in the rig file", tip, on=True)
         tip = "Open the instruments and measure; you are asked what to connect"
-        self.start = ui.push_button("&Start the calibration", tip, self._start_chosen)
+        self.start = ui.push_button("&Start the calibration", tip, lambda: start(self._options()))
         title, self.options = ui.label(text="Measure the rig's own values", role="strong"), QWidget()
         ui.column(title, *self.parts.values(), self.use, ui.row(self.start, None), owner=self.options)
         self.question = ui.label("Question of the calibration", role="strong", wraps=True)
@@ -48,10 +52,14 @@ class CalibrationPage(Themed, QWidget):
         self.residuals = ui.table(_RESIDUALS, "Residuals of the mirror map in mm", stretched=range(len(_RESIDUALS)))
         self.residuals.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.residuals.setToolTip("Mapped place less place of the mark, in mm; choose a row to repeat its mark")
-        self.yes = ui.push_button("&Yes", "Answer the question", self._answer_yes)
-        self.no = ui.push_button("&No", "Answer the question", self._answer_no)
+        self.yes, self.no = (
+            ui.push_button(text, "Answer the question", partial(self._answer, words))
+            for text, words in (("&Yes", _YES), ("&No", _NO))
+        )
         tip = "Bring the beam onto the chosen mark once more"
-        self.redo = ui.push_button("&Repeat the chosen mark", tip, self._answer_redo)
+        self.redo = ui.push_button(
+            "&Repeat the chosen mark", tip, lambda: calibration.answer("redo", mark=self.chosen_mark or 1)
+        )
         tip = "End it: outputs muted, mirror parked, results so far are kept"
         self.cancel = ui.push_button("&Cancel", tip, calibration.cancel, "Cancel the calibration")
         self.report = ui.named(QPlainTextEdit(), "", "Report of the calibration")
@@ -89,8 +97,8 @@ class CalibrationPage(Themed, QWidget):
     def _chosen(self) -> list[str]:
         return [name for name, box in self.parts.items() if box.isChecked()]
 
-    def _start_chosen(self) -> None:
-        self._start(["--only", ",".join(self._chosen()), *(["--use"] if self.use.isChecked() else [])])
+    def _options(self) -> list[str]:
+        return ["--only", ",".join(self._chosen()), *(["--use"] if self.use.isChecked() else [])]
 
     @property
     def chosen_mark(self) -> int | None:
@@ -202,12 +210,6 @@ class CalibrationPage(Themed, QWidget):
         if key:
             button.setShortcut(key)
 
-    def _answer_yes(self) -> None:
+    def _answer(self, words: Mapping[Any, str]) -> None:
         if (question := self._calibration.question) is not None:
-            self._calibration.answer(_YES[type(question)])
-
-    def _answer_redo(self) -> None:
-        self._calibration.answer("redo", mark=self.chosen_mark or 1)
-
-    def _answer_no(self) -> None:
-        self._calibration.answer("drop" if isinstance(self._calibration.question, MapView) else "skip")
+            self._calibration.answer(words[type(question)])

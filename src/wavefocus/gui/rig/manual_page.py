@@ -40,7 +40,7 @@ class SurfacePicture(SurfaceView):
         super().__init__(name)
         self.setAccessibleDescription("A click sends the beam there; arrow keys move it by a step")
         theme = self.theme
-        self._chosen = self.add_spots(30, "o", 15, pyqtgraph.mkPen(theme.accent, width=3))
+        self.chosen = self.add_spots(30, "o", 15, pyqtgraph.mkPen(theme.accent, width=3))
         self._marks = self.add_spots(31, "s", 11)
         self._spot = self.add_spots(34, "o", 12, pyqtgraph.mkPen(theme.base, width=1.5), theme.fault)
 
@@ -53,10 +53,6 @@ class SurfacePicture(SurfaceView):
         """Show the beam; None for nowhere on the surface."""
         for mark in (self._spot, self._cross):
             mark.setData(pos=_points([] if place_mm is None else [place_mm]))
-
-    def _show_chosen(self, actuator_mm: Numbers | None) -> None:
-        """Emphasise the actuator that would play."""
-        self._chosen.setData(pos=_points([] if actuator_mm is None else [actuator_mm]))
 
     def show_marks(self, place_mm: Sequence[Numbers], current: int, done: int) -> None:
         """Show numbered marks: filled when done, the current one large."""
@@ -215,9 +211,9 @@ class ManualPage(QWidget):
         self.state.setToolTip("\n".join(f"{role}: {name}" for role, name in instruments.items()))
 
     def _mark_actuator(self, actuator: int) -> None:
-        facts = self._session.facts
-        known = facts is not None and 0 <= actuator < len(facts.actuator_mm)
-        self.jog.picture._show_chosen(facts.actuator_mm[actuator] if facts is not None and known else None)
+        """Emphasise the actuator that would play."""
+        place_mm = () if self._session.facts is None or actuator < 0 else self._session.facts.actuator_mm
+        self.jog.picture.chosen.setData(pos=_points(place_mm[actuator : actuator + 1]))
 
 
 class _SoundPanel(Themed, QWidget):

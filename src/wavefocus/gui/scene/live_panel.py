@@ -252,8 +252,8 @@ class LiveSurface(SurfaceView):
         """Give each finger a source of its own."""
         if not isinstance(event, QTouchEvent):
             return bool(super().viewportEvent(event))
-        if event.type() == QEvent.Type.TouchCancel:
-            self._lift_fingers()
+        while event.type() == QEvent.Type.TouchCancel and self._fingers:
+            self._lift(self._fingers.popitem()[1])
         for point in event.touchPoints():
             if point.state() == Qt.TouchPointState.TouchPointPressed:
                 numbers = (number for number in range(1, 100) if f"finger {number}" not in self._fingers.values())
@@ -312,11 +312,6 @@ class LiveSurface(SurfaceView):
     def _lift(self, name: str) -> None:
         self._run.lift(name)
         self._show_spots()
-
-    def _lift_fingers(self) -> None:
-        for name in self._fingers.values():
-            self._lift(name)
-        self._fingers.clear()
 
     def _mm(self, at: QPointF) -> PointMm:
         """A place in the viewport, in mm; of half pixels, too."""

@@ -175,7 +175,8 @@ class SceneTab(Tab):
 
         def _show(read: tuple[Field, PlotSurface]) -> None:
             self.use_mode(DRAW)
-            self.results.show_field_file(path, *read)
+            self.results.field.show_file(path, *read)
+            self.results.pages.setCurrentWidget(self.results.field)
 
         self.context.background.ask("field", partial(read_field_on, path, bank), _show, self.context.report_failure)
 

@@ -250,7 +250,9 @@ class TrialsWindow(QMainWindow):
         self._pages = QStackedWidget()
         self._pages.addWidget(self.notice)
         self.setCentralWidget(self._pages)
-        self.addAction(ui.action(self, "Full screen", self._toggle_full_screen, "F11"))
+        full = Qt.WindowState.WindowFullScreen
+        toggle = ui.action(self, "Full screen", lambda: self.setWindowState(self.windowState() ^ full), "F11")
+        self.addAction(toggle)
         self.addAction(ui.action(self, "Leave full screen", self.showNormal, "Esc"))
         screen = QApplication.primaryScreen()
         self.resize(_SIZE if screen is None else _SIZE.boundedTo(screen.availableSize() - _FRAME))
@@ -389,9 +391,6 @@ class TrialsWindow(QMainWindow):
         else:
             self.notice.show_notice("Please call the experimenter", f"{self.process.failure}\n\n{_RESUME}", "Close")
         self._show(self.notice)
-
-    def _toggle_full_screen(self) -> None:
-        self.showNormal() if self.isFullScreen() else self.showFullScreen()
 
     def _report_error(self, sentence: str, details: str) -> None:
         """Show an error that nobody caught; the session goes on."""

@@ -109,7 +109,8 @@ class VerdictPanel(Themed, QWidget):
         record, theme = results.record, self.theme
         word, colour = ("✓ passed", theme.good) if record.passed else ("✗ not good enough", theme.fault)
         self.verdict.show_word(word, colour)
-        self.summary.setText(f"{record.scene}, {_when(record)}, in {results.folder.name}: {record.summary}")
+        made = "" if record.made is None else record.made.astimezone().strftime("%d %b %Y %H:%M")
+        self.summary.setText(f"{record.scene}, {made}, in {results.folder.name}: {record.summary}")
         self.summary.setToolTip(
             f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{results.folder}"
         )
@@ -168,10 +169,6 @@ def _findings(record: VerificationRecord) -> list[str]:
         if one.passed is False and one.value is not None and one.limit is not None
     ]
     return [*beyond, *(f"▲ {sentence(symptom)} {remedy(symptom)}" for symptom in record.symptoms)]
-
-
-def _when(record: VerificationRecord) -> str:
-    return "" if record.made is None else record.made.astimezone().strftime("%d %b %Y %H:%M")
 
 
 def _figures_text(record: VerificationRecord, index: int) -> str:
