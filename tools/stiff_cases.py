@@ -14,7 +14,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 PAGE = Path("docs/reference/stiff-cases.md")
-TESTS = [f"tests/unit/test_stiff_cases_{part}.py" for part in ("rendering", "bank", "plates")]
+TESTS = [f"tests/unit/test_stiff_cases_{part}.py" for part in ("rendering", "plates")]
 ROWS = [
     ("1", "dead actuator", "sigma = inf, NaN drive", "warning: its drive is 0, the others untouched", "1e-12"),
     ("2", "path point that was not measured", "n = inf, everything NaN", "refused, naming the point", "-"),

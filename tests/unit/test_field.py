@@ -34,12 +34,8 @@ def make_bank(values, **options):
 
 
 def convolved(bank, drive, positions):
-    return np.array(
-        [
-            sum(np.convolve(bank.values[p, i].astype(float), drive.drive_v[i]) for i in range(bank.actuators))
-            for p in positions
-        ]
-    )
+    rows = (zip(bank.values[position].astype(float), drive.drive_v, strict=True) for position in positions)
+    return np.array([sum(np.convolve(green, volts) for green, volts in row) for row in rows])
 
 
 def relative_error(found, expected):
@@ -75,16 +71,12 @@ def test_a_field_is_the_full_convolution_in_any_unit_and_order_on_any_device(
     assert relative_error(single.field, expected) < 2e-6
 
 
-def test_a_field_starts_with_its_drive_and_has_the_banks_unit():
-    bank = make_bank(np.ones((1, 1, 3)))
-    field = predict(make_drive([[1.0, 2.0]], start_s=-0.002), bank)
-    np.testing.assert_allclose(field.field, [[1, 3, 3, 2]])
-    assert (field.start_s, field.sample_rate_hz, field.response_unit) == (-0.002, 1000.0, "m/s")
-
-
-def test_unmeasured_positions_are_left_out_and_refused_where_they_are_asked_for():
+def test_a_field_starts_with_its_drive_and_leaves_out_unmeasured_positions():
     bank = make_bank(np.ones((5, 1, 3)), status=np.array([1, 0, 4, 16, 8], np.uint8))
-    assert predict(make_drive([[1.0]]), bank).position_index.tolist() == [0, 2]
+    field = predict(make_drive([[1.0, 2.0]], start_s=-0.002), bank)
+    np.testing.assert_allclose(field.field, [[1, 3, 3, 2]] * 2)
+    assert (field.start_s, field.sample_rate_hz, field.response_unit) == (-0.002, 1000.0, "m/s")
+    assert field.position_index.tolist() == [0, 2]
     assert [rows.tolist() for rows in measured_positions(bank)] == [[0, 2], [1, 3, 4]]
     with pytest.raises(InputError, match="positions holds 1, 3: not measured"):
         predict(make_drive([[1.0]]), bank, [0, 1, 3])
@@ -92,9 +84,8 @@ def test_unmeasured_positions_are_left_out_and_refused_where_they_are_asked_for(
         predict(make_drive([[1.0]]), make_bank(np.ones((2, 1, 3)), status=np.zeros(2, np.uint8)))
 
 
-@pytest.mark.parametrize(
-    ("drive", "options", "message"),
-    [
+def test_parameters_that_do_not_fit_the_bank_are_refused():
+    for drive, options, message in (
         (make_drive(np.ones((2, 5))), {}, "the drive has 2 actuators, the bank 1"),
         (make_drive([[1.0]], rate_hz=2000.0), {}, "the drive is at 2000 Hz"),
         (make_drive([[1.0]]), {"positions": []}, "positions is empty"),
@@ -103,11 +94,9 @@ def test_unmeasured_positions_are_left_out_and_refused_where_they_are_asked_for(
         (make_drive([[1e300]]), {}, "does not fit into float64"),
         (make_drive([[1.0]]), {"dtype": np.float16}, "dtype is float16"),
         (make_drive([[1.0]]), {"rate_hz": 300.0}, "whole number"),
-    ],
-)
-def test_parameters_that_do_not_fit_the_bank_are_refused(drive, options, message):
-    with pytest.raises(InputError, match=message):
-        predict(drive, make_bank(np.full((2, 1, 3), 1e100)), **options)
+    ):
+        with pytest.raises(InputError, match=message):
+            predict(drive, make_bank(np.full((2, 1, 3), 1e100)), **options)
 
 
 def band_limited(rng, shape, share=0.25):
@@ -116,27 +105,21 @@ def band_limited(rng, shape, share=0.25):
     return np.fft.irfft(spectrum / (1 + (frequency / (0.5 * share)) ** 8), shape[-1])
 
 
-@pytest.mark.parametrize("kept", [False, True])
-def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above(kept):
+def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above():
     rng = np.random.default_rng(3)
     bank = make_bank(band_limited(rng, (4, 2, 400), 0.2))
     drive = make_drive(band_limited(rng, (2, 3000), 0.2))
-    if kept:
-        prediction = Prediction(drive, BankSpectra(bank, range(4), rate_hz=250.0), range(4))
-    else:
-        prediction = Prediction(drive, bank, range(4), rate_hz=250.0)
-    found = prediction.field()
-    assert (found.sample_rate_hz, found.start_s) == (250.0, drive.start_s)
-    assert found.low_pass == LowPass(100.0, 4)
+    whole = convolved(bank, drive, range(4))
+    for prediction in (
+        Prediction(drive, BankSpectra(bank, range(4), rate_hz=250.0), range(4)),
+        Prediction(drive, bank, range(4), rate_hz=250.0),
+    ):
+        found = prediction.field()
+        assert (found.sample_rate_hz, found.start_s) == (250.0, drive.start_s)
+        assert found.low_pass == LowPass(100.0, 4)
+        assert relative_error(found.field, whole[:, ::4]) < 1e-3
     assert Prediction(drive, bank, range(4), rate_hz=bank.sample_rate_hz).field().low_pass is None
-    assert relative_error(found.field, convolved(bank, drive, range(4))[:, ::4]) < 1e-3
-
-
-def test_the_share_above_a_frequency_is_that_of_the_whole_field():
-    rng = np.random.default_rng(3)
-    bank = make_bank(band_limited(rng, (4, 2, 400), 0.2))
-    drive = make_drive(band_limited(rng, (2, 3000), 0.2))
-    power = np.square(np.abs(np.fft.rfft(convolved(bank, drive, range(4)))))
+    power = np.square(np.abs(np.fft.rfft(whole)))
     frequency_hz = np.fft.rfftfreq(3399, 1e-3)
     shares = [power[:, frequency_hz > highest_hz].sum(axis=1) / power.sum(axis=1) for highest_hz in (60.0, 100.0)]
     by_spectra = [share_above(drive, bank, np.arange(4), highest_hz) for highest_hz in (60.0, 100.0)]

@@ -1,5 +1,6 @@
-"""Drives of sources whose positions arrive while they sound: direct sums of eq. (9), independence, the record."""
+"""Drives of sources whose positions arrive while they sound: as the recorded scene renders, and independent ones."""
 
+import itertools
 import math
 from fractions import Fraction
 
@@ -8,18 +9,16 @@ import pytest
 
 from tests.unit.plate_banks import TAPS as PLATE_TAPS
 from tests.unit.plate_banks import plate_bank
-from wavefocus.config.scene import Regularisation
+from wavefocus.config.scene import Output, Regularisation
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.greens.interpolation.base import interpolation_method
-from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import MAX_ENERGY, finer_rows, independent_filters
 from wavefocus.rendering.live.recording import SessionRecording
-from wavefocus.rendering.scene.model import load_scene
+from wavefocus.rendering.scene.model import Scene, Source, load_scene
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
-from wavefocus.rendering.scene.trajectory import Trajectory
+from wavefocus.rendering.scene.trajectory import Trajectory, TrajectoryPath
 from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
@@ -31,6 +30,8 @@ BANK = GreenArray(GREEN, GRID_MM, RATE_HZ, band_hz=(20.0, 400.0))
 SINGLE = 2e-6
 """Rounding of single precision."""
 STEADY = Noise((50.0, 300.0), 0.12, seed=5)
+HELD = Regularisation(saturation_absolute=0.5)
+PLATE = plate_bank()
 
 
 def engine_of(bank=BANK, *, look_ahead=0, fade_s=0.02, **options):
@@ -57,34 +58,23 @@ def course_of(parts):
     )
 
 
-def direct(lives, samples, interpolation, saturation_v):
-    """Sum of eq. (9), sample by sample, with the regularisation of eqs. (14) and (15)."""
-    drive_v = np.zeros((3, samples))
-    method = interpolation_method(interpolation)(PositionGrid(GRID_MM))
-    for parts in lives.values():
-        course, signal = course_of(parts), parts[0].signal.samples(RATE_HZ)
-        sample = np.arange(course.sample[0], course.sample[-1] + 1)
-        at_mm, amplitude = course.at(sample)
-        nodes = method.nodes(at_mm)
-        for place, now in enumerate(sample.tolist()):
-            nearest = GREEN[nodes.nearest[place]]
-            sigma = np.minimum(1.0, saturation_v / np.sqrt(np.square(nearest).mean(axis=1)))
-            gain = 1.0 / (sigma @ np.square(nearest).sum(axis=1))
-            green = sigma[:, None] * np.einsum("k,kit->it", nodes.weights[place], GREEN[nodes.rows[place]])
-            since = now - int(sample[0])
-            loud = parts[0].repeat or since < len(signal)
-            emitted = amplitude[place] * signal[since % len(signal)] * loud
-            taps = np.arange(TAPS)[(now - np.arange(TAPS) >= 0) & (now - np.arange(TAPS) < samples)]
-            drive_v[:, now - taps] += emitted * gain * green[:, taps]
-    return drive_v
+def rendered(lives, samples, **output):
+    """What the scene of the record renders to, from scene time 0 on."""
+    courses = {number: course_of(parts) for number, parts in lives.items()}
+    sources = [
+        Source(
+            TrajectoryPath((course.sample - course.sample[0]) / RATE_HZ, course.at_mm, course.amplitude),
+            lives[number][0].signal, course.sample[0] / RATE_HZ, repeat=lives[number][0].repeat,
+        )
+        for number, course in courses.items()
+    ]  # fmt: skip
+    drive_v = render_with_report(Scene("record", sources, HELD, Output(**output)), BANK)[0].drive_v[:, TAPS - 1 :]
+    return np.pad(drive_v, [(0, 0), (0, max(0, samples - drive_v.shape[1]))])[:, :samples]
 
 
 @pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
-def test_given_sufficient_look_ahead_then_the_drives_are_direct_sums_over_the_record(interpolation):
-    engine = engine_of(
-        look_ahead=SUFFICIENT + 4 * BLOCK, interpolation=interpolation,
-        regularisation=Regularisation(saturation_absolute=0.5),
-    )  # fmt: skip
+def test_given_sufficient_look_ahead_then_the_drives_are_those_of_the_recorded_scene(interpolation):
+    engine = engine_of(look_ahead=SUFFICIENT + 4 * BLOCK, interpolation=interpolation, regularisation=HELD)
 
     def order(block):
         if block % 4 == 0 and block < 60:
@@ -98,7 +88,7 @@ def test_given_sufficient_look_ahead_then_the_drives_are_direct_sums_over_the_re
             engine.set_signal("thumb", Impulse())
 
     drive_v, lives = run(engine, 150, order)
-    wanted_v = direct(lives, drive_v.shape[1], interpolation, 0.5)
+    wanted_v = rendered(lives, drive_v.shape[1], interpolation=interpolation)
     assert engine.sufficient_samples == SUFFICIENT
     assert [parts[0].name for parts in lives.values()] == ["finger", "thumb", "thumb", "finger", "thumb", "thumb"]
     assert all(parts[-1].over for parts in lives.values())
@@ -147,28 +137,33 @@ def test_a_jump_an_end_or_a_hole_on_the_way_then_one_life_fades_and_another_appe
     for refused in ((0.0, 0.0), (1.9, 0.0)):
         with pytest.raises(InputError, match="not measured"):
             engine.move("finger", refused)
+    # Rows of zeros or NaN are no part of the surface either.
+    green = GREEN.copy()
+    green[60], green[61] = 0.0, np.nan  # at (0, 0) and (4, 0) mm
+    engine = engine_of(GreenArray(green, GRID_MM, RATE_HZ), hold_s=0.5)
+    for refused in ((0.0, 0.0), (4.0, 0.0)):
+        with pytest.raises(InputError):
+            engine.move("finger", refused)
+    _, lives = run(engine, 80, lambda block: engine.move("finger", (-12.0 + 0.5 * block, 0.0)) if block < 10 else None)
+    assert course_of(lives[0]).at_mm[-1][0] == pytest.approx(-2.0, abs=0.07)
 
 
-@pytest.mark.parametrize(
-    "order",
-    [
+def test_order_takes_effect_with_next_block_even_where_that_was_computed_before():
+    orders = (
         lambda engine: engine.move("finger", (-3.0, 6.0)),
         lambda engine: engine.set_signal("finger", Sine(90.0, 0.1)),
         lambda engine: engine.end_source("finger"),
         lambda engine: engine.limit_sources(0),
-    ],
-    ids=["a position", "a signal", "an end", "an effort"],
-)
-@pytest.mark.parametrize("blocks", [11, 12, 13])
-def test_order_takes_effect_with_next_block_even_where_that_was_computed_before(blocks, order):
-    ordered, other = engine_of(), engine_of()
-    for engine in (ordered, other):
-        engine.move("finger", (-5.0, 6.0))
-        for _ in range(blocks):
-            engine.next_block()
-    order(ordered)
-    difference = ordered.next_block() - other.next_block()
-    assert np.abs(difference).max() > 1e-3 * np.abs(other.next_block()).max()
+    )
+    for blocks, order in itertools.product((11, 12, 13), orders):
+        ordered, other = engine_of(), engine_of()
+        for engine in (ordered, other):
+            engine.move("finger", (-5.0, 6.0))
+            for _ in range(blocks):
+                engine.next_block()
+        order(ordered)
+        difference = ordered.next_block() - other.next_block()
+        assert np.abs(difference).max() > 1e-3 * np.abs(other.next_block()).max()
 
 
 def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
@@ -188,9 +183,13 @@ def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
     assert heard[60] == heard[19]
 
 
-@pytest.mark.parametrize(
-    ("name", "at_mm", "amplitude"),
-    [
+def test_given_a_wrong_position_then_it_is_refused_and_the_sources_sound_on():
+    engine = engine_of(most_sources=2)
+    engine.move("finger", (1.0, 1.0))
+    engine.move("thumb", (5.0, 1.0))
+    engine.next_block()
+    before = engine.state()
+    for name, at_mm, amplitude in (
         ("finger", (np.nan, 0.0), None),
         ("finger", (0.0, np.inf), None),
         ("finger", (40.0, 0.0), None),
@@ -200,42 +199,22 @@ def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
         ("", (0.0, 0.0), None),
         ("f" * 101, (0.0, 0.0), None),
         ("one too many", (0.0, 0.0), None),
-    ],
-)
-def test_given_a_wrong_position_then_it_is_refused_and_the_sources_sound_on(name, at_mm, amplitude):
-    engine = engine_of(most_sources=2)
-    engine.move("finger", (1.0, 1.0))
-    engine.move("thumb", (5.0, 1.0))
-    engine.next_block()
-    before = engine.state()
-    with pytest.raises(InputError):
-        engine.move(name, at_mm, amplitude)
-    assert engine.state() == before
+    ):
+        with pytest.raises(InputError):
+            engine.move(name, at_mm, amplitude)
+        assert engine.state() == before
     for _ in range(10):
         engine.next_block()
     assert [one.name for one in engine.state()] == ["finger", "thumb"]
 
 
-def test_given_rows_of_zeros_or_nan_then_they_are_no_part_of_the_surface():
-    green = GREEN.copy()
-    green[60] = 0.0  # at (0, 0) mm
-    green[61] = np.nan  # at (4, 0) mm
-    engine = engine_of(GreenArray(green, GRID_MM, RATE_HZ), hold_s=0.5)
-    for place_mm in ((0.0, 0.0), (4.0, 0.0)):
-        with pytest.raises(InputError):
-            engine.move("finger", place_mm)
-    _, lives = run(engine, 80, lambda block: engine.move("finger", (-12.0 + 0.5 * block, 0.0)) if block < 10 else None)
-    assert course_of(lives[0]).at_mm[-1][0] == pytest.approx(-2.0, abs=0.07)
-
-
 @pytest.mark.parametrize(("frame_rate_hz", "independent"), [(44_100.0, True), (1600.0, False)])
 def test_interface_rate_then_drives_are_those_of_banks_rate_between_its_samples(frame_rate_hz, independent):
-    bank, drives = plate_bank(), []
-    for rate_hz in (bank.sample_rate_hz, frame_rate_hz):
+    drives = []
+    for rate_hz in (PLATE.sample_rate_hz, frame_rate_hz):
         engine = LiveEngine(
-            bank, block_samples=11, look_ahead_samples=360, frame_rate_hz=rate_hz,
+            PLATE, block_samples=11, look_ahead_samples=360, frame_rate_hz=rate_hz, signal=Noise((80.0, 300.0), 0.2, 6),
             regularisation=Regularisation(independent=independent),
-            signal=Noise((80.0, 300.0), 0.2, 6),
         )  # fmt: skip
         drives.append(
             run(engine, 70, lambda block, engine=engine: engine.move("finger", (8.0 * np.sin(block / 30.0), 3.0)))[0]
@@ -276,7 +255,6 @@ def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tm
 # --- independent sources
 
 
-PLATE = plate_bank()
 SIGNAL = Noise((80.0, 400.0), 0.3, 4)
 FINGERS_MM = [(-10.0, -10.0), (14.0, -10.0), (-10.0, 14.0), (14.0, 14.0)]
 
@@ -326,13 +304,16 @@ def test_places_that_cannot_be_told_apart_then_response_stays_and_energy_is_boun
         np.testing.assert_allclose(filters, green.conj(), rtol=0, atol=5e-3 * np.abs(green).max())
 
 
-def played(places_mm, *, blocks=70, independent, interpolation="nearest"):
-    """Drives, without look-ahead, of sources at rest of which the first alone sounds."""
-    engine = LiveEngine(
+def independent_engine(independent=True, interpolation="nearest"):
+    return LiveEngine(
         PLATE, block_samples=10, look_ahead_samples=0, signal=SIGNAL, interpolation=interpolation,
         regularisation=Regularisation(independent=independent),
     )  # fmt: skip
-    drives = []
+
+
+def played(places_mm, *, blocks=70, independent, interpolation="nearest"):
+    """Drives, without look-ahead, of sources at rest of which the first alone sounds."""
+    engine, drives = independent_engine(independent, interpolation), []
     for block in range(blocks):
         for source, place_mm in enumerate(places_mm if block % 2 == 0 else ()):
             engine.move(f"{source}", place_mm, float(source == 0))
@@ -356,28 +337,18 @@ def test_of_fingers_at_rest_each_source_is_quiet_at_the_others():
     assert np.square(quiet).sum() < MAX_ENERGY * np.square(plain).sum()
 
 
-NEAR_MM = {
-    "one place": [(3.0, 3.0), (3.0, 3.0)],
-    "1 mm apart": [(3.0, 3.0), (4.0, 3.0)],
-    "three near one another": [(3.0, 3.0), (-3.0, 3.0), (3.0, -3.0)],
-    "24": [(4.0 * number % 24.0 - 12.0, 4.0 * (number // 6) - 8.0) for number in range(24)],
-}
-
-
-@pytest.mark.parametrize("name", NEAR_MM)
-def test_given_fingers_too_near_to_one_another_then_they_sound_within_the_energy(name):
-    kind = "bilinear" if "near" in name else "nearest"
-    plain, quiet = (played(NEAR_MM[name], blocks=30, interpolation=kind, independent=one) for one in (False, True))
-    assert np.isfinite(quiet).all()
-    assert np.square(quiet).sum() < 1.2 * MAX_ENERGY * np.square(plain).sum()
-    assert np.abs(quiet[:, -50:]).max() > 0.0
-
-
-def test_the_engine_says_while_the_energy_of_near_fingers_is_bounded():
-    engine = LiveEngine(
-        PLATE, block_samples=10, look_ahead_samples=0, signal=SIGNAL, regularisation=Regularisation(independent=True)
-    )
-    bounded = []
+def test_fingers_near_one_another_sound_within_the_energy_and_it_is_said():
+    for kind, places_mm in (
+        ("nearest", [(3.0, 3.0), (3.0, 3.0)]),
+        ("nearest", [(3.0, 3.0), (4.0, 3.0)]),
+        ("bilinear", [(3.0, 3.0), (-3.0, 3.0), (3.0, -3.0)]),
+        ("nearest", [(4.0 * number % 24.0 - 12.0, 4.0 * (number // 6) - 8.0) for number in range(24)]),
+    ):
+        plain, quiet = (played(places_mm, blocks=20, interpolation=kind, independent=one) for one in (False, True))
+        assert np.isfinite(quiet).all()
+        assert np.square(quiet).sum() < 1.2 * MAX_ENERGY * np.square(plain).sum()
+        assert np.abs(quiet[:, -50:]).max() > 0.0
+    engine, bounded = independent_engine(), []
     for block in range(90):
         engine.move("finger", (3.0, 3.0))
         for other in range(3):
@@ -394,18 +365,12 @@ def random_bank(position_mm, **options):
     return GreenArray(green, np.array(position_mm, float), 2000.0, **options)
 
 
-def test_given_a_grid_as_fine_as_such_rows_then_auto_takes_the_nearest_position():
+def test_a_grid_without_finer_rows_then_auto_is_nearest_and_kernel_refused():
     actuator_mm = np.array([[-40.0, 0.0], [40.0, 0.0], [0.0, 40.0]])
-    bank = random_bank([(x, y) for y in range(8) for x in range(8)], actuator_mm=actuator_mm)
-    assert finer_rows(bank, "auto", np.ones(100)) == ("nearest", None)
-
-
-@pytest.mark.parametrize(
-    "position_mm",
-    [np.random.default_rng(0).uniform(0.0, 40.0, (60, 2)), [(4.0 * x, 0.0) for x in range(20)], [(0.0, 0.0)]],
-    ids=["irregular", "a line", "one"],
-)
-def test_given_a_grid_without_finer_rows_then_kernel_is_refused_by_name(position_mm):
-    bank = random_bank(position_mm, band_hz=(20.0, 400.0))
-    with pytest.raises(InputError, match="'kernel'"):
-        LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, interpolation="kernel")
+    fine = random_bank([(x, y) for y in range(8) for x in range(8)], actuator_mm=actuator_mm)
+    assert finer_rows(fine, "auto", np.ones(100)) == ("nearest", None)
+    irregular, line = np.random.default_rng(0).uniform(0.0, 40.0, (60, 2)), [(4.0 * x, 0.0) for x in range(20)]
+    for position_mm in (irregular, line, [(0.0, 0.0)]):
+        bank = random_bank(position_mm, band_hz=(20.0, 400.0))
+        with pytest.raises(InputError, match="'kernel'"):
+            LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, interpolation="kernel")

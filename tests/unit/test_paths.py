@@ -15,24 +15,26 @@ from wavefocus.storage.errors import InputError
 NAN = float("nan")
 
 
-def test_a_closed_polyline_comes_back_to_its_start():
-    path = Polyline([(0, 0), (0, 0), (4, 0), (4, 0), (4, 3)], closed=True)
-    assert path.length_mm == 12.0
-    np.testing.assert_allclose(path.point_at([4, 7, 9.5, 12]), [[4, 0], [4, 3], [2, 1.5], [0, 0]], atol=1e-12)
+TWO_STROKES = [np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[10.0, 0.0], [10.0, 3.0]])]
+QUARTER_MM = 2.5 * math.pi
 
 
-def test_strokes_are_joined_by_jumps_that_take_no_length():
-    path = Strokes([np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[10.0, 0.0], [10.0, 3.0]])])
-    assert path.length_mm == 5.0
-    np.testing.assert_allclose(path.point_at([1.9, 2.0, 5.0]), [[1.9, 0], [10, 0], [10, 3]], atol=1e-12)
-
-
-@pytest.mark.parametrize(("turns", "expected"), [(0.25, (1.0, 7.0)), (-0.25, (1.0, -3.0))])
-def test_a_circle_turns_anticlockwise_when_its_turns_are_positive(turns, expected):
-    np.testing.assert_allclose(Circle((0, 0), 2.0, turns, 90.0).point_at([0.0]), [[0, 2]], atol=1e-12)
-    path = Circle((1.0, 2.0), 5.0, turns, start_deg=0.0)
-    assert path.length_mm == pytest.approx(2.5 * math.pi)
-    np.testing.assert_allclose(path.point_at([0.0, path.length_mm]), [[6, 2], expected], atol=1e-12)
+@pytest.mark.parametrize(
+    ("path", "length_mm", "points_mm"),
+    [
+        (
+            Polyline([(0, 0), (0, 0), (4, 0), (4, 0), (4, 3)], closed=True), 12.0,
+            {4: (4, 0), 7: (4, 3), 9.5: (2, 1.5), 12: (0, 0)},
+        ),
+        (Strokes(TWO_STROKES), 5.0, {1.9: (1.9, 0), 2.0: (10, 0), 5.0: (10, 3)}),
+        (Circle((1.0, 2.0), 5.0, 0.25), QUARTER_MM, {0.0: (6, 2), QUARTER_MM: (1.0, 7.0)}),
+        (Circle((1.0, 2.0), 5.0, -0.25, 90.0), QUARTER_MM, {0.0: (1, 7), QUARTER_MM: (6, 2)}),
+    ],
+    ids=["closed polyline", "strokes joined by jumps", "anticlockwise circle", "clockwise circle"],
+)  # fmt: skip
+def test_a_path_is_followed_by_its_arc_length(path, length_mm, points_mm):
+    assert path.length_mm == pytest.approx(length_mm)
+    np.testing.assert_allclose(path.point_at(list(points_mm)), list(points_mm.values()), atol=1e-12)
 
 
 @given(
@@ -47,9 +49,8 @@ def test_neighbours_on_a_polyline_are_never_further_apart_than_along_it(points, 
     np.testing.assert_allclose(path.point_at([path.length_mm])[0], points[0 if closed else -1], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
+def test_a_path_that_makes_no_sense_is_refused():
+    for make in (
         lambda: Point((NAN, 0)),
         lambda: Line((0, 0), (math.inf, 0)),
         lambda: Polyline([]),
@@ -61,11 +62,9 @@ def test_neighbours_on_a_polyline_are_never_further_apart_than_along_it(points, 
         lambda: TextPath("A", 10, (NAN, 0)),
         lambda: TextPath("\u4e2d", 10),
         lambda: Strokes([]),
-    ],
-)
-def test_a_path_that_makes_no_sense_is_refused(make):
-    with pytest.raises(InputError):
-        make()
+    ):
+        with pytest.raises(InputError):
+            make()
 
 
 def svg(tmp_path, body):
@@ -74,18 +73,15 @@ def svg(tmp_path, body):
     return file
 
 
-def test_an_svg_path_is_seen_upright(tmp_path):
+def test_an_svg_path_is_upright_with_its_transforms_and_is_found_by_its_id(tmp_path):
     file = svg(tmp_path, '<path id="v" d="M 0 0 L 10 0 L 10 20"/>')
     path = SvgPath(file, "v", 0.5, (1.0, 2.0))
     assert path.length_mm == pytest.approx(15.0)
     np.testing.assert_allclose(path.point_at([0, 5, 15]), [[1, 2], [6, 2], [6, -8]], atol=1e-9)
-
-
-def test_transforms_of_groups_and_paths_are_applied(tmp_path):
-    file = svg(
-        tmp_path,
-        '<g transform="translate(10, 0) scale(2)"><g transform="rotate(90)"><path id="v" d="m1 0 1 0"/></g></g>',
-    )
+    with pytest.raises(InputError, match="'v'"):
+        SvgPath(file, "star")
+    turned = '<g transform="rotate(90)"><path id="v" d="m1 0 1 0"/></g>'
+    file = svg(tmp_path, f'<g transform="translate(10, 0) scale(2)">{turned}</g>')
     np.testing.assert_allclose(SvgPath(file).point_at([0, 2]), [[10, -2], [10, -4]], atol=1e-9)
 
 
@@ -115,10 +111,10 @@ MALFORMED = ["", "L0 0", "M0", "M0 0 X", "M0 0 L1", "M0 0A1 1 0 2 0 5 5", "M0 0z
              "M 0 0 L 10 20 345", "M 0 0 A " + 400 * "2"]  # fmt: skip
 
 
-@pytest.mark.parametrize("data", MALFORMED, ids=range(len(MALFORMED)))
-def test_malformed_path_data_is_refused_at_once(data):
-    with pytest.raises(InputError, match=r"goes wrong|must begin with M"):
-        flatten(data, 0.01)
+def test_malformed_path_data_is_refused_at_once():
+    for data in MALFORMED:
+        with pytest.raises(InputError, match=r"goes wrong|must begin with M"):
+            flatten(data, 0.01)
 
 
 COORDINATE = st.sampled_from([0.0, 1.0, -3.0, 1e-200, -1e-300, 5e-324, 1e99, -1e100, 1e30])
@@ -163,11 +159,6 @@ def test_a_drawing_that_cannot_be_read_is_one_sentence(tmp_path, name):
         warnings.simplefilter("error")
         with pytest.raises(InputError, match=r"a\.svg.*document type" if b"DOCTYPE" in SVGS[name] else r"a\.svg"):
             SvgPath(tmp_path / "a.svg")
-
-
-def test_an_svg_file_without_that_path_names_those_it_has(tmp_path):
-    with pytest.raises(InputError, match="'heart'"):
-        SvgPath(svg(tmp_path, '<path id="heart" d="M0 0h1"/>'), "star")
 
 
 def test_text_fills_its_height_around_its_centre():

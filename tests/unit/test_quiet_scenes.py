@@ -1,12 +1,14 @@
 """Quiet places: filters of least energy against other solvers, drives, levels, files and stiff cases."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+import scipy.fft
 from scipy.optimize import minimize
 
 from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS, plate_bank, plate_greens
@@ -26,6 +28,7 @@ from wavefocus.storage.drive_file import read_drive, write_drive
 from wavefocus.storage.errors import InputError
 
 NOISE = Noise((60.0, 450.0), 0.5, 3)
+SHORT = replace(NOISE, duration_s=0.2)
 FOCUS = (-8.0, 0.0)
 TAIL = round(0.05 * RATE_HZ)
 
@@ -52,28 +55,24 @@ def row_at(bank, point):
     return int(np.argmin(np.hypot(*(bank.position_mm - point).T)))
 
 
-def level_db(drive, bank, place, focus=FOCUS, of=None):
-    there, own = (
-        np.square(predict(one, bank, [row_at(bank, point)]).field).sum()
-        for one, point in ((of or drive, place), (drive, focus))
-    )
-    return 10 * np.log10(there / own)
+def level_db(drive, bank, place):
+    field = predict(drive, bank, [row_at(bank, place), row_at(bank, FOCUS)]).field
+    return 10 * np.log10(np.divide(*np.square(field).sum(axis=1)))
+
+
+def true_field(drive, points_mm):
+    return predict(drive, GreenArray(plate_greens(points_mm), points_mm, RATE_HZ)).field
 
 
 def energy(drive):
     return float(np.square(drive.drive_v).sum())
 
 
-def test_without_quiet_places_the_drive_is_the_same_bytes(bank):
-    scene = scene_of()
-    other = replace(scene, output=Output(most_energy=2.0), regularisation=Regularisation(independent=True))
-    drives = [render_with_report(one, bank)[0].drive_v.tobytes() for one in (scene, other)]
-    assert drives[0] == drives[1]
-
-
 def test_a_quiet_place_then_its_level_is_met_and_the_response_at_the_focus_stays(bank):
     scene = scene_of((16.0, 8.0), (8.0, -16.0))
     plain, _ = render_with_report(plain_of(scene), bank)
+    same = replace(plain_of(scene), output=Output(most_energy=2.0), regularisation=Regularisation(independent=True))
+    assert render_with_report(same, bank)[0].drive_v.tobytes() == plain.drive_v.tobytes()
     drive, report = render_with_report(scene, bank)
     assert drive.start_s == plain.start_s
     assert drive.drive_v.shape[1] == plain.drive_v.shape[1] + TAIL
@@ -87,11 +86,8 @@ def test_a_quiet_place_then_its_level_is_met_and_the_response_at_the_focus_stays
     found = quiet_levels(drive, bank)
     assert [one.reached_db for one in found] == pytest.approx([-30, -30], abs=0.3)
     assert [one.track.rendered_db for one in found] == pytest.approx([one.reached_db for one in found], abs=0.1)
-
-
-def test_given_an_impulse_then_the_response_at_its_focus_is_its_amplitude(bank):
-    scene = scene_of((16.0, 8.0), signal=Impulse())
-    drive, _ = render_with_report(replace(scene, sources=(replace(scene.sources[0], amplitude=3.0),)), bank)
+    impulse = replace(scene.sources[0], signal=Impulse(), amplitude=3.0)
+    drive, _ = render_with_report(replace(scene, sources=(impulse,)), bank)
     response = predict(drive, bank, [row_at(bank, FOCUS)]).field[0]
     assert response[TAPS - 1] == pytest.approx(3.0, rel=1e-9)
 
@@ -106,9 +102,7 @@ def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, 
     rms = np.sqrt(np.square(bank.values).mean(axis=2))
     own = np.sqrt(np.square(green).mean(axis=1))
     sigma = np.minimum(1.0, saturation * np.median(rms) / own) if saturation else np.ones(len(green))
-    length = 2 * (TAPS + TAIL)
-    while max(p for p in range(2, length + 1) if length % p == 0 and all(p % q for q in range(2, p))) > 5:
-        length += 1
+    length = scipy.fft.next_fast_len(2 * (TAPS + TAIL), real=True)  # no other factors than 2, 3 and 5
     h = np.fft.rfft(green, length, axis=1).T
     q = np.stack([np.fft.rfft(bank.values[row_at(bank, one)], length, axis=1).T for one in at], axis=1)
     w = np.empty_like(h)
@@ -129,8 +123,8 @@ def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, 
 
 @pytest.mark.parametrize(
     ("seeds", "seconds", "apart_s"),
-    [((1, 2, 3), 0.5, 0.0), ((1, 1, 1), 0.5, 0.0), ((0, 1, 2), 0.2, 0.15)],
-    ids=["different noise", "the same noise", "following each other"],
+    [((1, 1, 1), 0.5, 0.0), ((0, 1, 2), 0.2, 0.15)],
+    ids=["the same noise", "following each other"],
 )
 def test_independent_sources_are_quiet_at_each_other_while_both_sound(bank, seeds, seconds, apart_s):
     at = [(-16.0, 0.0), (8.0, 12.0), (12.0, -16.0)]
@@ -149,8 +143,7 @@ def test_a_disc_between_positions_is_quiet_in_truth(bank):
     drive, _ = render_with_report(scene, bank)
     angle = 2 * np.pi * np.arange(12) / 12
     points = centre + np.concatenate([r * np.stack([np.cos(angle), np.sin(angle)], axis=1) for r in (1.5, 3.0, 4.0)])
-    truth = GreenArray(plate_greens(np.vstack([points, FOCUS])), np.vstack([points, FOCUS]), RATE_HZ)
-    power = np.square(predict(drive, truth).field).sum(axis=1)
+    power = np.square(true_field(drive, np.vstack([points, FOCUS]))).sum(axis=1)
     assert 10 * np.log10(power[:-1].mean() / power[-1]) == pytest.approx(-20, abs=2.0)
     (level,) = quiet_levels(drive, bank)
     assert level.reached_db == pytest.approx(-20, abs=1.0)
@@ -162,8 +155,7 @@ def test_resting_place_stays_quiet_while_source_moves_and_its_level_is_true_one(
     scene = scene_of(place_mm, path=path, speed=speed, output=Output(interpolation="kernel"))
     drive, _ = render_with_report(scene, bank)
     points_mm = path.point_at(np.arange(0.0, path.length_mm, 0.25))
-    truth_mm = np.vstack([points_mm, place_mm])
-    field = predict(drive, GreenArray(plate_greens(truth_mm), truth_mm, RATE_HZ)).field
+    field = true_field(drive, np.vstack([points_mm, place_mm]))
     sample = np.arange(int(path.length_mm / speed * RATE_HZ))
     now = sample - round(drive.start_s * RATE_HZ)
     focus = field[np.minimum((sample * speed / RATE_HZ / 0.25).astype(int), len(points_mm) - 1), now]
@@ -203,12 +195,12 @@ def test_a_drive_file_keeps_its_quiet_places(bank, tmp_path):
 
 
 def test_a_verification_states_the_levels_of_prediction_and_scan(bank):
-    drive, _ = render_with_report(scene_of((16.0, 8.0), (8.0, -16.0), radius_mm=4.5, level_db=-20.0), bank)
+    places = (16.0, 8.0), (8.0, -16.0)
+    drive, _ = render_with_report(scene_of(*places, radius_mm=4.5, level_db=-20.0, signal=SHORT), bank)
     rows = control_rows(drive, bank.position_mm)
     prediction = predict(drive, bank, rows)
-    louder = replace(
-        prediction, field=prediction.field + 0.1 * prediction.field[rows.tolist().index(row_at(bank, FOCUS))]
-    )
+    at_focus = prediction.field[rows.tolist().index(row_at(bank, FOCUS))]
+    louder = replace(prediction, field=prediction.field + 0.1 * at_focus)
     verification = compare(prediction, louder, drive, bank)
     levels = [one for one in verification.figures if one.name.startswith("level at quiet")]
     assert [one.name for one in levels] == ["level at quiet[0]", "level at quiet[1]"]
@@ -240,21 +232,18 @@ def test_a_scene_needs_the_positions_around_its_quiet_places_and_independent_sou
 
 def test_on_a_coarse_grid_it_is_said_how_quiet_a_place_between_positions_is_in_truth():
     coarse = GreenArray(plate_greens(4.0 * SQUARE_MM), 4.0 * SQUARE_MM, RATE_HZ, band_hz=BAND_HZ)
-    said = []
-    for place in ((24.0, 24.0), (32.0, 32.0)):
-        _, report = render_with_report(scene_of(place, at=(0.0, 0.0)), coarse)
-        said.append([text for text in report.warnings if "between the grid's positions" in text])
-    assert [len(texts) for texts in said] == [1, 0]
+    for place, said in (((24.0, 24.0), 1), ((32.0, 32.0), 0)):
+        _, report = render_with_report(scene_of(place, at=(0.0, 0.0), signal=SHORT), coarse)
+        assert len([text for text in report.warnings if "between the grid's positions" in text]) == said
 
 
+BESIDE = QuietPlace(Line((-8.0, 1.0), (8.0, 1.0)), speed_mm_s=50.0)
 REFUSED = {
     "at the focus": (scene_of(FOCUS), "quiet[0]"),
     "disc around the focus": (scene_of((0.0, 0.0), FOCUS, radius_mm=4.0), "quiet[1]"),
     "outside the grid": (scene_of((90.0, 0.0)), "quiet[0]"),
     "goes with the source": (
-        replace(scene_of(path=Line((-8.0, 0.0), (8.0, 0.0)), speed=50.0),
-                quiet=(QuietPlace(Line((-8.0, 1.0), (8.0, 1.0)), speed_mm_s=50.0),)),
-        "quiet[0]",
+        replace(scene_of(path=Line((-8.0, 0.0), (8.0, 0.0)), speed=50.0), quiet=(BESIDE,)), "quiet[0]",
     ),
 }  # fmt: skip
 
@@ -262,12 +251,10 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_place_that_cannot_be_quiet_is_refused_by_name(bank, case):
     scene, name = REFUSED[case]
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=f"^{re.escape(name)}"):
         render_with_report(scene, bank)
-    assert str(refused.value).startswith(name)
 
 
-SHORT = replace(NOISE, duration_s=0.2)
 STIFF = {
     "within half a millimetre of the focus": scene_of((-7.6, 0.3), signal=SHORT),
     "two at one place": scene_of((16.0, 8.0), (16.0, 8.0), signal=SHORT),
@@ -294,24 +281,17 @@ def test_stiff_scenes_are_finite_within_the_energy_and_say_what_is_not_reached(b
         assert any("source 0 is at quiet[0]" in text for text in report.warnings)
 
 
-LINE_MM = SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1)
-BANKS = {
-    "one actuator": lambda: GreenArray(plate_bank().values[:, :1], plate_bank().position_mm, RATE_HZ, band_hz=BAND_HZ),
-    "one line": lambda: GreenArray(plate_greens(LINE_MM), LINE_MM, RATE_HZ, band_hz=BAND_HZ),
-    "no band": lambda: GreenArray(plate_bank().values, plate_bank().position_mm, RATE_HZ),
-}
-
-
-@pytest.mark.parametrize("case", BANKS)
-def test_banks_of_any_kind(case):
-    bank, place = BANKS[case](), (16.0, 0.0)
-    drive, report = render_with_report(scene_of(place), bank)
-    if case == "one actuator":
-        assert any("quiet[0] reaches" in text for text in report.warnings)
-        plain, _ = render_with_report(plain_of(scene_of()), bank)
-        assert level_db(drive, bank, place) == pytest.approx(level_db(plain, bank, place), abs=0.01)
-    else:
-        assert level_db(drive, bank, place) == pytest.approx(-30, abs=0.5)
+def test_banks_of_one_actuator_on_one_line_or_without_a_band():
+    place, line_mm = (16.0, 0.0), SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1)
+    one = GreenArray(plate_bank().values[:, :1], plate_bank().position_mm, RATE_HZ, band_hz=BAND_HZ)
+    drive, report = render_with_report(scene_of(place), one)
+    assert any("quiet[0] reaches" in text for text in report.warnings)
+    plain, _ = render_with_report(plain_of(scene_of()), one)
+    assert level_db(drive, one, place) == pytest.approx(level_db(plain, one, place), abs=0.01)
+    on_a_line = GreenArray(plate_greens(line_mm), line_mm, RATE_HZ, band_hz=BAND_HZ)
+    for some in (on_a_line, GreenArray(plate_bank().values, plate_bank().position_mm, RATE_HZ)):
+        drive, _ = render_with_report(scene_of(place), some)
+        assert level_db(drive, some, place) == pytest.approx(-30, abs=0.5)
 
 
 WRONG = {
@@ -325,11 +305,11 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("lines", WRONG, ids=WRONG.values())
-def test_a_wrong_table_is_refused_by_its_key(lines):
+def test_a_wrong_table_is_refused_by_its_key():
     text = '[[source]]\npath = { kind = "point", at_mm = [0, 0] }\nsignal = { kind = "impulse" }\n'
-    with pytest.raises(InputError, match=rf"quiet\[0\]\.{WRONG[lines]}\b"):
-        read_scene(f"{text}[[quiet]]\n{lines}\n", Path("scene.toml"))
+    for lines, key in WRONG.items():
+        with pytest.raises(InputError, match=rf"quiet\[0\]\.{key}\b"):
+            read_scene(f"{text}[[quiet]]\n{lines}\n", Path("scene.toml"))
 
 
 # --- filters
@@ -382,11 +362,10 @@ def test_given_a_small_case_then_a_general_solver_finds_no_less_energy():
 
 
 STIFF_ROWS = {
-    "one place twice": (lambda: np.repeat(rows(1, 1), 2, axis=1), 1e-3, True),
     "two places that are nearly one": (lambda: rows(1, 1) * (1.0 + 1e-9 * np.arange(2))[:, None], 1e-3, True),
     "more places than actuators": (lambda: rows(24, 1), 1e-3, False),
-    "fifty places": (lambda: rows(50, 1), 1e-3, False),
     "nearly the focus": (lambda: rows(1) * (1 + 1e-7) + 1e-7 * rows(1, 1), 1e-3, False),
+    "an infeasible one": (lambda: np.concatenate([rows(1) * (1 + 1e-9), rows(2, 1)], axis=1), 1e-3, False),
     "no energy there": (lambda: 0.0 * rows(2, 1), 1e-3, True),
     "a level beyond reach": (lambda: rows(2, 1), 1e-30, False),
     "tiny rows": (lambda: 1e-60 * rows(2, 1), 1e-3, True),
@@ -399,16 +378,10 @@ def test_given_a_stiff_case_then_the_filters_are_finite_and_keep_to_the_energy(n
     h, q = rows(1)[:, 0], make()
     place = np.arange(q.shape[1])
     found, w = solved(h, q, place, np.full(len(place), level), most_energy=10.0)
-    assert np.isfinite(found.level).all()
-    assert np.isfinite(found.of_place).all()
+    assert np.isfinite([found.level, found.of_place]).all()
     assert found.energy <= 10.0 * (1 + 1e-9)
     assert bool((found.level <= level * 1.01).all()) == reachable
     np.testing.assert_allclose((h * w).sum(axis=1), np.square(np.abs(h)).sum(axis=1), rtol=1e-6)
-
-
-def test_given_an_infeasible_place_then_the_others_are_still_quiet():
-    h = rows(1)[:, 0]
-    q = np.concatenate([h[:, None] * (1 + 1e-9), rows(2, 1)], axis=1)
-    found, _ = solved(h, q, np.arange(3), np.full(3, 1e-3), most_energy=10.0)
-    assert found.level[0] > 0.9
-    np.testing.assert_allclose(found.level[1:], 1e-3, rtol=0.05)
+    if "infeasible" in name:
+        assert found.level[0] > 0.9
+        np.testing.assert_allclose(found.level[1:], 1e-3, rtol=0.05)

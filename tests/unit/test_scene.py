@@ -1,5 +1,7 @@
 """Scenes: the values that a source may hold, its signals and trajectories, and the positions that a scene needs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import soundfile
@@ -41,11 +43,6 @@ def drive_v(scene, bank=None, **options):
     return render_with_report(scene, bank or noise_bank(), **options)[0].drive_v
 
 
-def test_a_point_needs_neither_speed_nor_step():
-    source = Source(Point((1.0, 2.0)), Impulse(), speed_mm_s=-5.0, step_mm=NAN)
-    assert (source.emission, source.amplitude) == ("continuous", 1.0)
-
-
 def line(**figures):
     return Source(Line((0, 0), (10, 0)), Impulse(), **{"speed_mm_s": 80.0, "step_mm": 4.0, **figures})
 
@@ -75,6 +72,7 @@ OUT_OF_RANGE = {
 
 @pytest.mark.parametrize("message", OUT_OF_RANGE)
 def test_a_scene_source_or_trajectory_out_of_range_is_refused_by_name(message):
+    Source(Point((1.0, 2.0)), Impulse(), speed_mm_s=-5.0, step_mm=NAN)  # a point needs neither speed nor step
     with pytest.raises(InputError, match=message):
         OUT_OF_RANGE[message]()
 
@@ -106,7 +104,7 @@ def test_a_bank_of_the_path_s_rows_alone_renders_as_the_whole_bank_does(path, ki
 GRID_MM = np.array([(x, y) for y in np.arange(-24.0, 25.0, 4.0) for x in np.arange(-40.0, 41.0, 4.0)])
 
 
-def test_kernel_interpolation_needs_its_neighbours_too():
+def test_the_kernel_needs_neighbours_too_and_checks_all_near_the_path():
     path = Line((-10.0, 1.0), (12.0, 3.0))
     nearest, kernel = (
         scene_rows(scene_of(moving(path), interpolation=kind), GRID_MM) for kind in ("nearest", "kernel")
@@ -115,9 +113,6 @@ def test_kernel_interpolation_needs_its_neighbours_too():
     along_mm = path.point_at(np.linspace(0, path.length_mm, 99))
     distance = np.min(np.hypot(*(GRID_MM[:, None] - along_mm).transpose(2, 0, 1)), 1)
     assert set(np.flatnonzero(distance < 10.0)) <= set(kernel.path)
-
-
-def test_the_checks_look_at_all_that_is_near_the_path_and_at_no_more():
     rows = scene_rows(scene_of(moving(Point((1.0, 1.0))), moving(Point((31.0, -20.0)))), GRID_MM)
     distance = np.min([np.hypot(*(GRID_MM - at).T) for at in ((1.0, 1.0), (31.0, -20.0))], axis=0)
     assert set(np.flatnonzero(distance < 15.0)) <= set(rows.checks)
@@ -133,9 +128,8 @@ def test_the_checks_look_at_all_that_is_near_the_path_and_at_no_more():
 
 @pytest.mark.parametrize(("interpolation", "repeat"), [("nearest", True), ("bilinear", False)])
 def test_given_a_trajectory_then_its_drive_is_equation_9_summed_directly(interpolation, repeat):
-    source = Source(FINGER.path, NOISE, 0.02, amplitude=3.0, repeat=repeat)
     bank = noise_bank()
-    drive, _ = render_with_report(scene_of(source, interpolation=interpolation), bank)
+    drive, _ = render_with_report(scene_of(replace(FINGER, repeat=repeat), interpolation=interpolation), bank)
     knots = np.rint((0.02 + np.array(TIME_S)) * RATE_HZ)
     sample = np.arange(int(knots[0]), int(knots[-1]))
     emitted = np.append(NOISE.samples(RATE_HZ), [] if repeat else np.zeros(len(sample)))
@@ -162,6 +156,10 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     needed = scene_rows(scene, NOISE_MM)
     assert len(needed.path) < len(NOISE_MM) / 2
     np.testing.assert_array_equal(drive_v(scene, bank_of(needed.all)), whole.drive_v)
+    line = Source(Line((-10.0, 0.0), (10.0, 0.0)), NOISE, 0.0, 100.0, 4.0, repeat=True)
+    (sampled,) = sample_scene(scene_of(line), noise_bank()).sources
+    assert sampled.signal.tolist() == np.resize(NOISE.samples(RATE_HZ), 240).tolist()
+    assert scene_size(scene_of(line), sample_rate_hz=RATE_HZ, taps=60, actuators=3).signal_samples == 240
 
 
 def test_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_circle():
@@ -171,13 +169,6 @@ def test_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_ci
     bank = plate_bank(noise_db=-60.0)
     drives = [drive_v(scene_of(one, interpolation="kernel"), bank)[:, :560] for one in (circle, course)]
     np.testing.assert_allclose(drives[1], drives[0], rtol=0, atol=0.02 * np.abs(drives[0]).max())
-
-
-def test_given_a_line_and_repeat_then_the_signal_begins_anew_until_its_end():
-    source = Source(Line((-10.0, 0.0), (10.0, 0.0)), NOISE, 0.0, 100.0, 4.0, repeat=True)
-    (sampled,) = sample_scene(scene_of(source), noise_bank()).sources
-    assert sampled.signal.tolist() == np.resize(NOISE.samples(RATE_HZ), 240).tolist()
-    assert scene_size(scene_of(source), sample_rate_hz=RATE_HZ, taps=60, actuators=3).signal_samples == 240
 
 
 def test_rows_close_in_time_or_silent_are_no_foci_and_a_resting_finger_is_a_point():
@@ -210,18 +201,15 @@ def scene_file(folder, csv, keys):
     return folder / "scene.toml"
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_given_a_hostile_csv_file_then_one_sentence_refuses_it(name, tmp_path):
-    keys = 'repeat = true\namplitude = 9.0\nsignal = { kind = "sine", frequency_hz = 70.0, duration_s = 0.1 }'
-    with pytest.raises(InputError) as refused:
-        drive_v(load_scene(scene_file(tmp_path, HOSTILE[name], keys)))
-    assert "\n" not in str(refused.value)
-
-
-def test_given_a_csv_file_then_its_rows_are_the_trajectory(tmp_path):
+def test_csv_rows_are_the_trajectory_and_a_hostile_file_is_one_sentence(tmp_path):
     csv = "# a finger\ntime_s,x_mm,y_mm\n0,0,0\n\n0.5,4,-4\n"
     scene = load_scene(scene_file(tmp_path, csv, 'signal = { kind = "impulse" }'))
     assert scene.sources == (Source(TrajectoryPath((0.0, 0.5), ((0.0, 0.0), (4.0, -4.0))), Impulse()),)
+    keys = 'repeat = true\namplitude = 9.0\nsignal = { kind = "sine", frequency_hz = 70.0, duration_s = 0.1 }'
+    for name, text in HOSTILE.items():
+        with pytest.raises(InputError) as refused:
+            drive_v(load_scene(scene_file(tmp_path, text, keys)))
+        assert "\n" not in str(refused.value), name
 
 
 PLACES = st.floats(-1e3, 1e3)
@@ -257,7 +245,7 @@ def test_noise_has_peak_one_and_nothing_outside_its_band(seed, low, width, durat
     assert power[outside].sum() < 1e-24 * power.sum()
 
 
-@pytest.mark.parametrize("rate_hz", [44_100, 10_000, 8_000])
+@pytest.mark.parametrize("rate_hz", [44_100, 10_000])
 def test_a_sound_file_gives_its_first_channel_at_peak_one_and_its_tone_unchanged(tmp_path, rate_hz):
     time = np.arange(rate_hz) / rate_hz
     frames = np.stack([0.25 * np.sin(2 * np.pi * 230 * time), np.ones(rate_hz)], axis=1)
@@ -270,20 +258,20 @@ def test_a_sound_file_gives_its_first_channel_at_peak_one_and_its_tone_unchanged
     expected, middle = np.sin(2 * np.pi * 230 * np.arange(len(found)) / 10_000), slice(1000, 9000)
     scale = found[middle] @ expected[middle] / (expected[middle] @ expected[middle])
     np.testing.assert_allclose(found[middle] / scale, expected[middle], atol=1e-4)
+    if rate_hz == 44_100:  # a tone above the bank's Nyquist frequency does not fold back
+        wave = np.sin(2 * np.pi * 7000 * time) + 1e-3 * np.sin(2 * np.pi * 200 * time)
+        soundfile.write(tmp_path / "a.wav", wave / 2, rate_hz, subtype="DOUBLE")
+        found = SoundFile(tmp_path / "a.wav").samples(10_000.0)[middle]
+        power = np.abs(np.fft.rfft(found * np.hanning(len(found)))) ** 2
+        assert power.argmax() == pytest.approx(200 * len(found) / 10_000, abs=1)
 
 
-def test_a_tone_above_the_banks_nyquist_does_not_fold_back(tmp_path):
-    time = np.arange(44_100) / 44_100
-    wave = np.sin(2 * np.pi * 7000 * time) + 1e-3 * np.sin(2 * np.pi * 200 * time)
-    soundfile.write(tmp_path / "a.wav", wave / 2, 44_100, subtype="DOUBLE")
-    found = SoundFile(tmp_path / "a.wav").samples(10_000.0)[1000:9000]
-    power = np.abs(np.fft.rfft(found * np.hanning(len(found)))) ** 2
-    assert power.argmax() == pytest.approx(200 * len(found) / 10_000, abs=1)
-
-
-@pytest.mark.parametrize(
-    ("signal", "message"),
-    [
+def test_a_signal_that_cannot_be_emitted_is_refused(tmp_path):
+    (tmp_path / "broken.wav").write_bytes(b"no sound")
+    soundfile.write(tmp_path / "silent.wav", np.zeros(100), 8000)
+    soundfile.write(tmp_path / "empty.wav", np.zeros(0), 8000)
+    files = ((SoundFile(tmp_path / f"{name}.wav"), f"{name}.wav") for name in ("missing", "broken", "silent", "empty"))
+    for signal, message in (
         (Sine(0.0, 1.0), "frequency_hz is 0.0"),
         (Sine(5000.0, 1.0), "below 5000"),
         (Sine(100.0, 0.0), "duration_s is 0.0"),
@@ -295,17 +283,7 @@ def test_a_tone_above_the_banks_nyquist_does_not_fold_back(tmp_path):
         (Noise((50, 6000), 1.0), "band_hz"),
         (Noise((50, 60), 0.01), "empty or silent"),
         (Noise((50, 60), 1.0, -1), "seed is -1"),
-    ],
-)
-def test_a_signal_that_cannot_be_emitted_is_refused(signal, message):
-    with pytest.raises(InputError, match=message):
-        signal.samples(10_000.0)
-
-
-def test_a_sound_file_that_is_missing_broken_or_silent_is_refused(tmp_path):
-    (tmp_path / "broken.wav").write_bytes(b"no sound")
-    soundfile.write(tmp_path / "silent.wav", np.zeros(100), 8000)
-    soundfile.write(tmp_path / "empty.wav", np.zeros(0), 8000)
-    for name in ("missing", "broken", "silent", "empty"):
-        with pytest.raises(InputError, match=f"{name}.wav"):
-            SoundFile(tmp_path / f"{name}.wav").samples(10_000.0)
+        *files,
+    ):
+        with pytest.raises(InputError, match=message):
+            signal.samples(10_000.0)

@@ -1,20 +1,28 @@
-"""Rows of the table of stiff and extreme cases that scenes, drives and fields can meet; scenes of any numbers."""
+"""Rows of the table of stiff and extreme cases that banks, scenes, drives and fields meet; scenes of any numbers."""
 
+import functools
+import re
 import tracemalloc
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.fft
 import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from tests.unit.plate_banks import NOISE_MM, noise_bank
+from tests.unit.plate_banks import NOISE_MM, SQUARE_MM, errors_at, noise_bank, plate_bank
+from wavefocus.benchmarks.plate import ThinPlate
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.scene import Output, Regularisation, SceneConfig
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.regularisation import focus_gain_map
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source, build_scene, read_scene
@@ -45,23 +53,18 @@ def rendered(source, bank, regularisation=None, *, method=None, tolerance_db=Non
     return render_with_report(scene, bank, method=method, tolerance_db=tolerance_db)
 
 
-ERRORS = []
-
-
-@pytest.fixture(autouse=True)
-def measured(record_property):
+@pytest.fixture
+def relative_error(record_property):
     """Tells tools/stiff_cases.py the largest error that the test found."""
-    ERRORS.clear()
-    yield
-    if ERRORS:
-        record_property("measured", f"relative error {max(ERRORS):.1g}")
+    errors = []
 
+    def relative_error(found, expected):
+        assert found.shape == expected.shape
+        errors.append(float(np.linalg.norm(found - expected) / np.linalg.norm(expected)))
+        return errors[-1]
 
-def relative_error(found, expected):
-    assert found.shape == expected.shape
-    error = float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
-    ERRORS.append(error)
-    return error
+    yield relative_error
+    record_property("measured", f"relative error {max(errors):.1g}")
 
 
 def static_drive(green, signal, lead_samples=0):
@@ -70,8 +73,8 @@ def static_drive(green, signal, lead_samples=0):
     return np.pad(drive, [(0, 0), (lead_samples, 0)])
 
 
-@pytest.mark.parametrize("regularisation", [Regularisation(), SATURATED])
-def test_row_1_dead_actuator_drives_nothing_and_leaves_the_others_untouched(regularisation):
+@pytest.mark.parametrize("regularisation", [Regularisation(), SATURATED], ids=["plain", "saturated"])
+def test_row_1_dead_actuator_drives_nothing_and_leaves_the_others_untouched(regularisation, relative_error):
     values = VALUES.copy()
     values[:, 1] = 0.0
     drive, report = rendered(CONTINUOUS, make_bank(values), regularisation)
@@ -85,29 +88,21 @@ def test_row_1_dead_actuator_drives_nothing_and_leaves_the_others_untouched(regu
     assert not predict(drive, make_bank(np.zeros_like(values))).field.any()
 
 
-@pytest.mark.parametrize(
-    ("source", "status"), [(CONTINUOUS, 0), (PER_POINT, 8), (CONTINUOUS, 16), (PER_POINT, 17)], ids=lambda one: None
-)
-def test_row_2_path_over_a_row_that_may_not_be_used_is_refused_by_name(source, status):
-    bits = np.ones(len(GRID_MM), np.uint8)
-    bits[16] = status
-    with pytest.raises(InputError, match=r"position 16 at \(8, 8\) mm is .* path point \d of source 0"):
-        rendered(source, make_bank(status=bits))
-
-
-def test_row_2_path_over_a_row_of_zeros_is_refused_by_name():
-    values = VALUES.copy()
+def test_row_2_path_over_a_row_that_may_not_be_used_is_refused_by_name():
+    bits, values = np.ones(len(GRID_MM), np.uint8), VALUES.copy()
+    for source, bits[16] in ((CONTINUOUS, 0), (PER_POINT, 8), (CONTINUOUS, 16), (PER_POINT, 17)):
+        with pytest.raises(InputError, match=r"position 16 at \(8, 8\) mm is .* path point \d of source 0"):
+            rendered(source, make_bank(status=bits))
     values[0] = 0.0
-    with pytest.raises(InputError, match=r"position 0 at \(0, 0\) mm is all zeros.* path point 0 of source 0 at"):
-        rendered(CONTINUOUS, make_bank(values))
-    with pytest.raises(InputError, match="position 0"):
-        rendered(CONTINUOUS, make_bank(values), Regularisation(normalise=False))
+    for held in (Regularisation(), Regularisation(normalise=False)):
+        with pytest.raises(InputError, match=r"position 0 at \(0, 0\) mm is all zeros.* path point 0 of source 0 at"):
+            rendered(CONTINUOUS, make_bank(values), held)
 
 
 @pytest.mark.parametrize(
     ("scale", "dtype"), [(2.0**-40, np.float32), (2.0**30, np.float32), (1e-15, np.float64), (1e15, np.float64)]
 )
-def test_rows_3_to_5_bank_in_another_unit_gives_the_same_drive_in_that_unit(scale, dtype):
+def test_rows_3_to_5_bank_in_another_unit_gives_the_same_drive_in_that_unit(scale, dtype, relative_error):
     """Powers of two near 1e-12 and 1e9: float32 itself rounds any other factor to 6e-8."""
     values = VALUES.astype(np.float32).astype(dtype)
     scaled_bank = make_bank((values * dtype(scale)).astype(dtype))
@@ -126,7 +121,7 @@ def test_rows_3_to_5_a_unit_beyond_the_range_of_numbers_is_refused(scale):
         rendered(CONTINUOUS, make_bank(VALUES * scale))
 
 
-def test_row_6_denormals_render_like_the_zeros_that_they_nearly_are():
+def test_row_6_denormals_render_like_the_zeros_that_they_nearly_are(relative_error):
     late = np.arange(TAPS) >= TAPS // 2
     tail, cut = (rendered(CONTINUOUS, make_bank(VALUES * np.where(late, one, 1.0)))[0] for one in (1e-310, 0.0))
     assert relative_error(tail.drive_v, cut.drive_v) < 1e-12
@@ -148,32 +143,72 @@ def test_row_7_a_value_that_is_not_finite_is_refused_by_position_and_actuator(ba
             use()
 
 
-@pytest.mark.parametrize("threshold", [-1.0, np.nan, np.inf, -np.inf])
-def test_rows_8_to_9_saturation_below_zero_or_not_finite_is_refused(threshold):
-    with pytest.raises(ValueError, match="saturation"):
-        Regularisation(saturation_absolute=threshold)
-    with pytest.raises(ValueError, match="saturation"):
-        focus_gain_map(make_bank(), threshold)
+def test_rows_8_to_9_no_positive_saturation_is_refused_and_a_huge_one_is_none():
+    for threshold in (-1.0, np.nan, np.inf, -np.inf):
+        for use in (lambda one: Regularisation(saturation_absolute=one), lambda one: focus_gain_map(make_bank(), one)):
+            with pytest.raises(ValueError, match="saturation"):
+                use(threshold)
+    free, *held = (
+        rendered(CONTINUOUS, make_bank(VALUES * 1e3), one)[0].drive_v
+        for one in (None, Regularisation(saturation=1e308), Regularisation(saturation_absolute=1e308))
+    )
+    assert all(np.array_equal(one, free) for one in held)
 
 
-@pytest.mark.parametrize("huge", [Regularisation(saturation=1e308), Regularisation(saturation_absolute=1e308)])
-def test_rows_8_to_9_huge_saturation_is_none_at_all(huge):
-    free, held = (rendered(CONTINUOUS, make_bank(VALUES * 1e3), one)[0] for one in (None, huge))
-    assert np.array_equal(held.drive_v, free.drive_v)
+SIGNAL = Noise((80.0, 450.0), 0.4, 3)
+OFF_GRID = Source(Circle((0.9, 1.3), 14.0), SIGNAL, 0.0, 200.0, 3.0)
+BETWEEN_MM = np.array([0.9, 1.3]) + 14.0 * np.stack([np.cos(np.arange(40) / 6.4), np.sin(np.arange(40) / 6.4)], axis=1)
 
 
-@pytest.mark.parametrize(("interpolation", "method"), [("nearest", "exact"), ("bilinear", "sampled")])
-def test_row_13_path_outside_the_surface_is_refused_with_its_place(interpolation, method):
-    source = Source(Line((20.0, 8.0), (40.0, 8.0)), Noise((50, 400), 1.0), 0.0, 100.0, 4.0)
-    with pytest.raises(InputError, match=r"source 0, path point [23], lies at \((28|32), 8\) mm"):
+@functools.lru_cache
+def plate(spacing_mm=4.0):
+    axis = np.arange(-24.0, 24.1, spacing_mm)
+    return plate_bank(np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), noise_db=-60.0)
+
+
+@pytest.mark.parametrize("kind", ["nearest", "bilinear"])
+def test_rows_10_to_12_path_off_grid_is_warned_about_with_error_per_frequency(kind):
+    _, report = rendered(OFF_GRID, plate(), interpolation=kind)
+    said = rf"{kind!r} between the grid positions is wrong by about \d+ % at \d+ Hz"
+    assert len([text for text in report.warnings if re.search(said, text)]) == 1
+    errors = report.interpolation_errors
+    # The truth: nearest 42 % at 250 Hz and 67 % at 450 Hz (notes/rendering.md).
+    nodes = interpolation_method(kind)(PositionGrid(plate().position_mm)).nodes(BETWEEN_MM)
+    greens = np.einsum("pn,pnat->pat", nodes.weights, plate().values[nodes.rows])
+    for hertz in (250.0, 450.0):
+        true = np.median(errors_at(hertz, greens, BETWEEN_MM))
+        told = np.exp(np.interp(np.log(hertz), np.log(errors.frequency_hz), np.log(errors.median)))
+        assert told == pytest.approx(true, rel=0.6)
+
+
+def test_rows_10_to_12_a_coarse_grid_warns_and_the_kernel_renders_silently():
+    """6 mm: fewer than two positions per wave length at 450 Hz."""
+    coarse, fine, kernel = (
+        rendered(OFF_GRID, plate(spacing_mm), interpolation=kind)[1]
+        for spacing_mm, kind in ((6.0, "nearest"), (4.0, "nearest"), (4.0, "kernel"))
+    )
+    assert any("wrong by about" in text and "a finer grid" in text for text in coarse.warnings)
+    assert coarse.interpolation_errors.overall > 1.2 * fine.interpolation_errors.overall
+    assert not kernel.warnings
+    assert kernel.interpolation_errors.largest[1] < 0.01
+
+
+BULGE = Polyline([(20.0, 8.0), (32.0, 8.0), (20.0, 8.1)])
+
+
+@pytest.mark.parametrize(
+    ("path", "interpolation", "method", "where"),
+    [
+        (Line((20.0, 8.0), (40.0, 8.0)), "nearest", "exact", r"path point 3, lies at \(32, 8\) mm"),
+        (Line((20.0, 8.0), (40.0, 8.0)), "bilinear", "sampled", r"path point 3, lies at \(32, 8\) mm"),
+        (BULGE, "nearest", "exact", r"sample \d+ after its start, lies at \(28\.\d+, 8\) mm"),
+    ],
+    ids=["nearest", "bilinear", "between path points"],
+)
+def test_row_13_path_outside_the_surface_is_refused_with_its_place(path, interpolation, method, where):
+    source = Source(path, Noise((50, 400), 1.0), 0.0, 100.0, BULGE.length_mm if path is BULGE else 4.0)
+    with pytest.raises(InputError, match=f"source 0, {where}"):
         rendered(source, make_bank(), interpolation=interpolation, method=method)
-
-
-def test_row_13_path_that_leaves_grid_between_two_path_points_is_refused_when_exact():
-    bulge = Polyline([(20.0, 8.0), (32.0, 8.0), (20.0, 8.1)])
-    source = Source(bulge, Noise((50, 400), 1.0), 0.0, 100.0, bulge.length_mm)
-    with pytest.raises(InputError, match=r"source 0, sample \d+ after its start, lies at \(28\.\d+, 8\) mm"):
-        rendered(source, make_bank(), method="exact")
 
 
 def test_row_14_source_faster_than_the_waves_renders_with_a_warning():
@@ -201,22 +236,18 @@ def test_row_14_source_faster_than_the_waves_renders_with_a_warning():
         (Line((4.0, 4.0), (5.0, 4.0)), 0.0, 4.0),
     ],
 )
-@pytest.mark.parametrize(("emission", "method"), [("continuous", "exact"), ("per_point", "sampled")])
-def test_rows_15_to_16_source_that_does_not_move_is_the_static_focus(path, speed_mm_s, step_mm, emission, method):
+def test_rows_15_to_16_source_that_does_not_move_is_the_static_focus(path, speed_mm_s, step_mm, relative_error):
     signal = Noise((50, 400), 0.2, 5)
-    drive, _ = rendered(Source(path, signal, 0.03, speed_mm_s, step_mm, emission=emission), make_bank(), method=method)
-    assert relative_error(drive.drive_v, static_drive(VALUES[8], signal.samples(RATE_HZ), lead_samples=30)) < 1e-12
-    assert drive.focus_sample.tolist() == [30]
-    assert drive.focus_position.tolist() == [8]
-
-
-def test_rows_15_to_16_empty_signal_is_refused():
-    with pytest.raises(InputError, match="no sample to emit"):
-        rendered(Source(Point((4.0, 4.0)), Sine(100.0, 1e-9)), make_bank())
+    expected = static_drive(VALUES[8], signal.samples(RATE_HZ), lead_samples=30)
+    for emission, method in (("continuous", "exact"), ("per_point", "sampled")):
+        source = Source(path, signal, 0.03, speed_mm_s, step_mm, emission=emission)
+        drive, _ = rendered(source, make_bank(), method=method)
+        assert relative_error(drive.drive_v, expected) < 1e-12
+        assert (drive.focus_sample.tolist(), drive.focus_position.tolist()) == ([30], [8])
 
 
 @pytest.mark.parametrize(("interpolation", "method"), [("nearest", "exact"), ("bilinear", "sampled")])
-def test_row_17_identical_firs_everywhere_make_one_convolution(interpolation, method):
+def test_row_17_identical_firs_everywhere_make_one_convolution(interpolation, method, relative_error):
     one = VALUES[0]
     bank = make_bank(np.broadcast_to(one, VALUES.shape))
     drive, _ = rendered(CONTINUOUS, bank, SATURATED, interpolation=interpolation, method=method)
@@ -229,7 +260,7 @@ def test_row_17_identical_firs_everywhere_make_one_convolution(interpolation, me
     assert relative_error(drive.drive_v, expected) < 1e-12
 
 
-def test_row_18_source_longer_than_the_firs_is_convolved_linearly():
+def test_row_18_source_longer_than_the_firs_is_convolved_linearly(relative_error):
     signal = Noise((50, 400), 20.0, 2)
     drive, _ = rendered(Source(Point((4.0, 4.0)), signal), make_bank())
     assert relative_error(drive.drive_v, static_drive(VALUES[8], signal.samples(RATE_HZ))) < 1e-12
@@ -256,6 +287,69 @@ def test_rows_20_to_21_focus_instants_do_not_drift():
     assert np.abs(drive.focus_sample - wanted).max() <= 0.5
 
 
+def glass_bank(quality, taps=400, rate_hz=2000.0):
+    glass = ThinPlate(0.6, 0.4, 1.566)
+    x, y = np.meshgrid(np.arange(5) * 0.004 + 0.2, np.arange(5) * 0.004 + 0.15)
+    points_m = np.stack([x.ravel(), y.ravel()], axis=1)
+    sources_m = np.array([[0.03, 0.05], [0.55, 0.06], [0.31, 0.37]])
+    values = glass.impulse_velocity(points_m, sources_m, taps, rate_hz, quality=quality, band_hz=(60.0, 400.0))
+    return GreenArray(values, 1e3 * points_m, rate_hz, band_hz=(50.0, 450.0))
+
+
+def test_row_22_a_response_longer_than_its_window_is_a_warning_with_its_tail():
+    """A stiff plate, Q = 1e4: at 200 Hz energy falls by e in 8 s, and the window has 0.2 s: 3 % of it."""
+    point = Source(Point((200.0, 150.0)), Impulse())
+    (drive, beyond), (_, within) = (rendered(point, glass_bank(quality)) for quality in (1e4, 8.0))
+    assert np.isfinite(drive.drive_v).all()
+    assert beyond.tail.beyond_share > 0.9
+    assert any("% of the response lies beyond the bank's window" in text for text in beyond.warnings)
+    assert within.tail.beyond_share < 1e-6
+    assert not within.warnings
+
+
+def test_row_23_a_bank_that_wraps_round_is_warned_about_when_its_last_tenth_is_loud():
+    """A synthetic spectrum with its phase the wrong way round puts the response at the window's end: -11 dB."""
+    values = plate_bank().values
+    _, report = rendered(STILL, GreenArray(np.roll(values, -60, axis=2), SQUARE_MM, 2000.0))
+    assert report.tail.last_tenth_db > -11.0
+    assert any("the last tenth of the Green's functions holds" in text for text in report.warnings)
+    _, report = rendered(STILL, GreenArray(values, SQUARE_MM, 2000.0))
+    assert report.tail.last_tenth_db < -40.0
+    assert not report.warnings
+
+
+def test_rows_22_and_23_a_tail_at_minus_40_db_is_the_limit():
+    values = np.zeros((1, 1, 100))
+    values[..., 0] = 1.0
+    for level_db, warned in ((-39.0, True), (-41.0, False)):
+        values[..., -1] = 10.0 ** (level_db / 20.0)
+        _, report = rendered(Source(Point((0.0, 0.0)), Impulse()), GreenArray(values, np.zeros((1, 2)), RATE_HZ))
+        assert any("last tenth" in text for text in report.warnings) == warned
+        assert report.tail.last_tenth_db == pytest.approx(level_db, abs=0.01)
+
+
+def test_row_24_the_estimate_does_not_divide_by_the_sweep_outside_its_band(record_property):
+    """At 60 dB plain division is 200 % wrong (noise where nothing was played); least squares at most 1 %."""
+    excitation = PlayedExcitation(10_000.0, 20.0, 500.0, 0.5, 0.2, 1.0, 3)
+    taps, rng = 2000, np.random.default_rng(5)
+    time_s = np.arange(taps) / 10_000.0
+    modes_hz = rng.uniform(40.0, 450.0, 20)
+    green = (rng.standard_normal(20) @ (np.exp(-time_s / 0.02) * np.sin(2.0 * np.pi * modes_hz[:, None] * time_s))) / 50
+    reference = np.concatenate([np.zeros(200), excitation.signal_v(), np.zeros(1000)])
+    response = np.convolve(reference, green)[: len(reference)]
+    response += 1e-3 * np.sqrt(np.mean(response**2)) * rng.standard_normal(len(response))
+    records = [part[None].astype(np.float32) for part in (reference, response)]
+    found = SequentialEstimator(excitation, taps).estimate(*records, range_v=(10.0, 10.0)).green[0]
+    hertz = scipy.fft.rfftfreq(4000, 1e-4)
+    band = (hertz >= 20.0) & (hertz <= 500.0)
+    wrong, right = (scipy.fft.rfft(part, 4000)[band] for part in (found - green, green))
+    record_property("measured", f"{100 * np.linalg.norm(wrong) / np.linalg.norm(right):.2g} % in the band")
+    assert np.linalg.norm(wrong) <= 0.01 * np.linalg.norm(right)
+    divided = scipy.fft.irfft(scipy.fft.rfft(response) / scipy.fft.rfft(reference), len(reference))[:taps]
+    assert np.linalg.norm(divided - green) > np.linalg.norm(green)
+    assert np.linalg.norm(found) < 1.1 * np.linalg.norm(green)
+
+
 def banded(leak, taps=400):
     spectrum = np.fft.rfft(np.random.default_rng(0).standard_normal((len(GRID_MM), 3, taps)), axis=2)
     frequency = np.fft.rfftfreq(taps, 1 / RATE_HZ)
@@ -265,11 +359,12 @@ def banded(leak, taps=400):
     return make_bank(values, band_hz=(50.0, 150.0))
 
 
-@pytest.mark.parametrize(("leak", "tolerance_db"), [(0.0, -60.0), (1e-3, -40.0), (1e-1, -20.0), (1e-1, -60.0)])
-def test_row_25_leaky_bank_keeps_the_tolerance_with_the_bound_reported(leak, tolerance_db):
+@pytest.mark.parametrize(("leak", "tolerance_db"), [(0.0, -60.0), (1e-1, -20.0)])
+def test_row_25_leaky_bank_keeps_the_tolerance_with_the_bound_reported(leak, tolerance_db, relative_error):
     exact, _ = rendered(CONTINUOUS, banded(leak))
     drive, report = rendered(CONTINUOUS, banded(leak), tolerance_db=tolerance_db)
-    assert relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound + 1e-13
+    assert report.single
+    assert 0 < relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound
     assert report.omitted_bound == drive.omitted_bound <= 10 ** (tolerance_db / 20)
 
 
@@ -292,17 +387,15 @@ CONVERSIONS = {
 }
 
 
-@pytest.mark.parametrize("name", CONVERSIONS)
-def test_rows_27_and_37_bank_of_any_number_type_equals_float64(name):
+def test_rows_27_and_37_bank_of_any_number_type_is_float64_and_no_complex(relative_error):
     whole = np.round(VALUES * 300)
     plain, _ = rendered(CONTINUOUS, make_bank(whole), SATURATED)
-    bank = make_bank(CONVERSIONS[name](whole))
-    drive, _ = rendered(CONTINUOUS, bank, SATURATED)
-    assert relative_error(drive.drive_v, plain.drive_v) < 1e-12
-    assert relative_error(predict(drive, bank).field, predict(plain, make_bank(whole)).field) < 1e-12
-
-
-def test_rows_27_and_37_complex_bank_is_refused():
+    field = predict(plain, make_bank(whole)).field
+    for converted in CONVERSIONS.values():
+        bank = make_bank(converted(whole))
+        drive, _ = rendered(CONTINUOUS, bank, SATURATED)
+        assert relative_error(drive.drive_v, plain.drive_v) < 1e-12
+        assert relative_error(predict(drive, bank).field, field) < 1e-12
     with pytest.raises(InputError, match=r"complex128, .* real numbers are needed"):
         rendered(CONTINUOUS, make_bank(VALUES + 0j))
 
@@ -312,7 +405,7 @@ def test_row_34_limit_no_factor_can_reach_is_refused():
         rendered(Source(Point((4.0, 4.0)), Impulse(), amplitude=1e150), make_bank(), limit_v=1e-300)
 
 
-def test_row_35_emissions_that_overlap_add_up():
+def test_row_35_emissions_that_overlap_add_up(relative_error):
     """Points 2 ms apart that each emit 50 ms: the drive is the sum of the points' own drives."""
     source = Source(Line((0.0, 4.0), (24.0, 4.0)), Noise((50, 400), 0.05, 1), 0.0, 2000.0, 4.0, emission="per_point")
     together, _ = rendered(source, make_bank())
@@ -323,16 +416,13 @@ def test_row_35_emissions_that_overlap_add_up():
     assert relative_error(together.drive_v, total) < 1e-12
 
 
-def test_row_36_positions_that_repeat_count_once():
+def test_row_36_positions_that_repeat_count_once_and_on_one_line_bilinear_is_refused():
     doubtful = np.full(2 * len(GRID_MM), 4, np.uint8)
     values, position_mm = np.concatenate([VALUES, 7 * VALUES]), np.concatenate([GRID_MM, GRID_MM])
     twice = GreenArray(values, position_mm, RATE_HZ, status=doubtful)
     for interpolation in ("nearest", "bilinear"):
         drive, once = (rendered(CONTINUOUS, one, interpolation=interpolation)[0] for one in (twice, make_bank()))
         assert np.array_equal(drive.drive_v, once.drive_v)
-
-
-def test_row_36_positions_on_one_line_render_nearest_and_refuse_bilinear():
     on_a_line = GRID_MM[:, :1] * [1.0, 0.0] + np.arange(len(GRID_MM))[:, None] * [0.001, 0.0]
     bank = GreenArray(VALUES, on_a_line, RATE_HZ)
     rendered(Source(Point((4.007, 0.0)), Impulse()), bank)
@@ -348,13 +438,12 @@ POINT = '{ kind = "point", at_mm = [0, 0] }'
 IMPULSE = '{ kind = "impulse" }'
 LARGE = {
     "late": ("start_s = 1e6\nspeed_mm_s = 80\nstep_mm = 4", LINE, IMPULSE),
-    "long sine": ("", POINT, '{ kind = "sine", frequency_hz = 200, duration_s = 1e6 }'),
     "long noise": ("", POINT, '{ kind = "noise", band_hz = [50, 400], duration_s = 1e6 }'),
     "longest sine": ("", POINT, '{ kind = "sine", frequency_hz = 200, duration_s = 1e308 }'),
     "many points": ("speed_mm_s = 80\nstep_mm = 1e-6", LINE, IMPULSE),
     "one long step": ("speed_mm_s = 80\nstep_mm = 1e9", LINE, IMPULSE),
     "slow": ("speed_mm_s = 1e-5\nstep_mm = 4", LINE, IMPULSE),
-    "many turns": ("speed_mm_s = 80\nstep_mm = 4", '{ kind = "circle", radius_mm = 8, turns = 1e9 }', IMPULSE),
+    "many turns": ("speed_mm_s = 80\nstep_mm = 4", '{ kind = "circle", radius_mm = 8, turns = 1e12 }', IMPULSE),
     "a sound file by what it declares": ("", POINT, '{ kind = "file", path = "a.flac" }'),
 }
 
@@ -376,6 +465,9 @@ def declare(path, frames):
 def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name, tmp_path):
     declare(tmp_path / "a.flac", 10**8)
     scene, small = read(*LARGE[name], tmp_path), noise_bank(40)
+    if "many turns" in name:
+        with pytest.raises(InputError, match="points"):
+            scene_rows(scene, NOISE_MM)
     tracemalloc.start()
     try:
         for make in (render_with_report, SceneRenderer):
@@ -396,13 +488,6 @@ def test_a_long_scene_is_rendered_in_the_size_stated_and_a_longer_one_refused():
     assert scene_size(slower, sample_rate_hz=RATE_HZ, taps=40, actuators=3).drive_bytes > MAX_DRIVE_BYTES
     with pytest.raises(InputError, match="8 GiB of drives are allowed: split it"):
         SceneRenderer(slower, noise_bank(40), method="sampled")
-
-
-@pytest.mark.parametrize("turns", [1e9, 1e12])
-def test_a_path_of_any_length_is_refused_where_only_its_positions_are_sought(turns):
-    scene = read("speed_mm_s = 80\nstep_mm = 4", f'{{ kind = "circle", radius_mm = 8, turns = {turns} }}', IMPULSE)
-    with pytest.raises(InputError, match="points"):
-        scene_rows(scene, NOISE_MM)
 
 
 def test_a_sound_file_is_sized_by_its_frames_read_one_channel_and_refused_if_cut(tmp_path):

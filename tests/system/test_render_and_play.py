@@ -1,5 +1,6 @@
-"""What ``render`` and ``movie`` do besides drives: limits, sounds, figures, pictures; and the page's scene."""
+"""What ``render`` and ``movie`` do besides drives: limits, sounds, figures, pictures; drives played by ``play``."""
 
+import itertools
 import json
 from pathlib import Path
 
@@ -7,14 +8,14 @@ import h5py
 import numpy as np
 import pytest
 import soundfile
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from tests.lab_files import write_foreign
 from wavefocus.__main__ import run
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, load_scene
-from wavefocus.storage.drive_file import read_drive
+from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 
 RATE_HZ = 2000.0
 SCENE = """
@@ -36,12 +37,7 @@ signal = { kind = "impulse" }
 [regularisation]
 saturation = 0.7
 """
-RIG = """
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
-
-[player]
-"""
+RIG = "[actuators]\nposition_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]\n\n[player]\n"
 
 
 @pytest.fixture
@@ -63,9 +59,8 @@ def figures(lab, capsys, *options):
 
 
 def predict(lab, out, *options):
-    assert (
-        run(["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / out), *options]) == 0
-    )
+    files = [str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / out)]
+    assert run(["predict", *files, *options]) == 0
 
 
 def movie(lab, field, *options):
@@ -109,28 +104,14 @@ def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab
 def test_given_a_field_then_movie_draws_it_and_tells_which_waves_are_shown(lab, capsys):
     figures(lab, capsys)
     predict(lab, "field.h5")
-    files = ["--out", str(lab / "field.gif"), "--snapshots", str(lab / "foci.png")]
-    assert (
-        movie(
-            lab,
-            "field.h5",
-            "--drive",
-            str(lab / "drive.h5"),
-            "--json",
-            *files,
-            "--slow",
-            "10",
-            "--from-s",
-            "0",
-            "--to-s",
-            "0.022",
-        )
-        == 0
-    )
+    files = ["--drive", str(lab / "drive.h5"), "--out", str(lab / "field.gif"), "--snapshots", str(lab / "foci.png")]
+    assert movie(lab, "field.h5", *files, "--json", "--slow", "10", "--from-s", "0", "--to-s", "0.022") == 0
     told = json.loads(capsys.readouterr().out)
     with Image.open(lab / "field.gif") as gif, Image.open(lab / "foci.png") as picture:
         assert gif.n_frames == told["frames"] > 5
-        assert gif.width == 720
+        assert (gif.width, gif.info["duration"], gif.info["loop"]) == (720, 40, 0)
+        frames = [np.asarray(frame.convert("RGB"), dtype=int) for frame in ImageSequence.Iterator(gif)]
+        assert all(np.any(one != other) for one, other in itertools.pairwise(frames))
         assert picture.width > 1000
     assert told["slowed"] == pytest.approx(10.0)
     predict(lab, "low.h5", "--rate", str(RATE_HZ / 2))
@@ -142,10 +123,11 @@ def test_given_a_field_then_movie_draws_it_and_tells_which_waves_are_shown(lab, 
 def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys, monkeypatch):
     monkeypatch.chdir(lab)
     assert render(lab) == 0
-    predict(lab, "field.h5")
+    predict(lab, "field.h5", "--positions", "0")
     for options, named in (
         ((), "--out"),
         (("--snapshots", "foci.png"), "--drive"),
+        (("--snapshots", "foci.png", "--drive", "drive.h5"), "holds no focus"),
         (("--out", "nowhere/field.gif"), "there is no folder"),
         (("--out", "field.gif", "--from-s", "9"), "nothing to show"),
     ):
@@ -186,3 +168,95 @@ def test_given_the_bar_of_the_page_then_its_points_move_abreast_and_say_the_same
     np.testing.assert_array_equal(np.diff(place[:, :, 1], axis=0), 8.0)
     signals = [source.signal.samples(2000.0) for source in bar.sources]
     assert all(np.array_equal(one, signals[0]) for one in signals)
+
+
+# --- drives that are played
+
+
+POWER = "limit_v = 2.0\ncoil_resistance_ohm = 8.0\nlimit_power_w = 0.04\n"
+TIME_S = np.arange(15_000) / 10_000.0
+
+
+@pytest.fixture
+def playing(tmp_path):
+    (tmp_path / "rig.toml").write_text(f"{RIG}{POWER}", encoding="utf-8")
+    write(tmp_path, 0.5)
+    return tmp_path
+
+
+def write(lab, amplitude_v, actuators=3):
+    drive_v = np.zeros((actuators, TIME_S.size))
+    drive_v[1] = amplitude_v * np.sin(2 * np.pi * 100.0 * TIME_S)
+    none = np.zeros(0, np.int64)
+    write_drive(lab / "drive.h5", Drive(drive_v, 10_000.0, -0.2, "sampled", 1.0, 0.0, none, none, none), force=True)
+
+
+def replaced(lab, old, new):
+    text = (lab / "rig.toml").read_text(encoding="utf-8")
+    (lab / "rig.toml").write_text(text.replace(old, new), encoding="utf-8")
+
+
+def play(lab, *options):
+    return run(["play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml"), "--json", *options])
+
+
+def refused(lab, capsys, *options):
+    assert play(lab, *options) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.count("\n") == 1
+    return told.err
+
+
+def test_given_a_drive_then_it_is_played_and_told(playing, capsys):
+    assert play(playing, "--loop", "3", "--gain-db", "-6.0206") == 0
+    told = capsys.readouterr()
+    figures = json.loads(told.out)
+    assert (figures["seconds"], figures["loops"]) == (4.5, 3)
+    assert figures["peak_v"] == pytest.approx(0.25, rel=1e-5)
+    assert "muted" in told.err
+
+
+def test_given_more_than_an_actuator_may_get_then_the_gain_that_would_do_does(playing, capsys):
+    write(playing, 4.0)
+    told = refused(playing, capsys, "--gain-db", "1")
+    assert "actuator 1" in told
+    assert "player.limit_v" in told
+    told = refused(playing, capsys, "--gain-db", "-6.03")  # that is within 2 V, and the coil's power counts next
+    assert "player.limit_power_w" in told
+    assert "V rms" in told
+    gain_db = told.split("--gain-db ")[1].split(",")[0]
+    assert play(playing, "--gain-db", gain_db) == 0
+    assert 20 * np.log10(4.0 / 2**0.5 / 0.32**0.5) == pytest.approx(-float(gain_db), abs=0.011)
+
+
+def test_given_a_loop_then_the_power_counts_across_its_seam(playing, capsys):
+    # Loud at both ends: 0.3 s of each within a second, and 0.6 s where they meet.
+    write(playing, np.where((TIME_S >= 0.3) & (TIME_S < 1.2), 0.0, 0.9))
+    replaced(playing, "0.04", "0.02")
+    assert play(playing) == 0
+    capsys.readouterr()
+    assert "V rms" in refused(playing, capsys, "--loop", "2")
+
+
+@pytest.mark.parametrize(
+    ("options", "change", "named"),
+    [
+        (("--gain-db", "400"), lambda lab: None, "--gain-db"),
+        (("--loop", "0"), lambda lab: None, "--loop"),
+        ((), lambda lab: write(lab, 0.1, actuators=4), "for 4 actuators"),
+        ((), lambda lab: replaced(lab, "coil_resistance_ohm = 8.0", ""), "player.coil_resistance_ohm"),
+    ],
+    ids=["gain", "loop", "another rig", "power without a resistance"],
+)
+def test_given_what_cannot_be_played_then_one_sentence_names_it(playing, capsys, options, change, named):
+    change(playing)
+    assert named in refused(playing, capsys, *options)
+
+
+def test_given_a_sweep_beyond_the_coils_power_then_the_run_is_refused(playing, capsys):
+    (playing / "run.toml").write_text('rig = "rig.toml"\n\n[sweep]\namplitude_v = 1.0\n', encoding="utf-8")
+    assert run(["plan", str(playing / "run.toml")]) == 2
+    told = capsys.readouterr().err
+    assert "sweep.amplitude_v" in told
+    assert "player.limit_power_w" in told
