@@ -201,7 +201,7 @@ def test_the_bound_is_never_smaller_than_the_error_of_what_was_left_out(
         (Source(Point((0, 0)), Impulse(), 1e9), "samples are allowed"),
         (Source(Point((0, 0)), Impulse(), amplitude=1e308), "does not fit into float64"),
         (Source(Point((0, 0)), given_signal(np.zeros(0))), "the signal of source 0 is empty"),
-        (Source(Point((4, 4)), Sine(100.0, 1e-9)), "no sample to emit"),
+        (Source(Point((4, 4)), Sine(100.0, 1e-9)), "signal of source 0: .* no sample to emit"),
     ],
 )
 def test_a_source_that_cannot_be_rendered_is_refused(source, message):

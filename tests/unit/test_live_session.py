@@ -1,5 +1,6 @@
 """The loop of a live session on a scripted player that keeps no time; orders as objects and by OSC; its pace."""
 
+import functools
 import math
 import threading
 import time
@@ -212,6 +213,7 @@ def test_given_a_wrong_order_then_a_short_sentence_refuses_it(tmp_path):
         {"order": "move", "name": "a", "at_mm": [0, 0], "amplitude": "loud"},
         {"order": "move", "name": "a", "at_mm": [0, 0], "speed": 1},
         {"order": "signal", "name": "a", "signal": {}},
+        {"order": "signal", "name": "a", "signal": {"kind": functools.reduce(lambda inner, _: [inner], range(500))}},
         {"order": "signal", "name": "a", "signal": {"kind": "file", "path": "none.wav"}},
         {"order": "signal", "name": "a", "signal": {"kind": "sine", "frequency_hz": 200.0, "duration_s": 1e12}},
     ):

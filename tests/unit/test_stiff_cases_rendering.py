@@ -30,6 +30,7 @@ from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
 from wavefocus.rendering.scene.sampling import MAX_DRIVE_BYTES, check_scene_size, scene_size
 from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.rendering.scene.trajectory import TrajectoryPath
 from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS = 1000.0, 50
@@ -217,11 +218,16 @@ def test_row_14_source_faster_than_the_waves_renders_with_a_warning():
     distance_mm = np.hypot(*(GRID_MM[:, None] - actuator_mm[None]).transpose(2, 0, 1))
     values = np.exp(-0.5 * ((np.arange(TAPS) - distance_mm[..., None] / 4000.0 * RATE_HZ) / 1.5) ** 2)
     bank, signal = make_bank(values, actuator_mm=actuator_mm), Noise((50, 400), 0.02)
-    drive, report = rendered(Source(PATH, signal, 0.0, 4800.0, 4.0, emission="per_point"), bank)
-    assert np.isfinite(drive.drive_v).all()
-    assert any("faster than the waves (about 4 m/s" in text for text in report.warnings)
-    _, slow = rendered(Source(PATH, signal, 0.0, 400.0, 4.0), bank)
-    assert not any("faster" in text for text in slow.warnings)
+    zigzag_mm = ((0.0, 0.0), (24.0, 16.0), (24.0, 0.0), (0.0, 16.0))
+    for source, faster in (
+        (Source(PATH, signal, 0.0, 4800.0, 4.0, emission="per_point"), True),
+        (Source(PATH, signal, 0.0, 400.0, 4.0), False),
+        (Source(TrajectoryPath((0.0, 0.006, 0.0093, 0.0153), zigzag_mm), signal), True),
+        (Source(TrajectoryPath((0.0, 0.06, 0.093, 0.153), zigzag_mm), signal, speed_mm_s=4800.0), False),
+    ):
+        drive, report = rendered(source, bank)
+        assert np.isfinite(drive.drive_v).all()
+        assert any("faster than the waves (about 4 m/s" in text for text in report.warnings) == faster
 
 
 @pytest.mark.parametrize(

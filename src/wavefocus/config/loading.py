@@ -79,9 +79,12 @@ def validated(model: type[Model], data: object, source: str, *, kept: bool = Fal
     if wrong := _other_kind(model.__name__, data):
         raise InputError(printable(f"{source}: {wrong}"))
     try:
-        return model.model_validate(data, context=KEPT if kept else None)
-    except ValidationError as failure:
-        raise InputError(one_line(source, failure, model, data)) from None
+        try:
+            return model.model_validate(data, context=KEPT if kept else None)
+        except ValidationError as failure:
+            raise InputError(one_line(source, failure, model, data)) from None
+    except RecursionError:
+        raise InputError(printable(f"{source}: nested too deeply")) from None
 
 
 @contextmanager

@@ -179,10 +179,14 @@ class QuietRows(BankRows):
 
     def figures(self, drive: Drive | None) -> QuietFigures:
         """The places with the levels of the finished drive, where there is one in memory."""
-        found, places = self.found, self.plan.places
+        found = self.found
+        kept = self._kept
+        places = [self.plan.places[number] for number in kept.tolist()]
         # Instants at which a place that moves is kept in drive files, and those of all places together.
-        instants = min(32, max(2, 1000 // len(places)))
-        reached_db, plain_db = (10.0 * np.log10(np.maximum(level, 1e-30)) for level in (found.level, found.plain_level))
+        instants = min(32, max(2, 1000 // max(len(places), 1)))
+        reached_db, plain_db = (
+            10.0 * np.log10(np.maximum(level[kept], 1e-30)) for level in (found.level, found.plain_level)
+        )
         tracks = [self._track(*pair, instants) for pair in zip(places, reached_db.tolist(), strict=True)]
         levels = rendered_levels(tuple(tracks))
         if drive is not None and drive.drive_v.any():
@@ -191,13 +195,13 @@ class QuietRows(BankRows):
                 for level in quiet_levels(replace(drive, quiet=tuple(tracks)), self._measured_bank)
             )
         warnings = [*self.plan.warnings, *self._row_error_words()]
-        for number, (place, level) in enumerate(zip(places, levels, strict=True)):
+        for number, place, level in zip(kept.tolist(), places, levels, strict=True):
             if level.reached_db > place.level_db + MISSED_DB:
                 why = self._reason(number, place)
                 warnings.append(
                     f"{place.words} reaches {level.reached_db:.1f} dB of {place.level_db:g} dB asked; {why}"
                 )
-        return QuietFigures(levels, plain_db, found.of_place, found.energy, tuple(warnings))
+        return QuietFigures(levels, plain_db, found.of_place[kept], found.energy, tuple(warnings))
 
     def _track(self, place: PlannedPlace, level_db: float, instants: int) -> QuietTrack:
         knots = self.plan.knots if place.path.length_mm > 0 else self.plan.knots[:1]
@@ -266,6 +270,8 @@ class QuietRows(BankRows):
             alone = np.eye(len(together))[..., None]  # of spectra only, each source counts by itself
             chosen = cross[np.ix_(together, together)] if cross.ndim == 3 else alone * cross[together, None]
             made.append(Moment(foci, chosen * np.outer(gains, gains)[..., None], self._spectra(rows), place, applies))
+        # Of sources at one place, or that never sound together, none is kept quiet at the other.
+        self._kept = np.flatnonzero(np.any([moment.applies.any(axis=0) for moment in made], axis=0))
         level = np.array([place.level for place in plan.places])
         self.found = find_multipliers(made, level, most_energy=scene.output.most_energy, cut=self._cut)
         behind = [[self._behind(one) for one in own] for own in filters_of(made, self.found.of_place)]

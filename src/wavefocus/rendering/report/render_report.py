@@ -209,7 +209,7 @@ def _doubtful(rows: BankRows) -> list[str]:
 
 
 def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
-    speeds = [source.speed_mm_s if source.path.length_mm > 0 else 0.0 for source in scene.sources]
+    speeds = [source.mean_speed_mm_s for source in scene.sources]
     # No plate or soft solid that is focused on carries waves slower than this.
     if max(speeds) < 500.0:
         return []

@@ -238,8 +238,7 @@ def _spectrum(fields: FieldComparison, waveforms: Float32Array) -> PathSpectrum 
 
 def _own_speed(scene: Scene) -> float:
     """Speed of the fastest source, 80 mm/s where all stand still."""
-    speeds = [source.speed_mm_s for source in scene.sources if source.path.length_mm > 0 and source.speed_mm_s > 0]
-    return max(speeds, default=80.0)
+    return max(source.mean_speed_mm_s for source in scene.sources) or 80.0
 
 
 def _about_the_middle(bank: GreenSource) -> Sequence[int]:

@@ -77,6 +77,11 @@ class Source:
             return float(self.path.time_s[-1])
         return self.path.length_mm / self.speed_mm_s if self.path.length_mm > 0 and self.speed_mm_s > 0 else 0.0
 
+    @property
+    def mean_speed_mm_s(self) -> float:
+        """Length of its path over the time from its start to the path's end; 0 where it stands still."""
+        return self.path.length_mm / self.travel_s if self.travel_s else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class QuietPlace:
