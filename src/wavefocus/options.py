@@ -43,7 +43,9 @@ class RenderOptions:
     method: Literal["sampled", "exact"] | None = option(
         None, "By default exact, or sampled where emission is per point."
     )
-    tolerance_db: float | None = option(None, "Leave out what a proved bound allows, e.g. -60.")
+    tolerance_db: float | None = option(
+        None, "Leave out what a proved bound allows, e.g. -60.", low=-1000.0, high=-1e-3
+    )
     device: Literal["cpu", "cuda"] = option("cpu", "cuda: on a GPU, through CuPy.")
 
 

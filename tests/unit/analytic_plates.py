@@ -5,6 +5,7 @@ clamped disk by Bessel series. `bending`: a simply supported rectangle of glass 
 Green's functions with noise at -55 dB, scans are responses of the changed rig with noise at -40 dB.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -53,32 +54,27 @@ Transfer = Callable[[np.ndarray, np.ndarray, Medium], np.ndarray]
 """Spectra (places, sources, K) between places and sources in mm."""
 
 
-def _apart_m(place_mm, source_mm):
-    return np.maximum(np.hypot(*(place_mm[:, None] - source_mm).transpose(2, 0, 1)), 1.0) * 1e-3
-
-
-def _wavenumber(medium, speed_m_s):
-    return OMEGA / (medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06) * (1.0 - 0.04j * medium.loss)
+def hankel_waves(place_mm, sources, medium, speed_m_s):
+    """Waves from places and gains of each source and its images."""
+    wavenumber = OMEGA / (medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06) * (1.0 - 0.04j * medium.loss)
+    total = 0.0
+    for source_mm, gain in sources:
+        apart_m = 1e-3 * np.maximum(np.hypot(*(place_mm[:, None] - source_mm).transpose(2, 0, 1)), 1.0)
+        total = total + gain * scipy.special.hankel2(0, wavenumber * apart_m[..., None])
+    return 1e-2 * OMEGA * total
 
 
 def gel(place_mm, source_mm, medium):
-    wavenumber = _wavenumber(medium, 5.2)
-    total = 0.0
-    for scale, gain in ((1.0, 1.0), (1.3, 0.3), (-1.45, 0.2)):
-        total = total + gain * scipy.special.hankel2(0, wavenumber * _apart_m(place_mm, scale * source_mm)[..., None])
-    return 1e-2 * OMEGA * total
+    echoes = ((1.0, 1.0), (1.3, 0.3), (-1.45, 0.2))
+    return hankel_waves(place_mm, [(scale * source_mm, gain) for scale, gain in echoes], medium, 5.2)
 
 
 def mirrors(place_mm, source_mm, medium):
-    wavenumber, (width, height) = _wavenumber(medium, 6.5), (210.0, 140.0)
-    total = 0.0
-    for m in (-1, 0, 1):
-        for n in (-1, 0, 1):
-            image = source_mm * np.array([(-1.0) ** m, (-1.0) ** n]) + np.array([m * width, n * height])
-            total = total + (-0.85) ** (abs(m) + abs(n)) * scipy.special.hankel2(
-                0, wavenumber * _apart_m(place_mm, image)[..., None]
-            )
-    return 1e-2 * OMEGA * total
+    images = [
+        (source_mm * [(-1.0) ** m, (-1.0) ** n] + np.array([m * 210.0, n * 140.0]), (-0.85) ** (abs(m) + abs(n)))
+        for m, n in itertools.product((-1, 0, 1), repeat=2)
+    ]
+    return hankel_waves(place_mm, images, medium, 6.5)
 
 
 def disk(place_mm, source_mm, medium):
@@ -132,9 +128,7 @@ def places_mm(plate):
 
 def actuators_mm(plate):
     angle = 2 * np.pi * (np.arange(ACTUATORS) + 0.3) / ACTUATORS
-    return np.stack(
-        [SHAPE.get(plate, (85.0, 58.0))[0] * np.cos(angle), SHAPE.get(plate, (85.0, 58.0))[1] * np.sin(angle)], 1
-    )
+    return np.array(SHAPE.get(plate, (85.0, 58.0))) * np.stack([np.cos(angle), np.sin(angle)], 1)
 
 
 @cache

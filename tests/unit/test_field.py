@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.plate_banks import SPACING_MM, plate_bank
@@ -43,6 +43,7 @@ def relative_error(found, expected):
     return np.linalg.norm(found - expected) / np.linalg.norm(expected)
 
 
+@settings(max_examples=12)
 @given(
     seed=st.integers(0, 2**31),
     positions=st.integers(1, 5),

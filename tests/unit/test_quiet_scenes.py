@@ -158,7 +158,7 @@ def test_a_disc_between_positions_is_quiet_in_truth(bank):
 
 
 def test_resting_place_stays_quiet_while_source_moves_and_its_level_is_true_one(bank):
-    place_mm, path, speed = (16.0, 8.0), Circle((-6.0, 0.0), 8.0), 100.0
+    place_mm, path, speed = (16.0, 8.0), Circle((-6.0, 0.0), 8.0, 0.5), 100.0
     scene = scene_of(place_mm, path=path, speed=speed, output=Output(interpolation="kernel"))
     drive, _ = render_with_report(scene, bank)
     points_mm = path.point_at(np.arange(0.0, path.length_mm, 0.25))
@@ -174,7 +174,7 @@ def test_resting_place_stays_quiet_while_source_moves_and_its_level_is_true_one(
 
 def test_a_place_that_moves_is_followed(bank):
     path = Line((8.0, -12.0), (20.0, 12.0))
-    scene = replace(scene_of(), quiet=(QuietPlace(path, speed_mm_s=60.0),))
+    scene = replace(scene_of(signal=SHORT), quiet=(QuietPlace(path, speed_mm_s=120.0),))
     plain, _ = render_with_report(plain_of(scene), bank)
     drive, report = render_with_report(scene, bank)
     (track,) = report.quiet_tracks
@@ -265,8 +265,10 @@ def test_a_place_that_cannot_be_quiet_is_refused_by_name(bank, case):
 STIFF = {
     "within half a millimetre of the focus": scene_of((-7.6, 0.3), signal=SHORT),
     "two at one place": scene_of((16.0, 8.0), (16.0, 8.0), signal=SHORT),
-    "fifty": scene_of(*[(x, y) for x in range(0, 22, 2) for y in range(-20, 20, 8)][:50], signal=SHORT),
-    "a source that runs through it": scene_of((4.0, 0.0), path=Line((-12.0, 0.0), (12.0, 0.0)), speed=80.0),
+    "thirty": scene_of(*[(x, y) for x in range(0, 22, 4) for y in range(-20, 20, 8)], signal=SHORT),
+    "a source that runs through it": scene_of(
+        (4.0, 0.0), path=Line((-12.0, 0.0), (12.0, 0.0)), speed=160.0, output=NEAREST
+    ),
     "a sine": scene_of((16.0, 8.0), signal=Sine(250.0, 0.2)),
 }
 
@@ -282,7 +284,7 @@ def test_stiff_scenes_are_finite_within_the_energy_and_say_what_is_not_reached(b
     assert all(any(name in text for text in report.warnings) for name in missed)
     if "one place" in case or "sine" in case:
         assert not missed
-    if "fifty" in case or "half" in case:
+    if "thirty" in case or "half" in case:
         assert missed
     if "through" in case:
         assert any("source 0 is at quiet[0]" in text for text in report.warnings)
