@@ -70,9 +70,8 @@ def test_file_and_address_receive_signs_of_life_and_no_server_holds_up_the_end(w
         watch.hangs.set()
     with AliveSignal(MessagesSection(alive_url=watch.url, alive_file=str(file)), every_s=0.05):
         until(lambda: len(watch.asked) >= (1 if hangs else 3) and file.exists())
-        for _ in range(3):
-            os.utime(file, (0, 0))
-            until(lambda: file.stat().st_mtime > 1e9)
+        os.utime(file, (0, 0))
+        until(lambda: file.stat().st_mtime > 1e9)
         began_s = time.monotonic()
     assert time.monotonic() - began_s < 5.0
     assert set(watch.asked) == {"/secret-check"}

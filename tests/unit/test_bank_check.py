@@ -7,6 +7,7 @@ import pytest
 from tests.lab_files import attribute, flip, record_of, with_check_rows, within, write_bank
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
 from wavefocus.calibration.check import check_bank
+from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
@@ -83,6 +84,16 @@ def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, positio
     assert (finding.position, finding.severity) == (position, severity)
     assert finding.actuator == (2 if position is None else None)
     assert words in finding.message
+
+
+def test_positions_over_range_poor_or_failed_are_named_once(tmp_path):
+    path = measured(tmp_path / "bank.h5", responses())
+    with BankWriter.open(path) as writer:
+        for position, status in ((1, Status.POOR_SIGNAL), (2, Status.FAILED), (4, Status.OVER_RANGE | Status.VALID)):
+            writer.amend(position, status=int(status))
+    (found,) = check_bank(path)
+    assert (found.severity, found.position) == ("warning", 1)
+    assert "positions 1-2,4 are over range, poor or failed" in found.message
 
 
 def test_two_positions_at_one_place_then_are_a_warning(tmp_path):

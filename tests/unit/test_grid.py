@@ -15,12 +15,9 @@ from wavefocus.storage.errors import InputError
 PLATE = Outline.stadium(250.0, 150.0)
 
 
-def test_default_grid_has_the_papers_1500_positions():
-    assert surface_grid(PLATE, 14.3, 4).shape == (1500, 2)
-
-
-def test_default_grid_moves_by_one_spacing_within_rows_and_alternates_direction():
+def test_default_grid_has_the_papers_1500_positions_in_rows_of_alternating_direction():
     grid = surface_grid(PLATE, 14.3, 4)
+    assert grid.shape == (1500, 2)
     step_mm = np.diff(grid, axis=0)
     same_row = step_mm[:, 1] == 0
     assert np.all(np.abs(step_mm[same_row, 0]) == 4)
@@ -73,18 +70,13 @@ def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stad
     assert np.all(near[inner] == 6)
 
 
-def _equal_arcs(outline, count):
-    return outline.at(np.arange(count) * outline.perimeter_mm / count)
-
-
 @settings(max_examples=10)
 @given(width_mm=st.floats(10, 200), extra_mm=st.floats(0, 200), count=st.integers(1, 60))
 def test_any_rim_lies_on_the_outline_with_equal_arcs(width_mm, extra_mm, count):
     outline, radius_mm = Outline.stadium(width_mm + extra_mm, width_mm), width_mm / 2
-    rim = _equal_arcs(outline, count)
-    beyond_mm = np.maximum(np.abs(rim[:, 0]) - extra_mm / 2, 0)
-    np.testing.assert_allclose(np.hypot(beyond_mm, rim[:, 1]), radius_mm, rtol=1e-9)
-    fine = _equal_arcs(outline, count * 2000)
+    fine = outline.at(np.arange(count * 2000) * outline.perimeter_mm / (count * 2000))
+    beyond_mm = np.maximum(np.abs(fine[:, 0]) - extra_mm / 2, 0)
+    np.testing.assert_allclose(np.hypot(beyond_mm, fine[:, 1]), radius_mm, rtol=1e-9)
     chord_mm = np.linalg.norm(np.diff(fine, axis=0, append=fine[:1]), axis=1)
     perimeter_mm = 2 * extra_mm + 2 * math.pi * radius_mm
     np.testing.assert_allclose(chord_mm.reshape(count, 2000).sum(axis=1), perimeter_mm / count, rtol=1e-4)
@@ -147,7 +139,7 @@ def test_mistake_in_a_positions_file_names_file_and_line(tmp_path, text, complai
 
 
 @pytest.mark.parametrize("outline", [Outline.stadium(250.0, 150.0), Outline.rectangle(120.0, 80.0)])
-@pytest.mark.parametrize("count", [0, 1, 12, 200])
+@pytest.mark.parametrize("count", [0, 1, 60])
 def test_check_positions_lie_between_grid_inside_margin_and_are_always_same(outline, count):
     position_mm = surface_grid(outline, 14.3, 10.0)
     found = check_grid(outline, 14.3, 10.0, position_mm, count)
@@ -161,14 +153,15 @@ def test_check_positions_lie_between_grid_inside_margin_and_are_always_same(outl
 
 @pytest.mark.parametrize(
     ("text", "rows"),
-    [("3", [3]), ("3,5-7", [3, 5, 6, 7]), (" 0 , 9 ", [0, 9]), ("2,2,1-2", [2, 1]), ("0-9", list(range(10)))],
-)
-def test_given_numbers_and_ranges_then_each_row_once_in_order(text, rows):
-    assert parse_positions(text, 10) == rows
-
-
-@pytest.mark.parametrize("text", ["", "a", "1,,2", "-1", "10", "3-10", "7-3", "1.5", "1;2", "9" * 30])
-def test_given_anything_else_then_one_sentence_names_it(text):
+    [
+        ("3", [3]), ("3,5-7", [3, 5, 6, 7]), (" 0 , 9 ", [0, 9]), ("2,2,1-2", [2, 1]), ("0-9", list(range(10))),
+        *((wrong, None) for wrong in ("", "a", "1,,2", "-1", "10", "3-10", "7-3", "1.5", "1;2", "9" * 30)),
+    ],
+)  # fmt: skip
+def test_numbers_and_ranges_name_each_row_once_and_anything_else_is_one_sentence(text, rows):
+    if rows is not None:
+        assert parse_positions(text, 10) == rows
+        return
     with pytest.raises(InputError, match="--positions") as told:
         parse_positions(text, 10)
     assert "\n" not in str(told.value)

@@ -54,19 +54,14 @@ def test_what_a_killed_maker_left_is_removed_or_takes_the_name_that_it_claimed(t
     assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == after
 
 
-def test_given_a_maker_that_lives_then_its_folder_stays(tmp_path):
+def test_given_a_maker_that_lives_or_folders_of_others_then_they_stay(tmp_path):
     path = tmp_path / "bank.h5"
+    with_more = leftover(path, "more", owner=b"", made=b"half", notes=b"mine")
+    of_another = leftover(tmp_path / "bank.h5.old", owner=b"", made=b"half")
     with staging_dir(path) as place:
         place.temporary.write_bytes(b"half")
         clear_leftovers(tmp_path, path.name)
         assert place.temporary.read_bytes() == b"half"
-
-
-def test_given_folders_of_others_then_they_stay(tmp_path):
-    path = tmp_path / "bank.h5"
-    with_more = leftover(path, "more", owner=b"", made=b"half", notes=b"mine")
-    of_another = leftover(tmp_path / "bank.h5.old", owner=b"", made=b"half")
-    clear_leftovers(tmp_path, path.name)
     assert names(with_more) == ["bank.h5", "notes", "owner"]
     assert names(of_another) == ["bank.h5.old", "owner"]
 

@@ -13,9 +13,11 @@ from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.ending import TERMINAL_GONE, EndingSignals, ended_by_file, ending_at_once, stop_on_signals
 
 
-def test_given_a_third_interrupt_then_the_way_out_is_not_disturbed():
-    with stop_on_signals(StopRequest()):
+def test_the_first_interrupt_stops_the_second_ends_and_a_third_disturbs_nothing():
+    stop = StopRequest()
+    with stop_on_signals(stop):
         signal.raise_signal(signal.SIGINT)
+        assert stop.requested
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
@@ -63,7 +65,7 @@ def interruptible():
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_given_the_file_then_the_block_is_interrupted_and_the_file_taken_away(tmp_path):
+def test_a_file_that_appears_interrupts_the_block_and_one_of_before_is_no_order(tmp_path):
     order = tmp_path / "verify.stop"
 
     def work():
@@ -74,10 +76,6 @@ def test_given_the_file_then_the_block_is_interrupted_and_the_file_taken_away(tm
     with pytest.raises(KeyboardInterrupt):
         work()
     assert not order.exists()
-
-
-def test_given_a_file_of_before_then_it_is_no_order(tmp_path):
-    order = tmp_path / "verify.stop"
     order.touch()
     with ended_by_file(order):
         assert not order.exists()

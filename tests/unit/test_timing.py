@@ -66,20 +66,19 @@ def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor):
 
 
 @pytest.mark.parametrize(
-    ("level", "cause", "told"),
-    [(1.0, "other", "another signal"), (1e-4, "silence", "silent"), (0.0, "silence", "silent")],
-)
-def test_what_is_not_the_signal_is_called_by_its_level(level, cause, told):
+    ("level", "offset", "cause", "told"),
+    [
+        (1.0, None, "other", "another signal"), (1e-4, None, "silence", "silent"), (0.0, None, "silence", "silent"),
+        (0.0, -400.0, "cut", "only a part"), (0.0, 1500.0, "cut", "only a part"),
+    ],
+)  # fmt: skip
+def test_what_is_not_the_whole_signal_is_called_by_its_cause(level, offset, cause, told):
     recorded = level * np.abs(KNOWN).max() * np.random.default_rng(1).standard_normal(SAMPLES)
+    if offset is not None:
+        recorded += played(KNOWN, SAMPLES, offset, 1.0)
     with pytest.raises(ReferenceMissingError, match=told) as missing:
         fit_clock(recorded, KNOWN)
     assert missing.value.cause == cause
-
-
-@pytest.mark.parametrize("offset", [-400.0, 1500.0])
-def test_a_signal_partly_outside_the_record_is_refused(offset):
-    with pytest.raises(ReferenceMissingError, match="only a part"):
-        fit_clock(played(KNOWN, SAMPLES, offset, 1.0), KNOWN)
 
 
 @settings(max_examples=8)

@@ -16,7 +16,7 @@ from wavefocus.calibration.evidence import SILENT, SOUND
 from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
 from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.storage.bank.layout import rows_off_grid
-from wavefocus.storage.bank.ledger import Status, median_of_pairs, row_ranges, usable
+from wavefocus.storage.bank.ledger import DOUBTFUL, Status, median_of_pairs, row_ranges, usable
 from wavefocus.storage.bank.reading import Bank, LedgerRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
 from wavefocus.storage.drive_file import read_drive
@@ -137,7 +137,10 @@ def _note_noise(bank: Bank) -> Iterator[BankProblem]:
     position, actuator = (int(at) for at in np.unravel_index(np.argmax(heard_db), heard_db.shape))
     message = f"white noise leaves an error of {median_db:.1f} dB in the median row"
     if np.isfinite(heard_db).any():
-        message += f", of {heard_db[position, actuator]:.1f} dB in the worst (position {position}, actuator {actuator})"
+        worst = "worst that it does not hide" if hidden.any() else "worst"
+        message += (
+            f", of {heard_db[position, actuator]:.1f} dB in the {worst} (position {position}, actuator {actuator})"
+        )
     if hidden.any():
         position, actuator = (int(at) for at in np.argwhere(hidden)[0])
         message += f"; rows that it hides: {int(hidden.sum())} (the first: position {position}, actuator {actuator})"
@@ -167,7 +170,7 @@ def _check_moved(bank: Bank) -> Iterator[BankProblem]:
 
 
 def _check_suspects(bank: Bank) -> Iterator[BankProblem]:
-    """One finding for all rows that were measured when the sentinel had changed, and not again since."""
+    """One finding for all rows measured when the sentinel had changed, and not again since; one for the other rows."""
     if (rows := _rows_in_place(bank)) is None:
         return
     figures = rows.figures
@@ -178,6 +181,10 @@ def _check_suspects(bank: Bank) -> Iterator[BankProblem]:
             " after them (the vibrometer's range, a gain or the plate); put it right, then wavefocus remeasure"
         )
         yield BankProblem(suspects[0], None, message)
+    others = np.flatnonzero((figures.status & (DOUBTFUL | Status.FAILED) != 0) & ~figures.suspect).tolist()
+    if others:
+        message = f"positions {row_ranges(others)} are over range, poor or failed, and are not judged: remeasure them"
+        yield BankProblem(others[0], None, message, "warning")
 
 
 def _check_rows(bank: Bank) -> Iterator[BankProblem]:

@@ -1,6 +1,6 @@
 """Rows of a bank against their predictions from the other positions: which differ, and in what.
 
-Every position is predicted with its own rows left out: from its neighbours (`RowsPredicted`) or, on coarse
+Every position is predicted with its own rows left out: from its neighbours (`_RowsPredicted`) or, on coarse
 grids, from all others by waves (`coarse_grid.left_out_rows`). A prediction's usual error is that of the positions
 around. What is farther off is left out of all other predictions, the worst first, and then compared again.
 """
@@ -37,7 +37,7 @@ TIES = 12
 """Positions of a lattice that may be equally far; of those at the edge the first rows are taken."""
 
 
-class RowsPredicted:
+class _RowsPredicted:
     """Leave-one-out predictions of all rows of a bank.
 
     A row is predicted by kernel regression over the bank's own waves (`wavefocus.calibration.wave_model`) from the
@@ -224,7 +224,7 @@ class NeighbourDifference:
 
 
 @dataclass(frozen=True, slots=True)
-class NeighbourResult:
+class _NeighbourResult:
     """All that differs in a bank.
 
     differences: By position.
@@ -277,7 +277,7 @@ def judge_rows(
     usable: BoolArray,
     modelled: BoolArray | None = None,
     waves: Callable[[], WavesFound | None] | None = None,
-) -> NeighbourResult:
+) -> _NeighbourResult:
     """Judge the rows of a bank by all others.
 
     position_mm, float64 (positions, 2): Grid in millimetres.
@@ -293,7 +293,7 @@ def judge_rows(
     values = spectra.values / largest if largest > 0 else spectra.values
     measured = position_mm, actuator_mm, values, spectra.frequency_hz
     with one_blas_thread():
-        neighbours = RowsPredicted(position_mm, values, spectra.frequency_hz, usable & there)
+        neighbours = _RowsPredicted(position_mm, values, spectra.frequency_hz, usable & there)
         judge = _Judge(*measured, neighbours)
         wanted = there & (np.zeros_like(there) if modelled is None else modelled)
         coarse = neighbours.spacing_mm > MIN_COARSE_MM or not neighbours.patches
@@ -310,7 +310,7 @@ def judge_rows(
 _Measured = tuple[Float64Array, Float64Array, Complex128Array, Float64Array]
 
 
-def _by_waves(measured: _Measured, rows: BoolArray, found: WavesFound | None) -> NeighbourResult | None:
+def _by_waves(measured: _Measured, rows: BoolArray, found: WavesFound | None) -> _NeighbourResult | None:
     """Judge by waves; None where none fit."""
     with suppress(np.linalg.LinAlgError):
         if found is not None:
@@ -327,7 +327,7 @@ class _Judge:
         actuator_mm: Float64Array,
         values: Complex128Array,
         frequency_hz: Float64Array,
-        rows: RowsPredicted | RowsByWaves,
+        rows: _RowsPredicted | RowsByWaves,
     ) -> None:
         self._values, self._rows = values, rows
         self.by_waves = isinstance(rows, RowsByWaves)
@@ -372,7 +372,7 @@ class _Judge:
         worst_row = np.where(rows, np.nan_to_num(times), 0.0).max(axis=1, initial=0.0)
         return np.maximum(np.where(whole, middle_times, 0.0), worst_row), whole, rows
 
-    def find(self) -> NeighbourResult:
+    def find(self) -> _NeighbourResult:
         """Leave out the worst of each neighbourhood until none may be wrong, then take back what agrees without it."""
         for _ in range(ROUNDS if self._positions.size else 0):
             score = np.where(self._out, 0.0, self._scores(strict=False)[0])
@@ -382,21 +382,21 @@ class _Judge:
                 break
             self._out[worst] = True
             if self._out.sum() > MOST * self._positions.size:
-                return NeighbourResult((), np.zeros_like(self.judged), self.by_waves)
+                return _NeighbourResult((), np.zeros_like(self.judged), self.by_waves)
             self._predict()
         for _ in range(2 if self._out.any() else 0):
-            if isinstance(self._rows, RowsPredicted):
+            if isinstance(self._rows, _RowsPredicted):
                 self._rows.fit(~self._out)
                 self._predict()
             unjudged = (self._far & ~self.judged).any(axis=1) & (self._scores(strict=False)[0] > 0)
             self._out &= unjudged | (self._scores(strict=True)[0] > 0)
             self._predict()
         if not self._out.any():
-            return NeighbourResult((), self.judged, self.by_waves)
+            return _NeighbourResult((), self.judged, self.by_waves)
         score, whole, rows = self._scores(strict=True)
         wrong = np.flatnonzero(self._out & (score > 0)).tolist()
         found = [one for row in wrong for one in self._named(row, rows[row], whole=bool(whole[row]))]
-        return NeighbourResult(tuple(found), self.judged, self.by_waves)
+        return _NeighbourResult(tuple(found), self.judged, self.by_waves)
 
     def _named(self, position: int, rows: BoolArray, *, whole: bool) -> list[NeighbourDifference]:
         values, predicted = self._values[position], self._values[position] - self.errors[position]
