@@ -87,23 +87,16 @@ def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(tmp_pat
     assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
 
 
-@pytest.mark.nightly
-def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(lab, capsys):
-    predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
-    assert run([*predict, "--cluster", "nonsense://here:1"]) == 2
-    assert "--cluster nonsense://here:1" in capsys.readouterr().err.splitlines()[-1]
-    assert not (lab / "field.h5").exists()
-
-
 @pytest.mark.parametrize(
     ("address", "installed", "told"),
     [
         ("local:0", True, "--cluster local:0: local:N starts N processes here, 1 to 256"),
         ("local:two", True, "--cluster local:two: local:N starts N processes here, 1 to 256"),
         ("local", False, "pip install 'dask[distributed]'"),
+        pytest.param("nonsense://here:1", True, "--cluster nonsense://here:1", marks=pytest.mark.nightly),
     ],
 )
-def test_a_cluster_of_no_sensible_size_or_without_dask_then_one_sentence(
+def test_a_cluster_of_no_size_or_scheduler_or_without_dask_then_one_sentence(
     lab, capsys, monkeypatch, address, installed, told
 ):
     if not installed:
@@ -111,6 +104,7 @@ def test_a_cluster_of_no_sensible_size_or_without_dask_then_one_sentence(
     predict = ["predict", str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "field.h5")]
     assert run([*predict, "--cluster", address]) == 2
     assert told in capsys.readouterr().err.splitlines()[-1]
+    assert not (lab / "field.h5").exists()
 
 
 def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab):

@@ -93,11 +93,8 @@ def test_drives_that_are_not_in_volts_then_are_not_played(tmp_path, capsys, unit
 @pytest.mark.parametrize(
     ("kind", "unit"),
     [
-        *(
-            (kind, "m/s per mV")
-            for kind in ("sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf")
-        ),
         *((kind, "mm/s²/kN") for kind in ("sofa", "uff", "wav", "netcdf")),
+        *((kind, "m/s per mV") for kind in ("uff-binary", "wav-actuator", "mat", "npz")),
     ],
 )
 def test_an_export_then_names_units_that_the_import_reads_back(tmp_path, kind, unit):

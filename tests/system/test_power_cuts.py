@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import green_of, record_of
 from tests.system.crash.power_cuts import (
     INODE,
     Disk,
@@ -14,7 +15,6 @@ from tests.system.crash.power_cuts import (
     images,
 )
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.errors import InputError
@@ -23,7 +23,7 @@ from wavefocus.storage.raw.header import RawHeader, sequential
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITIONS, ACTUATORS, TAPS = 3, 2, 16
-TRIED = 40
+TRIED = 24
 # One position twice, so that the journal is used.
 TURNS = ((2, 1), (0, 1), (2, 2), (1, 1))
 STEP_V = 2.0**-15
@@ -33,15 +33,6 @@ def header():
     grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
     corner = np.full((ACTUATORS, 2), np.nan)
     return BankHeader(10_000.0, TAPS, (20.0, 500.0), grid, corner, "{}", "{}", "ab" * 32, "wavefocus test")
-
-
-def green_of(position, attempt=1):
-    return np.random.default_rng([position, attempt]).normal(size=(ACTUATORS, TAPS)).astype(np.float32)
-
-
-def record_of(position, attempt=1):
-    figures = np.arange(ACTUATORS, dtype=np.float32) + position + attempt / 10
-    return PointRecord(1, attempt, figures, -figures, figures / 100, figures * 2)
 
 
 @pytest.fixture(autouse=True)
@@ -112,6 +103,7 @@ def test_a_power_cut_at_any_write_of_a_bank_loses_nothing_and_ends_identical(tmp
         assert cut.read_bytes() == finished
 
 
+@pytest.mark.nightly
 def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_lost(tmp_path):
     path = tmp_path / "bank.h5"
     before, log, acknowledged = logged_bank(path, WithoutSecondBarrier)
@@ -122,6 +114,7 @@ def test_writer_without_second_barrier_then_replay_sees_acknowledged_positions_l
     assert lost > 0
 
 
+@pytest.mark.nightly
 def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(tmp_path):
     path = tmp_path / "bank.h5"
     before, log, _ = logged_bank(path, WithoutFirstBarrier)

@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import pytest
 
+from tests.lab_files import POSITIONS, change_text, write_positions
+from tests.system.conftest import with_faults, write_lab
 from wavefocus.acquisition.drift_watch import DriftError
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import Session, StopRequest
@@ -15,11 +17,7 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 
-RIG = """
-[rig]
-name = "three coils"
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
+WATCH = """
 [watch]
 probe_every_s = 1.0
 give_up_after_s = 60.0
@@ -27,53 +25,23 @@ give_up_after_s = 60.0
 leaves_above = 0.01
 settle_s = 2.0
 """
-RUN = """
-rig = "rig.toml"
-[grid]
-positions_file = "positions.csv"
-[sweep]
-duration_s = 0.2
-[capture]
-averages = 1
-decay_s = 0.1
-taps = 1000
-[drift]
-every_positions = 2
-[quality]
-second_look = "never"
-[virtual]
-noise_v = 1e-4
-"""
 # In turn: a lost mirror, darkness over some records, a recorder that is lost while it is dark.
-FAULTS = """
-[[virtual.fault_plan]]
-role = "mirror"
-operation = "move_to"
-kind = "unplugged"
-at_call = 2
-tries = 1
-[[virtual.fault_plan]]
-role = "recorder"
-operation = "read"
-kind = "dark"
-at_call = 6
-count = 8
-[[virtual.fault_plan]]
-role = "recorder"
-operation = "read"
-kind = "unplugged"
-at_call = 11
-tries = 1
-"""
+FAULTS = (
+    'role = "mirror"\noperation = "move_to"\nkind = "unplugged"\nat_call = 2\ntries = 1',
+    'role = "recorder"\noperation = "read"\nkind = "dark"\nat_call = 6\ncount = 8',
+    'role = "recorder"\noperation = "read"\nkind = "unplugged"\nat_call = 11\ntries = 1',
+)
 
 
 @pytest.fixture(scope="module")
 def blueprint(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("run")
-    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    (folder / "run.toml").write_text(RUN + FAULTS, encoding="utf-8")
-    (folder / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n8,0\n", encoding="utf-8")
-    return blueprint_from_files(folder / "run.toml")
+    lab = write_lab(tmp_path_factory.mktemp("run"))
+    write_positions(lab, POSITIONS[:3])
+    change_text(lab / "rig.toml", "[actuators]", f"{WATCH}[actuators]")
+    change_text(lab / "run.toml", "averages = 2", "averages = 1")
+    change_text(lab / "run.toml", "[virtual]", "[drift]\nevery_positions = 2\n[virtual]")
+    with_faults(lab, *FAULTS)
+    return blueprint_from_files(lab / "run.toml")
 
 
 class TrialSession:
@@ -119,11 +87,11 @@ def pause_and_go_on(session):
 
 # Each is tried at every so many moments; of the nightly run at each.
 ACTS: dict[str, tuple[Callable[[TrialSession], object], int]] = {
-    "stop": (lambda session: session.stop.finish_position(), 4),
-    "pause": (lambda session: session.stop.pause(), 8),
-    "pause and go on": (pause_and_go_on, 10),
-    "pause and stop": (pause_and_stop, 9),
-    "at once": (at_once, 7),
+    "stop": (lambda session: session.stop.finish_position(), 6),
+    "pause": (lambda session: session.stop.pause(), 12),
+    "pause and go on": (pause_and_go_on, 14),
+    "pause and stop": (pause_and_stop, 13),
+    "at once": (at_once, 9),
 }
 
 

@@ -319,12 +319,12 @@ def poor(name: str, sentence: str, cure: Cure, actuators: tuple[int, ...] = (), 
     return Judgement(Status.POOR_SIGNAL, sentence, score, (RecordDefect(name, actuators, sentence, cure),))
 
 
-def differing(actuators: tuple[int, ...], apart: str, score: float) -> Judgement:
+def differing(actuators: tuple[int, ...], apart: str, score: float, *, replaceable: bool) -> Judgement:
     """An attempt that is good by itself and not what the bank holds of the position."""
-    sentence = (
-        f"it is not what the bank holds: {apart}; to have such a row replaced, where two attempts agree, name the "
-        "position to wavefocus remeasure with --replace"
-    )
+    remedy = "to have such a row replaced, where two attempts agree, name the position to wavefocus remeasure --replace"
+    if replaceable:
+        remedy = "the row is replaced where another attempt agrees with this one"
+    sentence = f"it is not what the bank holds: {apart}; {remedy}"
     return poor("neighbours", sentence, Cure.AGAIN, actuators, score)
 
 

@@ -131,8 +131,9 @@ class NeighbourWatch:
         before = None if earlier is None else self._row_of(earlier)
         if twice and before is not None and not difference(before, row)[0]:
             return result
-        judgement = differing(*apart, judgement.score) if apart[0] else replace(UNCONFIRMED, score=judgement.score)
-        return replace(result, judgement=judgement)
+        if apart[0]:
+            return replace(result, judgement=differing(*apart, judgement.score, replaceable=replaceable))
+        return replace(result, judgement=replace(UNCONFIRMED, score=judgement.score))
 
     def _row_of(self, result: AttemptResult) -> PositionRow | None:
         """What an attempt would put into the bank, to be compared; None where it has no estimate."""

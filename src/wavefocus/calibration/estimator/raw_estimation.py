@@ -145,7 +145,7 @@ def _stated_sweeps(header: RawHeader, samples: int) -> Iterator[tuple[Float64Arr
 
 def _no_clock(header: RawHeader) -> InputError:
     law = f"sweep_law is {header.sweep_law!r}" if header.sweep_law else "without sweep_law: linear"
-    return InputError(f"the reference shows no clock ratio ({law}): {REMEDY}")
+    return InputError(f"the reference shows no clock ratio within {MAX_PPM:g} ppm ({law}): {REMEDY}")
 
 
 def _highest_cycles(header: RawHeader, sweep_s: float) -> float:

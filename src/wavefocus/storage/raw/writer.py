@@ -63,8 +63,8 @@ class RawFile(Closing):
     def read(self, position: int) -> Recordings | None:
         """Read all records of a position; None where nothing was recorded.
 
-        Raises InputError: when there is no such position, or it holds NaN or infinities. DamagedError: when its
-        checksum does not hold.
+        Raises InputError: when there is no such position. DamagedError: when its checksum does not hold, or it holds
+        NaN or infinities.
         """
         counts = self.rows.read(bank_row(position, self.header.positions, f"{self.path}: position"))
         if counts is None:
@@ -75,7 +75,7 @@ class RawFile(Closing):
                 channel_v = np.multiply(channel, np.float32(step_v), dtype=np.float32)
             peak_v = max(float(channel_v.max()), -float(channel_v.min()))
             if not np.isfinite(peak_v):
-                raise InputError(
+                raise DamagedError(
                     f"{self.path}: {name} at position {position} holds NaN or infinities; finite volts are needed"
                 )
             whole = channel.dtype.kind in "iu"
@@ -162,8 +162,8 @@ class _ForeignRecordings:
         """See :class:`RawRows`."""
         words = f"{self._path}: the recordings of position {position}"
         channels = tuple(hdf5_reading.read_part(dataset, position, words) for dataset in self._datasets)
-        # Of a file whose rows are written one by one, those to come are zeros.
-        return channels if any(channel.any() for channel in channels) else None
+        # Of a file whose rows are written one by one, those to come are zeros, or NaN as other programs fill them.
+        return channels if any(np.nan_to_num(channel).any() for channel in channels) else None
 
     def close(self) -> None:
         """Close the file."""
