@@ -84,18 +84,17 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
     assert [entry.name for entry in tmp_path.iterdir() if "partial" in entry.name] == []
 
 
-def test_a_capture_and_an_extension_with_recordings_that_are_killed_then_go_on(lab):
+@pytest.mark.parametrize("renaming", [pytest.param(1, marks=pytest.mark.nightly), 2], ids=["recordings", "bank"])
+def test_a_capture_and_an_extension_with_recordings_that_are_killed_then_go_on(lab, renaming):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
-    for positions, words in ((2, ["capture"]), (3, ["extend", str(lab / "2.h5"), "--run"])):
+    for name, positions, words in (("old", 2, ["capture"]), ("new", 3, ["extend", str(lab / "old.h5"), "--run"])):
         write_positions(lab, POSITIONS_MM[:positions])
-        for renaming in (1, 2) if positions == 2 else (2,):  # recordings and bank are each made whole
-            new = lab / f"{'extended' if positions == 3 else ''}{renaming}.h5"
-            command = [*words, str(lab / "run.toml"), "--bank", str(new)]
-            assert killed_at(renaming, RUNS, *command)
-            assert run(command) == 0
-            assert run(["check", str(new.with_suffix(".raw.h5"))]) == 0
-            with wf.open_bank(new) as bank:
-                assert bank.status.tolist() == [1] * positions
+        command = [*words, str(lab / "run.toml"), "--bank", str(lab / f"{name}.h5")]
+        assert killed_at(renaming, RUNS, *command)  # recordings and bank are each made whole
+        assert run(command) == 0
+        assert run(["check", str(lab / f"{name}.raw.h5")]) == 0
+        with wf.open_bank(lab / f"{name}.h5") as bank:
+            assert bank.status.tolist() == [1] * positions
 
 
 def test_trials_that_are_killed_while_stimuli_are_prepared_go_on(lab, bank):

@@ -12,6 +12,7 @@ from wavefocus.acquisition.doctor import RigFindings, examine
 from wavefocus.acquisition.setup import Openers, wired
 from wavefocus.config.calibration import InputsMeasured
 from wavefocus.config.messages.rig_checks import Finding
+from wavefocus.config.outline import Outline
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.registry import VibrometerReading
@@ -187,6 +188,24 @@ def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(setting
     findings = examined(VirtualRig(replace(SOUND, **settings)), rig)
     assert verdicts(findings) | told == verdicts(findings)
     assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
+
+
+@pytest.mark.parametrize(
+    ("corners_mm", "actuator_mm"),
+    [
+        (((20, 10), (100, 10), (100, 60), (20, 60)), ((30, 20), (90, 20), (60, 50))),
+        (
+            ((-100, -60), (100, -60), (100, 60), (60, 60), (60, -20), (-60, -20), (-60, 60), (-100, 60)),
+            ((80, 40), (-80, 40), (0, -40)),
+        ),
+    ],
+    ids=["origin outside", "origin in a notch"],
+)
+def test_a_polygon_about_another_place_than_the_origin_is_examined_at_its_middle(corners_mm, actuator_mm):
+    rig = VirtualRig(replace(SOUND, outline=Outline.polygon(corners_mm), actuator_mm=actuator_mm))
+    tables = {"surface": {"kind": "polygon", "corners_mm": corners_mm}, "actuators": {"position_mm": actuator_mm}}
+    told = verdicts(examined(rig, tables))
+    assert told["mirror", "corners"] == told["vibrometer", "response"] == "ok"
 
 
 def test_outputs_that_are_picked_up_then_worst_is_named_apart_from_leak_of_loopback():

@@ -274,6 +274,7 @@ def test_records_that_cannot_be_are_refused():
             ESTIMATOR.estimate(reference, response, range_v=RANGE)
 
 
+@pytest.mark.nightly
 def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found():
     ppm = -300.0
     audio = PlayedExcitation(48_000.0, 50.0, 18_000.0, 0.8, 0.1, 1.0, 2)

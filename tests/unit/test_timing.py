@@ -46,6 +46,7 @@ def test_short_signal_is_found_anywhere_in_long_record_and_rest_does_not_count(o
     assert fit.residual_db == pytest.approx(-60, abs=1)
 
 
+@pytest.mark.nightly
 def test_a_signal_of_half_a_minute_is_found_at_a_large_skew():
     ppm = -400.0
     known = sweep(300_000, 1000.0)

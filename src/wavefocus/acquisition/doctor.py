@@ -160,7 +160,7 @@ class _Examination(RigFindings):
         if mirror is None:
             self.add("mirror", "corners", "skipped", "the mirror is not there")
             return False
-        x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.vstack([_corners_mm(self._rig), [0.0, 0.0]]).T)
+        x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.vstack([_corners_mm(self._rig), _middle_mm(self._rig)]).T)
         angles = [(float(x), float(y)) for x, y in zip(x_mrad, y_mrad, strict=True)]
         reach_mrad = max(max(map(abs, pair)) for pair in angles)
         if reach_mrad > limit_mrad:
@@ -235,7 +235,8 @@ class _Examination(RigFindings):
             self.add("vibrometer", "response", "skipped", why)
             self.add("recorder", "pickup", "skipped", f"not measured: {why}")
             return
-        self._tell("vibrometer", "response", partial(_check_response, setup, amplitude_v))
+        middle_mm = _middle_mm(self._rig)
+        self._tell("vibrometer", "response", partial(_check_response, setup, amplitude_v, middle_mm))
         if self._rig.shutter is not None or not self._parks_on_surface(setup):
             self._tell("recorder", "pickup", partial(check_pickup, setup, amplitude_v, SAMPLE_RATE_HZ))
         else:
@@ -272,13 +273,25 @@ CORNER_SHARE = 0.95
 SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
+def _middle_mm(rig: RigConfig) -> Float64Array:
+    """The origin; of a polygon that has it outside, or near its edge, the place farthest from the edge, (2,)."""
+    if rig.surface.kind != "polygon":
+        return np.zeros(2)
+    outline = rig.surface.outline
+    left, bottom, right, top = outline.box_mm
+    place_mm = np.stack(np.meshgrid(np.linspace(left, right, 101), np.linspace(bottom, top, 101)), axis=-1)
+    place_mm = np.vstack([np.zeros(2), place_mm.reshape(-1, 2)])
+    depth_mm = outline.depth_mm(place_mm)
+    return np.asarray(place_mm[0 if depth_mm[0] > depth_mm.max() / 2 else depth_mm.argmax()])
+
+
 def _corners_mm(rig: RigConfig) -> Float64Array:
-    """Corners of the largest rectangle of the surface's proportions within it, (4, 2)."""
-    surface = rig.surface
+    """Corners of the largest rectangle of the surface's proportions about its middle, (4, 2)."""
+    surface, middle_mm = rig.surface, _middle_mm(rig)
     corner_mm = np.array([surface.length_mm, surface.width_mm]) / 2
     shares = np.linspace(0, 1, 101)
-    inside = surface.outline.contains(shares[:, None, None] * SIGNS * corner_mm).all(axis=1)
-    return np.asarray(CORNER_SHARE * shares[inside].max() * SIGNS * corner_mm)
+    inside = surface.outline.contains(middle_mm + shares[:, None, None] * SIGNS * corner_mm).all(axis=1)
+    return np.asarray(middle_mm + CORNER_SHARE * shares[inside].max() * SIGNS * corner_mm)
 
 
 def _astray_mrad(mirror: Mirror, at_mrad: tuple[float, float]) -> list[float]:
@@ -371,13 +384,13 @@ def _check_loopback(setup: Setup, amplitude_v: float) -> list[Finding]:
     ]
 
 
-def _check_response(setup: Setup, amplitude_v: float) -> list[Finding]:
+def _check_response(setup: Setup, amplitude_v: float, middle_mm: Float64Array) -> list[Finding]:
     """Listen to silence and to a few actuators at the middle of the surface: whether the vibrometer detects them.
 
     Raises InstrumentError: of any instrument.
     """
     signal_v = _sweep_v(amplitude_v)
-    point_at(setup, 0.0, 0.0)
+    point_at(setup, *middle_mm.tolist())
     silence_v = setup.signals_v(np.zeros_like(signal_v))
     noise_v = _in_band_v(take_record(setup, silence_v, SAMPLE_RATE_HZ, RecordLabel(0, 1, 1, "doctor")))
     count = len(setup.actuator_channels)
