@@ -88,7 +88,7 @@ def test_positions_that_are_no_lattice_or_none_at_all_are_refused(position_mm, m
         interpolation_method("bilinear")(PositionGrid(position_mm))
 
 
-POINTS_MM = np.random.default_rng(1).uniform(-22.0, 22.0, (60, 2))
+POINTS_MM = np.random.default_rng(1).uniform(-22.0, 22.0, (30, 2))
 HEXAGONAL_MM = [(4.0 * x + 2.0 * (y % 2), 2.0 * np.sqrt(3.0) * y) for y in range(-7, 8) for x in range(-7, 7)]
 JITTERED_MM = SQUARE_MM + np.random.default_rng(2).uniform(-1.0, 1.0, SQUARE_MM.shape)
 GRIDS = {
@@ -114,7 +114,6 @@ def kernel_on(grid, noise_db):
 @pytest.mark.parametrize(
     ("grid", "noise_db", "at_250_hz", "at_450_hz"),
     [
-        ("square", None, 0.005, 0.07),
         ("square", -60.0, 0.01, 0.08),
         ("hexagonal", None, 0.005, 0.07),
         ("irregular with holes", -60.0, 0.01, 0.08),
@@ -128,7 +127,7 @@ def test_between_the_positions_the_error_stays_within_the_marks(grid, noise_db, 
     assert errors_at(450.0, greens, POINTS_MM).max() < at_450_hz
 
 
-@pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("square", -40.0), ("irregular with holes", -60.0)])
+@pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("irregular with holes", -60.0), ("square", -40.0)])
 def test_error_found_by_leaving_positions_out_is_error_within_factor_of_two(grid, noise_db):
     bank, kernel, greens = kernel_on(grid, noise_db)
     frequency_hz = kernel.waves.frequency_hz
@@ -141,18 +140,15 @@ def test_error_found_by_leaving_positions_out_is_error_within_factor_of_two(grid
         assert worst[band] > 0.4 * true.max()
 
 
-def test_a_bank_in_another_unit_without_places_of_actuators_or_band_does_as_well():
-    bank, _, _ = kernel_on("square", None)
-    bare = GreenArray(1e-12 * bank.values, bank.position_mm, bank.sample_rate_hz)
-    greens = 1e12 * greens_at(bare, KernelInterpolation(bare, POINTS_MM), POINTS_MM)
-    assert np.median(errors_at(250.0, greens, POINTS_MM)) < 0.005
-
-
-def test_a_bank_in_another_unit_is_interpolated_to_the_same_rows_in_that_unit():
-    bank, scale = kernel_on("square", None)[0], 1e-12
+def test_a_bank_in_another_unit_gives_the_same_rows_also_without_places_or_band():
+    bank, scale, points_mm = plate_bank(), 1e-12, POINTS_MM[:8]
     scaled = GreenArray(bank.values * scale, bank.position_mm, bank.sample_rate_hz, band_hz=bank.band_hz)
-    expected, found = (greens_at(one, KernelInterpolation(one, POINTS_MM[:8]), POINTS_MM[:4]) for one in (bank, scaled))
+    bare = GreenArray(scaled.values, bank.position_mm, bank.sample_rate_hz)
+    expected, found, plain = (
+        greens_at(one, KernelInterpolation(one, points_mm), points_mm) for one in (bank, scaled, bare)
+    )
     np.testing.assert_allclose(found / scale, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+    assert np.median(errors_at(250.0, plain / scale, points_mm)) < 0.005
 
 
 def test_repeated_positions_count_once_and_rows_not_measured_or_poor_are_holes():

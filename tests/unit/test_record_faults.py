@@ -207,16 +207,6 @@ def test_a_fault_in_one_record_is_named_there_with_its_cure(name):
     assert bool(judgement.status & Status.OVER_RANGE) or cure != Cure.RANGE
 
 
-@pytest.mark.parametrize(
-    ("line_hz", "words"), [(50.0, "hum at 50 Hz"), (60.1, "ground loop"), (150.0, "3 times 50 Hz")]
-)
-@pytest.mark.parametrize("record", [0, 3])
-def test_hum_40_db_below_the_response_is_named_too(line_hz, words, record):
-    _, judgement, _ = judged("images", spoil(lambda y: tone(y, line_hz, -40.0)), 60.0, [record], seed=0)
-    assert (names_of(judgement), judgement.cure) == ({"hum"}, NONE)
-    assert words in judgement.reason
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_harms_a_row_is_marked(name, capsys):
@@ -261,43 +251,38 @@ def later_each_sweep(y):
     return np.concatenate([y[:LEAD], np.fft.irfft(parts, PERIOD).ravel(), y[LEAD + 3 * PERIOD :]])
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda y: louder(y, 0.1),
-        lambda y: drifting(y, -0.5),
-        lambda y: y * 10 ** (-(1 - np.exp(-np.arange(y.size) / RATE_HZ / 0.8)) / 20),
-        later_each_sweep,
-    ],
-    ids=["one step of 0.1 dB", "ramp of 0.5 dB", "warming up", "ever later"],
-)
-def test_a_drift_common_to_all_records_then_none_is_taken_for_the_quiet_one(change):
-    _, judgement, _ = judged("images", spoil(change), 60.0, range(ACTUATORS), 0)
-    assert judgement.status == Status.POOR_SIGNAL
-    assert "unsteady" in names_of(judgement)
-    assert {row for defect in judgement.defects for row in defect.actuators} == set(range(ACTUATORS))
+EVERY, WARM_S = range(ACTUATORS), 0.8
+SPREAD = {
+    "all records louder by 0.1 dB": (lambda y: louder(y, 0.1), EVERY, {}, "unsteady", "the sweeps of", ANY),
+    "all records drift by 0.5 dB": (lambda y: drifting(y, -0.5), EVERY, {}, "unsteady", "the sweeps of", ANY),
+    "all records warm up": (
+        lambda y: y * 10 ** ((np.exp(-np.arange(y.size) / RATE_HZ / WARM_S) - 1) / 20), EVERY, {}, "unsteady",
+        "the sweeps of", ANY,
+    ),
+    "each sweep later in all records": (later_each_sweep, EVERY, {}, "unsteady", "the sweeps of", ANY),
+    "a single sweep, 5 ms without light": (
+        lambda y: dark(y, 0.005, DROP - PERIOD), [0], {"averages": 1}, "dropout", "a burst", ANY,
+    ),
+    "a single sweep, hum": (lambda y: tone(y, 50.0, -10.0), [0], {"averages": 1}, "hum", "hum at 50 Hz", NONE),
+    "hum 40 dB below the response": (lambda y: tone(y, 50.0, -40.0), [0, 3], {}, "hum", "hum at 50 Hz", NONE),
+    "hum at 60.1 Hz, -40 dB": (lambda y: tone(y, 60.1, -40.0), [0, 3], {}, "hum", "ground loop", NONE),
+    "hum at 150 Hz, -40 dB": (lambda y: tone(y, 150.0, -40.0), [0, 3], {}, "hum", "3 times 50 Hz", NONE),
+    "fewer taps than the response has": (lambda y: y, EVERY, {"taps": 160}, "tail", "capture.taps", NONE),
+    "every channel dead": (lambda y: np.full_like(y, 0.25), EVERY, {}, "dead channel", "constant", ANY),
+}  # fmt: skip
+"""What is done to some records of a position, how it is measured; the name that they all get, words, the cure."""
 
 
-@pytest.mark.parametrize(
-    ("change", "name"),
-    [(lambda y: dark(y, 0.005, DROP - PERIOD), "dropout"), (lambda y: tone(y, 50.0, -10.0), "hum")],
-    ids=["dropout", "hum"],
-)
-def test_a_single_sweep_then_what_needs_no_comparison_is_still_seen(change, name):
-    _, judgement, _ = judged("images", spoil(change), 40.0, [0], 0, averages=1)
-    assert [(defect.name, defect.actuators) for defect in judgement.defects] == [(name, (0,))]
-
-
-def test_fewer_taps_than_the_response_has_then_its_tail_is_named():
-    _, judgement, _ = judged("images", None, 60.0, [0], 0, taps=160)
-    assert "tail" in names_of(judgement)
-    assert "capture.taps" in judgement.reason
-
-
-def test_every_channel_dead_then_failed():
-    _, judgement, _ = judged("images", spoil(lambda y: np.full_like(y, 0.25)), 60.0, range(ACTUATORS), 0)
-    assert judgement.status == Status.FAILED
-    assert "constant" in judgement.reason
+@pytest.mark.parametrize("name", SPREAD)
+def test_a_fault_of_several_records_or_of_a_single_sweep_is_named_in_each_of_them(name):
+    change, records, measured, given, words, cure = SPREAD[name]
+    snr_db = 40.0 if measured.get("averages") else 60.0
+    _, judgement, _ = judged("images", spoil(change), snr_db, records, 0, **measured)
+    assert judgement.status == (Status.FAILED if given == "dead channel" else Status.POOR_SIGNAL)
+    assert names_of(judgement) - {"low signal"} == {given}
+    assert {row for defect in judgement.defects for row in defect.actuators} == set(records)
+    assert words in judgement.reason
+    assert judgement.cure == cure
 
 
 def test_hum_in_staggered_records_that_makes_the_rows_wrong_is_named():

@@ -18,7 +18,7 @@ from wavefocus.storage.ledger.reader import DamagedError
 
 NEAREST = Output(interpolation="nearest")
 
-SIGNAL = Noise((80.0, 420.0), 0.4, 3)
+SIGNAL = Noise((80.0, 420.0), 0.2, 3)
 MOVING = Source(Circle((1.3, -0.7), 13.0, 0.9, 20.0), SIGNAL, 0.01, 180.0, 3.0, 2.0)
 REPEATING = Source(Line((-15.0, -11.0), (14.0, 9.0)), Noise((80.0, 420.0), 0.03, 4), 0.0, 180.0, 3.0, 1.5, "per_point")
 CLOSE = Source(MOVING.path, SIGNAL, 0.0, 180.0, 0.05)
@@ -44,8 +44,8 @@ def direct(source, method):
 
 @pytest.mark.parametrize(
     ("source", "method"),
-    [(MOVING, "exact"), (CLOSE, "sampled"), (REPEATING, "sampled"), (STANDING, "exact")],
-    ids=["moving", "more path points than nodes", "repeating", "standing"],
+    [(MOVING, "exact"), (CLOSE, "sampled"), (REPEATING, "sampled")],
+    ids=["moving", "more path points than nodes", "repeating"],
 )
 def test_kernel_interpolation_renders_to_the_true_plate_s_drive(source, method):
     scene = Scene("s", (source,), PLAIN, Output(interpolation="kernel"))
@@ -76,13 +76,11 @@ def test_waves_of_which_the_bank_says_little_are_named_where_the_scene_sounds():
 
 
 def test_a_path_on_the_positions_has_no_error_to_report():
-    source = Source(Line((-12.0, 4.0), (12.0, 4.0)), SIGNAL, 0.0, 100.0, 4.0, emission="per_point")
-    _, report = render_with_report(Scene("s", (source,), output=NEAREST), bank())
-    assert report.interpolation_errors is None or report.interpolation_errors.kind == "nearest"
-    still = Source(Point((4.0, -8.0)), Impulse())
-    _, report = render_with_report(Scene("s", (still,), output=NEAREST), bank())
-    assert report.interpolation_errors is None
-    assert not report.warnings
+    along = Source(Line((-12.0, 4.0), (12.0, 4.0)), SIGNAL, 0.0, 100.0, 4.0, emission="per_point")
+    for source in (along, Source(Point((4.0, -8.0)), Impulse())):
+        _, report = render_with_report(Scene("s", (source,), output=NEAREST), bank())
+        assert report.interpolation_errors is None
+        assert not report.warnings
 
 
 WIDE_RATE_HZ, WIDE_TAPS = 48_000.0, 480
@@ -102,7 +100,7 @@ def wide_bank():
 
 
 def test_the_error_is_judged_where_the_scene_emits():
-    source = Source(Line((-15.0, -11.0), (14.0, 9.0)), Noise((150.0, 500.0), 0.4, 4), 0.0, 180.0, 3.0)
+    source = Source(Line((-15.0, -11.0), (14.0, 9.0)), Noise((150.0, 500.0), 0.2, 4), 0.0, 180.0, 3.0)
     _, report = render_with_report(Scene("s", (source,), PLAIN, Output(interpolation="bilinear")), wide_bank())
     found = report.interpolation_errors
     assert 100.0 <= found.largest[0] <= 600.0
@@ -110,9 +108,9 @@ def test_the_error_is_judged_where_the_scene_emits():
     assert found.largest[1] < 0.08
 
 
-@pytest.mark.parametrize(("kind", "spacing_mm"), [("nearest", 12.0), ("bilinear", 8.0), ("kernel", 12.0)])
+@pytest.mark.parametrize(("kind", "spacing_mm"), [("bilinear", 8.0), ("kernel", 12.0)])
 def test_on_a_grid_too_coarse_the_estimate_tells_the_true_error(kind, spacing_mm):
-    source = Source(MOVING.path, Noise((300.0, 480.0), 0.4, 3), 0.01, 180.0, 3.0, 2.0)
+    source = Source(MOVING.path, Noise((300.0, 480.0), 0.2, 3), 0.01, 180.0, 3.0, 2.0)
     axis_mm = np.arange(-24.0, 24.1, spacing_mm)
     coarse = plate_bank(np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2), noise_db=-60.0)
     scene = Scene("s", (source,), PLAIN, Output(interpolation=kind))

@@ -111,34 +111,42 @@ def step(then, now, place_mm, chance):
     return step_of(*rows, share, distance_mm, band_hz=BAND_HZ, sample_rate_hz=RATE_HZ)
 
 
-@pytest.mark.parametrize("place_mm", [(-70.0, -40.0), pytest.param((10.0, 5.0), marks=pytest.mark.nightly)])
-def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(place_mm):
+WAYS_MM = ((0.0, -0.3), (0.3, 0.0), (0.21, 0.21))
+WARMER_K = (0.5, -0.5, 0.0, 0.25, -0.25)
+
+
+@pytest.mark.parametrize(
+    ("place_mm", "ways_mm", "warmer_k"),
+    [
+        ((-70.0, -40.0), WAYS_MM[:1], WARMER_K[:2]),
+        *(pytest.param(at, WAYS_MM, WARMER_K, marks=pytest.mark.nightly) for at in ((-70.0, -40.0), (10.0, 5.0))),
+    ],
+    ids=["rim", "rim, every way", "middle, every way"],
+)
+def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(place_mm, ways_mm, warmer_k):
     chance, then = np.random.default_rng(7), truth(place_mm)
     hertz = np.fft.rfftfreq(2 * TAPS, 1 / RATE_HZ)
     delays = [np.exp(-2j * np.pi * hertz * samples / RATE_HZ) for samples in (0.3, -0.3)]
     later, earlier = (np.fft.irfft(np.fft.rfft(then, 2 * TAPS) * delay)[:, :TAPS] for delay in delays)
-    aside = [truth((place_mm[0] + x, place_mm[1] + y)) for x, y in ((0.3, 0.0), (0.0, -0.3), (0.21, 0.21))]
+    aside = [truth((place_mm[0] + x, place_mm[1] + y)) for x, y in ways_mm]
     louder, fainter = then * 10 ** (0.5 / 20), then * 10 ** (-0.5 / 20)
     swapped = then[[1, 0, *range(2, len(then))]]
     silent = np.where(np.arange(len(then))[:, None] == np.argmax(np.linalg.norm(then, axis=1)), 0.0, then)
     changes = [later, earlier, *aside, louder, fainter, -then, swapped, silent]
     assert all(step(then, now, place_mm, chance) > 1.0 for now in changes)
-    warmer = [truth(place_mm, kelvin) for kelvin in (0.0, 0.25, -0.25, 0.5, -0.5)]
+    warmer = [truth(place_mm, kelvin) for kelvin in warmer_k]
     assert all(step(then, now, place_mm, chance) < 1.0 for now in warmer)
 
 
 SNR_DB = 50.0
-WAYS_MM = ((0.0, -1.0), (-0.4, 0.3), (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.7, 0.7))
+MIRROR_MM = ((0.0, -1.0), (-0.4, 0.3), (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.7, 0.7))
 
 
 @pytest.mark.parametrize(
     ("plate", "row", "ways_mm"),
     [
-        ("gel", 31, WAYS_MM[:3]),
-        *(
-            pytest.param(plate, row, WAYS_MM, marks=pytest.mark.nightly)
-            for plate, row in (("mirrors", 14), ("disk", 48))
-        ),
+        ("gel", 31, MIRROR_MM[:3]),
+        *(pytest.param(*at, MIRROR_MM, marks=pytest.mark.nightly) for at in (("mirrors", 14), ("disk", 48))),
     ],
     ids=["gel", "mirrors", "disk"],
 )

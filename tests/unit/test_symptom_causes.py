@@ -20,9 +20,13 @@ def certain(found):
     return {(symptom.code, symptom.actuators) for symptom in found.symptoms if symptom.certain}
 
 
-def later(*case):
+def later(*case, mark=pytest.mark.long):
     """A case of `make test-all`."""
-    return pytest.param(*case, marks=pytest.mark.long)
+    return pytest.param(*case, marks=mark)
+
+
+def nightly(*case):
+    return later(*case, mark=pytest.mark.nightly)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +36,7 @@ def later(*case):
         later("bending", "silent", (7,), 0.0),
         later("disk", "level", (0, 1, 2, 5, 6, 7, 9, 11), 5.48),
         later("mirrors", "delay", (1, 10), 0.377),
-        later("gel", "delay", (), -0.74),
+        nightly("gel", "delay", (), -0.74),
         later("disk", "swapped", (0, 7), 0.0),
     ],
 )
@@ -58,7 +62,7 @@ TURN = np.radians(4.34)
     ("plate", "matrix", "offset_mm"),
     [
         ("gel", np.eye(2), (-3.09, -3.09)),
-        later("mirrors", np.array([[np.cos(TURN), -np.sin(TURN)], [np.sin(TURN), np.cos(TURN)]]), (0.0, 0.0)),
+        nightly("mirrors", np.array([[np.cos(TURN), -np.sin(TURN)], [np.sin(TURN), np.cos(TURN)]]), (0.0, 0.0)),
         later("disk", np.diag([1.18, 1.0]), (0.0, 0.0)),
     ],
     ids=["shift", "rotation", "scale of x"],
@@ -80,9 +84,15 @@ def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named():
     assert speed == pytest.approx(2.0, abs=0.2)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("cause", ["damping", "cubic", "finger"])
-@pytest.mark.parametrize("plate", ["mirrors", "bending"])
+@pytest.mark.parametrize(
+    ("plate", "cause"),
+    [
+        later("mirrors", "damping"),
+        later("bending", "finger"),
+        *(nightly(*case) for case in (("mirrors", "cubic"), ("mirrors", "finger"), ("bending", "damping"))),
+        nightly("bending", "cubic"),
+    ],
+)
 def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_made(plate, cause):
     found = verified(plate, plates.unlisted(plate)[cause], chance())
     assert not any(symptom.certain for symptom in found.symptoms)
@@ -110,7 +120,7 @@ def test_given_the_bank_of_another_plate_then_it_is_called_wrong():
     assert (symptom.code, symptom.certain) == ("wrong_bank", False)  # a heavy finger on a stiff plate looks the same
 
 
-@pytest.mark.parametrize("plate", ["gel", later("mirrors"), later("disk"), later("bending")])
+@pytest.mark.parametrize("plate", ["gel", *map(nightly, ("mirrors", "disk", "bending"))])
 def test_given_a_sound_rig_then_nothing_is_named(plate):
     found = verified(plate, Case(green(plate)), chance())
     assert found.symptoms == ()

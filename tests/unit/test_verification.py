@@ -51,14 +51,10 @@ def impulse_drive():
     return Drive(drive_v, RATE_HZ, start_s, "sampled", 1.0, 0.0, 0 * one, CENTRE * one, 0 * one)
 
 
-def scanned_at(plan, drive, **changes):
-    rig = VirtualRig(dataclasses.replace(SETTINGS, **changes))
+def scanned(plan, *faults, drive=None, **changes):
+    rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=faults, **changes))
     setup = setup_of(rig, inter_channel_delay_s=rig.settings.inter_channel_delay_s)
-    return scan(plan, setup, drive, bank())
-
-
-def scanned(plan, *faults, **changes):
-    return scanned_at(plan, impulse_drive(), fault_plan=faults, **changes)
+    return scan(plan, setup, drive or impulse_drive(), bank())
 
 
 def as_scan(field, noise_rms=math.nan, **changes):
@@ -121,11 +117,10 @@ def test_a_fault_that_passes_is_repeated_and_one_that_stays_left_out(fault, stat
 
 def test_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_the_same():
     # As banks measured with noise give: their Green's functions, reversed, are the drives.
-    drive = impulse_drive()
-    noise_v = 0.02 * np.random.default_rng(2).standard_normal(drive.drive_v.shape)
+    drive_v = impulse_drive().drive_v
+    drive_v = drive_v + 0.02 * np.random.default_rng(2).standard_normal(drive_v.shape)
     fault = RigFault("recorder", "read", "dropout", position=49, purpose="scan")
-    noisy = dataclasses.replace(drive, drive_v=drive.drive_v + noise_v)
-    found = scanned_at(ScanPlan((48, 49, 50)), noisy, fault_plan=(fault,))
+    found = scanned(ScanPlan((48, 49, 50)), fault, drive=dataclasses.replace(impulse_drive(), drive_v=drive_v))
     assert found.attempts.tolist() == [1, 2, 1]
 
 
@@ -137,13 +132,16 @@ def test_a_lost_recorder_or_a_reference_that_never_comes_then_the_scan_gives_up(
         scanned(ScanPlan(tuple(range(9)), attempts=1), *faults)
 
 
-def test_a_drive_beyond_full_scale_or_of_another_rig_is_not_played():
-    for drive_v, message in (
-        (20.0 * impulse_drive().drive_v, "at most 5 V, the player's full scale"),
-        (impulse_drive().drive_v[:4], "4 actuators; the rig has 6"),
-    ):
-        with pytest.raises(InputError, match=message):
-            scanned_at(ScanPlan((3,)), dataclasses.replace(impulse_drive(), drive_v=drive_v))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [(lambda drive_v: 20 * drive_v, "at most 5 V, the player's full scale"),
+     (lambda drive_v: drive_v[:4], "4 actuators; the rig has 6")],
+    ids=["beyond full scale", "of another rig"],
+)  # fmt: skip
+def test_a_drive_that_the_rig_cannot_play_is_refused(change, message):
+    drive = impulse_drive()
+    with pytest.raises(InputError, match=message):
+        scanned(ScanPlan((3,)), drive=dataclasses.replace(drive, drive_v=change(drive.drive_v)))
 
 
 def test_white_noise_of_known_level_is_error_and_noise_and_leaves_no_misfit():
@@ -231,7 +229,7 @@ def test_a_surface_that_compresses_then_the_linearity_says_by_how_much():
     assert plan.position == AROUND
 
     def judged(noise, **changes):
-        scans = [scanned_at(plan, one, **changes) for one in (drive, quieter(drive))]
+        scans = [scanned(plan, drive=one, **changes) for one in (drive, quieter(drive))]
         return linearity_of(prediction(), *scans, bank().band_hz, noise)[0]
 
     (linearity, compression), sound = judged(0.001, cubic_per_v2=-0.3), judged(0.01)

@@ -64,8 +64,9 @@ def spoil(name, kind, greens, position, rng):
 @pytest.mark.parametrize(
     ("name", "kinds"),
     [
-        pytest.param("images", tuple(KINDS), id="images-all"),
-        *(pytest.param(name, (kind,) * 8, marks=pytest.mark.long) for name in MAKERS for kind in KINDS),
+        pytest.param("disk", tuple(KINDS), id="disk-all"),
+        pytest.param("elements", tuple(KINDS), id="elements-all", marks=pytest.mark.long),
+        *(pytest.param(name, (kind,) * 8, marks=pytest.mark.nightly) for name in MAKERS for kind in KINDS),
     ],
 )
 def test_wrong_positions_are_found_and_named_and_no_other(name, kinds):
@@ -84,7 +85,7 @@ def test_wrong_positions_are_found_and_named_and_no_other(name, kinds):
 
 @pytest.mark.parametrize(
     ("name", "snr_db"),
-    [("images", 40.0), *(pytest.param(name, snr, marks=pytest.mark.long) for name in MAKERS for snr in (25.0, 80.0))],
+    [("disk", 40.0), *(pytest.param(name, snr, marks=pytest.mark.nightly) for name in MAKERS for snr in (25.0, 80.0))],
 )
 def test_a_right_plate_has_no_differences(name, snr_db):
     grid, actuator_mm, green = plate(name)

@@ -99,17 +99,17 @@ def outgoing_at_all(wavenumbers: Complex128Array, distance_mm: Float64Array) -> 
 
 
 def own_waves(
-    wavenumber: complex, pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
+    wavenumbers: Sequence[complex], pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
 ) -> Complex128Array:
-    """Waves that each actuator sends out, (waves, points, actuators).
+    """Waves that each actuator sends out, (wave numbers, waves, points, actuators).
 
     pressure_share: 0 for one scalar wave per actuator, as of a force across a plate or membrane. Above 0 for a force in
         the plane of a solid: shear waves of wave number k and pressure waves of k times this share, each of orders 0
         and 2 (the derivatives of H0 that make up Green's tensor of a solid).
     """
-    if not pressure_share:
-        return outgoing_each([(wavenumber, 0)], distances_mm(points_mm, actuator_mm))
-    return np.asarray(_waves_of_a_solid([wavenumber], (1.0, pressure_share), points_mm, actuator_mm)[0])
+    if pressure_share:
+        return _waves_of_a_solid(wavenumbers, (1.0, pressure_share), points_mm, actuator_mm)
+    return outgoing_each([(k, 0) for k in wavenumbers], distances_mm(points_mm, actuator_mm))[:, None]
 
 
 def waves_of_actuators(
@@ -258,14 +258,13 @@ def dispersion_of_own_waves(
             return 1.0
         if not abs(wavenumber[-1].imag) <= _MAX_LOSS * abs(wavenumber[-1]):
             return 1.0
-        explained = 0.0
+        if not (np.isfinite(wavenumber) & (wavenumber.real > 0)).all():
+            return 1.0
         share = float(np.clip(vector[4], 0.02, 1.0)) if pressure_share else 0.0
-        for k, value, scale in zip(wavenumber, values, weight, strict=True):
-            if not (np.isfinite(k) and k.real > 0):
-                return 1.0
-            basis = np.linalg.qr(own_waves(k, share, points_mm, actuator_mm).transpose(2, 1, 0))[0]
-            explained += scale * np.square(np.abs(np.einsum("apc,pa->ac", basis.conj(), value.T))).sum()
-        return 1.0 - explained / len(frequency_hz)
+        waves = own_waves(wavenumber.tolist(), share, points_mm, actuator_mm)
+        basis = np.linalg.qr(waves.transpose(0, 3, 2, 1))[0]
+        explained = np.square(np.abs(np.einsum("fapc,fap->fac", basis.conj(), values))).sum(axis=(1, 2))
+        return float(1.0 - explained @ weight / len(frequency_hz))
 
     if not energy > 0:
         raise ValueError("no transfer function is above 0")

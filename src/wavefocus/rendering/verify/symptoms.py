@@ -134,7 +134,7 @@ def diagnose(
         return _explained(search.state, found), _actuator_figures(state)
     if model_error <= error_limit or state.left - state.noise <= state.responses:
         return (), _actuator_figures(state)
-    few = (cause.left for cause in search.causes(state) if 0 < len(cause.symptoms) <= MAX_CAUSES)
+    few = (cause.left for cause in search.first if 0 < len(cause.symptoms) <= MAX_CAUSES)
     # Share of the scan that the prediction resembles, after the cause that explains most.
     alike = float(np.clip(1.0 - min([state.left, *few]) / state.size, 0.0, 1.0))
     if alike < MOST:
@@ -152,7 +152,8 @@ def _chain(search: _Search, error_limit: float) -> list[_Cause]:
         return left <= (1.0 - CERTAIN_SHARE) * (first.left - first.noise) and left <= error_limit**2 * first.size
 
     while left > first.responses and named < MAX_CAUSES:
-        cause = _only(list(search.causes(state)), state, MAX_CAUSES - named)
+        causes = list(search.causes(state)) if found else search.first
+        cause = _only(causes, state, MAX_CAUSES - named)
         # A cause behind those that explain enough must explain as much of what they leave.
         if cause is None or (found and is_enough() and cause.left - first.noise > (1.0 - CERTAIN_SHARE) * left):
             break
@@ -209,6 +210,11 @@ class _Search:
             self._rows.append(np.array([sentinel.position]))
             blocks = (*blocks, sentinel_block(sentinel, bank))
         self.state = _State(blocks, ActuatorErrors(np.ones(bank.actuators), np.zeros(bank.actuators)))
+
+    @cached_property
+    def first(self) -> list[_Cause]:
+        """The causes of the whole difference."""
+        return list(self.causes(self.state))
 
     def causes(self, state: _State) -> Iterator[_Cause]:
         """The best cause of each kind."""
