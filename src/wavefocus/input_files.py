@@ -74,7 +74,11 @@ def parse_positions(text: str, count: int) -> list[int]:
 
 
 def scan_rows(
-    positions: str, scene: Scene, position_mm: NDArray[np.float32 | np.float64], scene_file: Path
+    positions: str,
+    scene: Scene,
+    position_mm: NDArray[np.float32 | np.float64],
+    scene_file: Path,
+    check: NDArray[np.bool_] | None = None,
 ) -> list[int] | None:
     """Bank rows to scan: all (None), those that are named, one of every few, or those that the scene needs.
 
@@ -87,7 +91,7 @@ def scan_rows(
         from wavefocus.rendering.scene.scene_rows import scene_rows  # with it comes what renders
 
         try:
-            return [int(row) for row in scene_rows(scene, np.asarray(position_mm, np.float64)).all]
+            return [int(row) for row in scene_rows(scene, np.asarray(position_mm, np.float64), check).all]
         except InputError as wrong:
             raise InputError(f"{scene_file}: {wrong}") from None
     if positions.startswith("every:"):

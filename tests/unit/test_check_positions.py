@@ -6,11 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.unit.plate_banks import SQUARE_MM, plate_bank
 from wavefocus.__main__ import run
 from wavefocus.acquisition.judgement import in_band
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_of
 from wavefocus.campaign.session_files import with_bank
+from wavefocus.config.scene import Output
 from wavefocus.configuration import check_rows, load_run
+from wavefocus.rendering.greens.interpolation.base import scene_interpolation
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Point
+from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.scene.signals import Sine
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import create_bank
 from wavefocus.storage.errors import InputError
@@ -73,6 +80,17 @@ def test_a_bank_says_which_rows_are_check_positions_and_a_resume_plans_the_same(
     again = blueprint_from_bank(tmp_path / "plate.h5")
     assert again.plan.sha256 == blueprint.plan.sha256
     assert again.bank_header().check_rows == blueprint.bank_header().check_rows
+
+
+def test_check_positions_beside_the_grid_then_the_middle_of_a_cell_is_still_on_the_grid():
+    place_mm = np.vstack([SQUARE_MM, SQUARE_MM + np.array([0.5, 0.0])])
+    check = np.arange(len(place_mm)) >= len(SQUARE_MM)
+    bank = replace(plate_bank(place_mm), check=check)
+    scene = Scene("middle", (Source(Point((2.0, 2.0)), Sine(200.0, 0.1)),), output=Output(interpolation="auto"))
+    assert scene_interpolation(scene, bank).name == "kernel"
+    rows = scene_rows(scene, place_mm, check).path
+    corners = np.flatnonzero(np.hypot(*(SQUARE_MM - 2.0).T) < 3.0)
+    assert (len(corners), set(corners) <= set(rows)) == (4, True)
 
 
 def begun_earlier(folder, grid, checks=None):

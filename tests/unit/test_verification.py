@@ -192,6 +192,24 @@ def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
     assert outcome.passed
 
 
+def test_positions_too_far_apart_to_show_a_focus_then_half_a_cell_s_diagonal_is_allowed():
+    rows = np.append(np.flatnonzero((np.rint((GRID_MM + 20.0) / SPACING_MM) % 3 == 0).all(axis=1)), range(1, 121, 11))
+    check = np.arange(len(rows)) >= len(rows) - 11
+    source = GreenArray(bank().values[rows], GRID_MM[rows], RATE_HZ, band_hz=bank().band_hz, check=check)
+    between, reversed_v = 71, bank().green(71)[:, ::-1]
+    at = int(np.argmin(np.hypot(*(GRID_MM[rows[~check]] - GRID_MM[between]).T)))
+    drive = dataclasses.replace(
+        impulse_drive(), drive_v=reversed_v, focus_position=np.array([at]), focus_mm=GRID_MM[[between]]
+    )
+    there = predict(drive, source)
+    outcome = compare(there, as_scan(there.field), drive, source)
+    (focus,) = (one for one in outcome.checks if one.name == "focus to path point")
+    assert outcome.spacing_mm == 3 * SPACING_MM
+    assert focus.limit == pytest.approx(3 * SPACING_MM / math.sqrt(2))
+    assert 4.0 < focus.value < focus.limit
+    assert outcome.passed
+
+
 def test_rows_that_are_not_valid_in_the_bank_then_they_are_left_out_and_counted():
     status = np.ones(len(GRID_MM), np.uint8)
     status[[7, 9]] = 4, 2

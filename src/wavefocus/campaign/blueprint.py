@@ -152,12 +152,12 @@ def needed_by(scene_files: Sequence[Path], blueprint: Blueprint) -> frozenset[in
     from wavefocus.rendering.scene.scene_rows import scene_rows
 
     plan = blueprint.plan
-    position_mm, coarse = plan.position_mm, bool(plan.check_rows)
+    position_mm, check = plan.position_mm, np.isin(np.arange(len(plan.position_mm)), list(plan.check_rows))
     needed: set[int] = set()
     for file in scene_files:
         scene = load_scene(file)
         try:
-            rows = scene_rows(scene, position_mm, coarse=coarse)
+            rows = scene_rows(scene, position_mm, check, coarse=bool(check.any()))
         except InputError as wrong:
             raise InputError(f"{file}: {wrong}") from None
         needed.update(rows.all.tolist())

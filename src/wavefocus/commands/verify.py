@@ -28,7 +28,6 @@ from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.input_files import input_files, require_sound, scan_rows
 from wavefocus.options import RenderOptions
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.prediction import predict as predict_field
 from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
@@ -98,7 +97,7 @@ def verify(
                 f"{rig_file}: actuators.position_mm are not those of {bank}; verify plays the bank's drives, so the "
                 "rig must have the bank's actuators in the bank's order"
             )
-        rows = scan_rows(positions, scene, view.position_mm, scene_file)
+        rows = scan_rows(positions, scene, view.position_mm, scene_file, view.check)
         out.mkdir(parents=True, exist_ok=True)
         with (
             AliveSignal(rig.messages),
@@ -191,9 +190,7 @@ class _Work:
         with self._step("compare and report", 2) as report:
             drift_limits, errors = self.configuration.run.drift, facts.interpolation_errors
             between = None if errors is None else errors.overall
-            # Foci are not judged in a bank of one position, which has no spacing.
-            offset = limits.focus_error_mm / grid_spacing_mm(bank.position_mm) if bank.positions > 1 else 1.0
-            tolerances = Tolerances(limits.normalised_error, limits.correlation, offset)
+            tolerances = Tolerances(limits.normalised_error, limits.correlation, limits.focus_error_mm)
             verification = compare(
                 prediction, measured, drive, bank, tolerances, quiet=quiet, sentinel=sentinel, leak=leak,
                 drift_limits=drift_limits, marker_v=marker, interpolation_error=between,

@@ -11,6 +11,7 @@ from wavefocus.rendering.greens.interpolation.base import (
     GridInterpolation,
     Interpolation,
     OffGridError,
+    bank_grid,
     interpolation_method,
     near,
     show_mm,
@@ -115,7 +116,8 @@ class PlaceRows:
 
     def at(self, points_mm: Float64Array) -> Int64Array:
         """Rows (n,) at points (n, 2). Raises OffGridError: a point is off the grid, or nothing is measured there."""
-        rows, distance_mm = near(self._grid, points_mm)
+        near(bank_grid(self._bank), points_mm)
+        rows, distance_mm = self._grid.nearest(points_mm)
         between = (distance_mm > ON_POSITION * self._grid.spacing_mm) | ~usable(self._bank)[rows]
         if between.any() and self._method is None:
             try:

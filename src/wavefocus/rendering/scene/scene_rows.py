@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM
-from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, Bilinear, Nearest, OffGridError
+from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, Bilinear, Nearest, OffGridError, grid_of
 from wavefocus.rendering.greens.interpolation.errors import ON_POSITION
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
@@ -38,18 +38,21 @@ class SceneRows:
         return np.union1d(self.path, self.checks)
 
 
-def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False) -> SceneRows:
+def scene_rows(
+    scene: Scene, position_mm: Float64Array, check: BoolArray | None = None, *, coarse: bool = False
+) -> SceneRows:
     """Find the positions that a scene needs on a grid (positions, 2).
 
+    check, bool (positions,): Those that lie off the grid and only judge what is between its positions.
     coarse: The grid is too coarse for the kernel: "auto", and a quiet place between positions, are made of waves, which
         need all.
 
     Raises InputError where a path leaves the grid, or the grid does not allow the scene's interpolation.
     """
-    grid = PositionGrid(position_mm)
+    grid = grid_of(position_mm, np.zeros(len(position_mm), bool) if check is None else check)
     nearest, auto = Nearest(grid), "waves" if coarse else "kernel"
     method = auto if scene.output.interpolation == "auto" else scene.output.interpolation
-    tree = cKDTree(grid.position_mm)
+    tree = cKDTree(position_mm)
     path: set[int] = set()
     checks: set[int] = set()
     for source in scene.sources:
@@ -76,7 +79,7 @@ def _more_rows(
     if name == "waves":  # which cross the whole surface
         return set(range(len(grid.position_mm)))
     if name == "kernel":  # the neighbours of the nearest rows, and all that is as far away as the last of them
-        centres_mm = grid.position_mm[sorted(rows)]
+        centres_mm = tree.data[sorted(rows)]
         distance, _ = tree.query(centres_mm, k=min(NEIGHBOURS + 1, tree.n))
         furthest_mm = np.reshape(distance, (len(centres_mm), -1))[:, -1] * (1 + 1e-6) + 1e-9
         return {row for near_rows in tree.query_ball_point(centres_mm, furthest_mm) for row in near_rows}

@@ -11,9 +11,9 @@ import numpy as np
 from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import BoolArray, Float64Array
-from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, FocusTable, focus_table, intended_mm, median_or_none
 from wavefocus.rendering.field.quiet_levels import field_levels
+from wavefocus.rendering.greens.interpolation.base import bank_grid
 from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
 from wavefocus.rendering.verify.extra_measurements import drift_figures, drift_of, linearity
@@ -38,20 +38,25 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 
+_RESOLVED = 2.0
+"""Width of a focus, in grid spacings, from which its place between the positions is found (`metrics.focus_peak`)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tolerances:
     """Limits of the agreement of a scan with the prediction.
 
     normalised_error, correlation: Largest relative L2 error, least zero-lag correlation.
-    focus_offset_spacings, prediction_offset_spacings: Largest median distance of the scanned focus from path point and
-        predicted focus, in grid spacings.
+    focus_offset_mm: Largest median distance of the scanned focus from the path point; of a focus too narrow for the
+        positions half the diagonal of a grid's cell, if that is more: no position need be nearer.
+    prediction_offset_spacings: The same from the predicted focus, in grid spacings.
     focal_width_mm: Largest median difference between scanned and predicted focal width.
     usable_share: Least part of the scanned positions that can be compared.
     """
 
     normalised_error: float = 0.05
     correlation: float = 0.99
-    focus_offset_spacings: float = 1.0
+    focus_offset_mm: float = 4.0
     prediction_offset_spacings: float = 0.5
     focal_width_mm: float = 1.0
     usable_share: float = 0.95
@@ -164,7 +169,7 @@ def compare(
     """
     fields = compare_fields(prediction, scan, drive, bank)
     position_mm = np.asarray(bank.position_mm, np.float64)
-    spacing_mm = metrics.grid_spacing_mm(position_mm) if len(position_mm) > 1 else None
+    spacing_mm = bank_grid(bank).spacing_mm or None
     focus = focus_table(
         intended_mm(drive, fields.instant, position_mm),
         fields.predicted_snapshot,
@@ -238,7 +243,10 @@ def _checks(
     tolerances: Tolerances,
     interpolation_error: float | None,
 ) -> tuple[Figure, ...]:
-    spacing = math.nan if spacing_mm is None else spacing_mm
+    spacing, limit_mm = math.nan if spacing_mm is None else spacing_mm, tolerances.focus_offset_mm
+    width_mm = median_or_none(focus.predicted_width_mm)
+    if spacing_mm is not None and (width_mm is None or width_mm < _RESOLVED * spacing_mm):
+        limit_mm = max(limit_mm, spacing_mm / math.sqrt(2.0))
     compared = len(fields.position_index)
     band = "all frequencies" if fields.band_hz is None else f"{fields.band_hz[0]:g} to {fields.band_hz[1]:g} Hz"
     error = 100.0 * fields.error
@@ -271,7 +279,7 @@ def _checks(
             "focus to path point", "mm",
             "median over focus instants of the distance from the path point to the scan's largest magnitude within"
             f" {FOCUS_RADIUS_MM:g} mm, refined by a quadratic fit",
-            scanned_mm, "at most", tolerances.focus_offset_spacings * spacing,
+            scanned_mm, "at most", limit_mm,
             predicted=predicted_mm, scanned=scanned_mm,
             difference=None if predicted_mm is None or scanned_mm is None else scanned_mm - predicted_mm,
         ),
@@ -284,7 +292,7 @@ def _checks(
             "median over focus instants of the difference between scanned and predicted full width at half maximum:"
             " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign"
             " and exceeds half of it (field interpolated between positions)",
-            wider_mm, "at most", tolerances.focal_width_mm, predicted=median_or_none(focus.predicted_width_mm),
+            wider_mm, "at most", tolerances.focal_width_mm, predicted=width_mm,
             scanned=median_or_none(focus.scanned_width_mm), difference=wider_mm,
         ),
         judged(

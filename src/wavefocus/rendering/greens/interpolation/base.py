@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wavefocus.calibration.numerics import evenly_spread, on_a_line
 from wavefocus.calibration.wave_model import Patch
@@ -153,7 +154,7 @@ class GridInterpolation(Interpolation):
 
     @classmethod
     def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
-        return cls(PositionGrid(grid_position_mm(bank)))
+        return cls(bank_grid(bank))
 
     def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
         """Errors of the kernel, and the difference to it."""
@@ -162,15 +163,20 @@ class GridInterpolation(Interpolation):
         return found
 
 
-def grid_position_mm(bank: GreenSource) -> Float64Array:
-    """Positions of a bank's grid, float64 (positions, 2), with those that only judge moved onto its first one.
+def bank_grid(bank: GreenSource) -> PositionGrid:
+    """The grid of a bank's positions, see `grid_of`."""
+    return grid_of(bank.position_mm, is_check(bank))
+
+
+def grid_of(position_mm: ArrayLike, check: BoolArray) -> PositionGrid:
+    """The grid of positions (n, 2), with those that only judge, bool (n,), moved onto its first one.
 
     Of positions that repeat, the first stands for all: so they are never interpolated from.
     """
-    position_mm, check = np.array(bank.position_mm, dtype=np.float64), is_check(bank)
+    grid_mm = np.array(position_mm, dtype=np.float64)
     if check.any() and not check.all():
-        position_mm[check] = position_mm[np.argmin(check)]
-    return position_mm
+        grid_mm[check] = grid_mm[np.argmin(check)]
+    return PositionGrid(grid_mm)
 
 
 def near(grid: PositionGrid, points_mm: Float64Array, spacings: float = 1.0) -> tuple[Int64Array, Float64Array]:

@@ -15,13 +15,12 @@ from wavefocus.rendering.greens.interpolation.base import (
     InterpolationChoice,
     Nearest,
     OffGridError,
-    grid_position_mm,
+    bank_grid,
     interpolation_method,
     near,
     scene_points,
 )
 from wavefocus.rendering.greens.interpolation.path_nodes import REACH_SPACINGS
-from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, RowReader, usable
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.argument_types import real_array
@@ -240,13 +239,13 @@ def scene_choice(scene: Scene, bank: GreenSource) -> Interpolation:
 
     Of a path that leaves the grid "nearest", by which the path point is named where it is sampled.
     """
-    rate_hz, points_mm, grid = float(bank.sample_rate_hz), scene_points(scene, 4096), PositionGrid(bank.position_mm)
+    rate_hz, points_mm, grid = float(bank.sample_rate_hz), scene_points(scene, 4096), bank_grid(bank)
     try:
         near(grid, points_mm, REACH_SPACINGS)
         signals = [source.amplitude * source.signal.samples(rate_hz) for source in scene.sources]
         return choose_interpolation(bank, points_mm, signals)
     except OffGridError:
-        return Nearest(PositionGrid(grid_position_mm(bank)))
+        return Nearest(grid)
 
 
 def choose_interpolation(
@@ -320,7 +319,7 @@ def _words(unsuited: dict[str, str | InputError]) -> dict[str, str]:
 
 
 def _on_positions(bank: GreenSource, points_mm: Float64Array) -> bool:
-    grid = PositionGrid(grid_position_mm(bank))
+    grid = bank_grid(bank)
     rows, distance_mm = grid.nearest(points_mm)
     return bool((distance_mm <= ON_POSITION * grid.spacing_mm).all() and usable(bank)[rows].all())
 
