@@ -82,7 +82,7 @@ def test_a_bank_says_which_rows_are_check_positions_and_a_resume_plans_the_same(
     assert again.bank_header().check_rows == blueprint.bank_header().check_rows
 
 
-def test_check_positions_beside_the_grid_then_the_middle_of_a_cell_is_still_on_the_grid():
+def test_check_positions_beside_the_grid_then_a_cell_s_middle_is_still_on_it():
     place_mm = np.vstack([SQUARE_MM, SQUARE_MM + np.array([0.5, 0.0])])
     check = np.arange(len(place_mm)) >= len(SQUARE_MM)
     bank = replace(plate_bank(place_mm), check=check)

@@ -192,7 +192,7 @@ def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
     assert outcome.passed
 
 
-def test_positions_too_far_apart_to_show_a_focus_then_half_a_cell_s_diagonal_is_allowed():
+def test_a_coarse_grid_then_half_a_cell_s_diagonal_is_allowed_to_the_focus():
     rows = np.append(np.flatnonzero((np.rint((GRID_MM + 20.0) / SPACING_MM) % 3 == 0).all(axis=1)), range(1, 121, 11))
     check = np.arange(len(rows)) >= len(rows) - 11
     source = GreenArray(bank().values[rows], GRID_MM[rows], RATE_HZ, band_hz=bank().band_hz, check=check)

@@ -136,11 +136,20 @@ def test_auto_with_11_check_positions_judges_left_out_ones_and_states_no_bound(s
     assert "fewer than 12" in found.bound_words
 
 
-@pytest.mark.parametrize("wrong", [{"places_mm": [1.0, 2.0]}, {"method": "cubic"}, {"frequency_hz": [-1.0]},
-                                   {"places_mm": [(500.0, 0.0)]}])  # fmt: skip
-def test_wrong_places_methods_and_frequencies_are_refused(coarse, wrong):
-    with pytest.raises(InputError, match=r"places_mm|interpolation|frequency_hz|nearest position"):
-        wf.interpolate(coarse, **{"places_mm": [(1.0, 2.0)], "method": "nearest", **wrong})
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"places_mm": [1.0, 2.0]}, "places_mm has shape"),
+        ({"places_mm": [(np.nan, 0.0)]}, "places_mm holds NaN"),
+        ({"places_mm": [(500.0, 0.0)], "method": "nearest"}, "nearest position"),
+        ({"places_mm": [(1e200, 0.0)]}, "nearest position"),
+        ({"method": "cubic"}, "interpolation is 'cubic'"),
+        ({"frequency_hz": [-1.0]}, "frequency_hz is"),
+    ],
+)
+def test_wrong_places_methods_and_frequencies_are_refused(coarse, wrong, words):
+    with pytest.raises(InputError, match=words):
+        wf.interpolate(coarse, **{"places_mm": [(1.0, 2.0)], **wrong})
 
 
 def test_a_scene_with_auto_states_what_was_chosen_and_its_error(coarse):

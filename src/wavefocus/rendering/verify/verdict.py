@@ -14,6 +14,7 @@ from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, FocusTable, focus_table, intended_mm, median_or_none
 from wavefocus.rendering.field.quiet_levels import field_levels
 from wavefocus.rendering.greens.interpolation.base import bank_grid
+from wavefocus.rendering.greens.source import is_check
 from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
 from wavefocus.rendering.verify.extra_measurements import drift_figures, drift_of, linearity
@@ -38,17 +39,13 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 
-_RESOLVED = 2.0
-"""Width of a focus, in grid spacings, from which its place between the positions is found (`metrics.focus_peak`)."""
-
-
 @dataclass(frozen=True, slots=True)
 class Tolerances:
     """Limits of the agreement of a scan with the prediction.
 
     normalised_error, correlation: Largest relative L2 error, least zero-lag correlation.
-    focus_offset_mm: Largest median distance of the scanned focus from the path point; of a focus too narrow for the
-        positions half the diagonal of a grid's cell, if that is more: no position need be nearer.
+    focus_offset_mm: Largest median distance of the scanned focus from the path point; on coarse grids, which have check
+        positions, half the diagonal of a cell if that is more: no position need be nearer.
     prediction_offset_spacings: The same from the predicted focus, in grid spacings.
     focal_width_mm: Largest median difference between scanned and predicted focal width.
     usable_share: Least part of the scanned positions that can be compared.
@@ -180,7 +177,7 @@ def compare(
     )
     noise_error, limits = _noise_error(fields), tolerances or Tolerances()
     model_error = _model_error(fields.error, noise_error)
-    checks = _checks(fields, focus, spacing_mm, limits, interpolation_error)
+    checks = _checks(fields, focus, spacing_mm, limits, interpolation_error, coarse=bool(is_check(bank).any()))
     linear: tuple[Figure, ...] = ()
     nonlinear_share = None
     if quiet is not None and isinstance(scan, Scan):
@@ -242,10 +239,11 @@ def _checks(
     spacing_mm: float | None,
     tolerances: Tolerances,
     interpolation_error: float | None,
+    *,
+    coarse: bool,
 ) -> tuple[Figure, ...]:
     spacing, limit_mm = math.nan if spacing_mm is None else spacing_mm, tolerances.focus_offset_mm
-    width_mm = median_or_none(focus.predicted_width_mm)
-    if spacing_mm is not None and (width_mm is None or width_mm < _RESOLVED * spacing_mm):
+    if spacing_mm is not None and coarse:
         limit_mm = max(limit_mm, spacing_mm / math.sqrt(2.0))
     compared = len(fields.position_index)
     band = "all frequencies" if fields.band_hz is None else f"{fields.band_hz[0]:g} to {fields.band_hz[1]:g} Hz"
@@ -292,7 +290,7 @@ def _checks(
             "median over focus instants of the difference between scanned and predicted full width at half maximum:"
             " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign"
             " and exceeds half of it (field interpolated between positions)",
-            wider_mm, "at most", tolerances.focal_width_mm, predicted=width_mm,
+            wider_mm, "at most", tolerances.focal_width_mm, predicted=median_or_none(focus.predicted_width_mm),
             scanned=median_or_none(focus.scanned_width_mm), difference=wider_mm,
         ),
         judged(

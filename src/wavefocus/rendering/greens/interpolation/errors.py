@@ -357,6 +357,9 @@ def interpolated(
     points_mm = real_array("places_mm", places_mm)
     if points_mm.ndim != 2 or points_mm.shape[1] != 2 or not len(points_mm):
         raise InputError(f"places_mm has shape {points_mm.shape}; expected (places, 2), at least one place")
+    if not np.isfinite(points_mm).all():
+        raise InputError("places_mm holds NaN or infinity; allowed are places in millimetres")
+    near(bank_grid(bank), points_mm, REACH_SPACINGS)
     hz = (
         _emitted_bands(bank, ())[0] if frequency_hz is None else np.atleast_1d(real_array("frequency_hz", frequency_hz))
     )
