@@ -172,9 +172,16 @@ def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(r
     assert box.level(LINE) == 0.0
 
 
-@pytest.mark.parametrize("keys", [{"volts_per_degree": 2.0}, {"limit_v": 3.0}])
-def test_given_a_rig_beyond_the_outputs_then_it_is_refused(box, keys):
-    with pytest.raises(InstrumentError, match="limit_v"):
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"volts_per_degree": 2.0}, "limit_v"),
+        ({"limit_v": 3.0}, "limit_v"),
+        ({"x_output": "ao7"}, r"has no output 'ao7'.*there is ao0, ao1"),
+    ],
+)
+def test_given_a_rig_beyond_the_outputs_then_it_is_refused(box, keys, words):
+    with pytest.raises(InstrumentError, match=words):
         box.mirror(**keys)
     assert box.written == []
 

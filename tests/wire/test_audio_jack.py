@@ -91,6 +91,25 @@ def test_a_play_that_cannot_be_begun_is_refused_with_the_way_out(player):
         player.add_piece(np.full((1, 10), 1e3))
 
 
+def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(server, player):
+
+    def take():
+        player.play({0: np.full(5 * RATE_HZ, 0.5)}, RATE_HZ)
+        time.sleep(0.3)
+        asked_ns = time.monotonic_ns()
+        player.mute()
+        returned_ns = time.monotonic_ns()
+        player.wait(1)
+        first = int(server.played.frame_at(asked_ns))
+        return server.played.read(first, int(server.played.frame_at(returned_ns)) + RATE_HZ // 2)[0]
+
+    frames = undisturbed(player, take)
+    assert frames[0] == 0.5
+    assert np.abs(np.diff(frames)).max() < 0.02
+    # one period may be under way, and one more is in the buffer
+    assert np.flatnonzero(frames)[-1] < 3 * 2048 + 0.05 * RATE_HZ
+
+
 def test_server_that_stood_still_then_waiting_says_underflow_and_next_play_is_good(server, player):
     player.play({0: np.full(20 * RATE_HZ, 0.25)}, RATE_HZ)
     time.sleep(0.2)
