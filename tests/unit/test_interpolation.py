@@ -127,7 +127,7 @@ def test_between_the_positions_the_error_stays_within_the_marks(grid, noise_db, 
     assert errors_at(450.0, greens, POINTS_MM).max() < at_450_hz
 
 
-@pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("irregular with holes", -60.0), ("square", -40.0)])
+@pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("irregular with holes", -60.0)])
 def test_error_found_by_leaving_positions_out_is_error_within_factor_of_two(grid, noise_db):
     bank, kernel, greens = kernel_on(grid, noise_db)
     frequency_hz = kernel.waves.frequency_hz

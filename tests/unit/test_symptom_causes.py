@@ -76,6 +76,7 @@ def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size
     assert symptom.value[0] == pytest.approx(float(np.hypot(*offset_mm)), abs=0.1)
 
 
+@pytest.mark.long
 def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named():
     values = green("gel", Medium(speed=1.02)) * (np.arange(ACTUATORS) != 5)[:, None]
     found = verified("gel", Case(values), chance())

@@ -106,6 +106,7 @@ def test_wrong_rows_side_by_side_are_found_in_a_bank_of_any_unit():
     assert [(one.position, one.kind) for one in found] == [(position, "level") for position in block]
 
 
+@pytest.mark.long
 def test_a_thin_ringing_plate_then_raises_no_alarm():
     points_m, sources_m = SMALL_MM / 1e3 + [0.15, 0.1], np.array([[0.03, 0.04], [0.27, 0.15], [0.26, 0.03]])
     greens = ThinPlate(0.3, 0.2, 1.57).impulse_velocity(
