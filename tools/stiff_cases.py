@@ -92,7 +92,7 @@ def main() -> int:
         wrong |= not mine or len(passed) < len(mine)
         properties = [item for test in mine for item in test.iter("property") if item.get("name") == "measured"]
         recorded = [item.get("value", "") for item in properties]
-        figures = [text for text in recorded if not text.startswith("relative error")]
+        figures = list(dict.fromkeys(text for text in recorded if not text.startswith("relative error")))
         errors = [float(text.split()[-1]) for text in recorded if text.startswith("relative error")]
         if errors:
             figures.append(f"relative error at most {max(errors):.1g}")
