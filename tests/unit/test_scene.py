@@ -270,7 +270,10 @@ def test_a_signal_that_cannot_be_emitted_is_refused(tmp_path):
     (tmp_path / "broken.wav").write_bytes(b"no sound")
     soundfile.write(tmp_path / "silent.wav", np.zeros(100), 8000)
     soundfile.write(tmp_path / "empty.wav", np.zeros(0), 8000)
-    files = ((SoundFile(tmp_path / f"{name}.wav"), f"{name}.wav") for name in ("missing", "broken", "silent", "empty"))
+    soundfile.write(tmp_path / "whole.wav", np.ones(100), 8000)
+    (tmp_path / "cut.wav").write_bytes((tmp_path / "whole.wav").read_bytes()[:100])
+    names = ("missing", "broken", "silent", "empty", r"cut.wav is truncated: it holds 100 of 244 bytes")
+    files = ((SoundFile(tmp_path / f"{name.split('.')[0]}.wav"), name) for name in names)
     for signal, message in (
         (Sine(0.0, 1.0), "frequency_hz is 0.0"),
         (Sine(5000.0, 1.0), "below 5000"),

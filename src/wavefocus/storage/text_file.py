@@ -1,4 +1,4 @@
-"""Regular files, and small text files that people write: read whole, with errors in one line."""
+"""Regular files, sound files and small text files that people write: whole ones are read, with errors in one line."""
 
 import errno
 import os
@@ -77,3 +77,21 @@ def read_regular(path: Path) -> bytes:
     """A regular file's whole content; raises OSError as `open_regular`."""
     with open_regular(path) as file:
         return file.read()
+
+
+def require_whole_sound(path: Path) -> None:
+    """Refuse a WAV file that is shorter than it says, which libraries read as far as it goes.
+
+    The size stands in bytes 4 to 7 (RIFF WAVE, 1991). Programs that do not know it beforehand write 0 or about the
+    largest one, and some leave out the byte that makes it even.
+
+    Raises InputError: it was cut off, is missing, cannot be read or is not a regular file.
+    """
+    try:
+        with open_regular(path) as file:
+            head, held = file.read(8), os.fstat(file.fileno()).st_size
+    except OSError as error:
+        raise InputError(f"{path} cannot be read as a sound file: {error.strerror or error}") from None
+    declared = int.from_bytes(head[4:], "little") + 8
+    if head.startswith(b"RIFF") and held + 1 < declared < 0x7FFF0000:
+        raise InputError(f"{path} is truncated: it holds {held} of {declared} bytes; restore a copy")

@@ -15,6 +15,7 @@ import numpy as np
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.argument_types import check_fields
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.text_file import require_whole_sound
 
 if TYPE_CHECKING:
     from soundfile import SoundFile as SoundFileReader
@@ -156,6 +157,7 @@ class SoundFile:
         import soundfile
 
         try:
+            require_whole_sound(Path(self.path))
             with soundfile.SoundFile(self.path) as file:
                 yield file
         except (soundfile.LibsndfileError, OSError, TypeError) as error:  # TypeError: a kind without a header

@@ -28,7 +28,7 @@ from wavefocus.storage.exchange.measured import (
 )
 from wavefocus.storage.exchange.places import Place, coordinates, read_places, table
 from wavefocus.storage.output_files import replaced_folder, require_room
-from wavefocus.storage.text_file import read_regular, read_text
+from wavefocus.storage.text_file import read_regular, read_text, require_whole_sound
 
 _MAX_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""
@@ -216,13 +216,7 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 
 def _info(path: Path) -> Any:
     """What a sound file holds; raises InputError where it cannot be read, or is shorter than it says."""
-    with path.open("rb") as file:
-        head = file.read(8)
-    # The library reads what is left of a file that was cut. The size stands in bytes 4 to 7 (RIFF WAVE, 1991); programs
-    # that do not know it beforehand write 0 or about the largest one, and some leave out the byte that makes it even.
-    declared, held = int.from_bytes(head[4:], "little") + 8, path.stat().st_size
-    if head.startswith(b"RIFF") and held + 1 < declared < 0x7FFF0000:
-        raise InputError(f"{path} is truncated: it holds {held} of {declared} bytes; restore a copy")
+    require_whole_sound(path)
     try:
         return soundfile.info(str(path))
     except soundfile.LibsndfileError as error:
