@@ -167,17 +167,17 @@ def _bare_backdrop(rig: Path | None = None) -> Backdrop:
 
 
 def _backdrop_of(path: Path) -> Backdrop:
-    from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid  # loads scipy and h5py, in a thread
+    from wavefocus.rendering.greens.interpolation.base import bank_grid  # loads scipy and h5py, in a thread
     from wavefocus.rendering.greens.source import usable
     from wavefocus.storage.bank.reading import open_bank
 
     with open_bank(path) as bank:
-        surface, allowed = surface_of(bank), usable(bank)
+        surface, grid, allowed = surface_of(bank), bank_grid(bank), usable(bank)
     outline_mm = surface.outline_mm
     if outline_mm is None:
         (left, bottom), (right, top) = surface.position_mm.min(axis=0), surface.position_mm.max(axis=0)
         outline_mm = np.array([[left, bottom], [right, bottom], [right, top], [left, top], [left, bottom]])
-    return Backdrop(outline_mm, surface, PositionGrid(surface.position_mm), allowed)
+    return Backdrop(outline_mm, surface, grid, allowed)
 
 
 def _sources_of(
