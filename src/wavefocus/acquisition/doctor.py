@@ -235,8 +235,7 @@ class _Examination(RigFindings):
             self.add("vibrometer", "response", "skipped", why)
             self.add("recorder", "pickup", "skipped", f"not measured: {why}")
             return
-        middle_mm = _middle_mm(self._rig)
-        self._tell("vibrometer", "response", partial(_check_response, setup, amplitude_v, middle_mm))
+        self._tell("vibrometer", "response", partial(_check_response, setup, amplitude_v, _middle_mm(self._rig)))
         if self._rig.shutter is not None or not self._parks_on_surface(setup):
             self._tell("recorder", "pickup", partial(check_pickup, setup, amplitude_v, SAMPLE_RATE_HZ))
         else:
@@ -274,9 +273,7 @@ SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
 def _middle_mm(rig: RigConfig) -> Float64Array:
-    """The origin; of a polygon that has it outside, or near its edge, the place farthest from the edge, (2,)."""
-    if rig.surface.kind != "polygon":
-        return np.zeros(2)
+    """The origin; where it lies outside the surface or near its edge, the place farthest from the edge, (2,)."""
     outline = rig.surface.outline
     left, bottom, right, top = outline.box_mm
     place_mm = np.stack(np.meshgrid(np.linspace(left, right, 101), np.linspace(bottom, top, 101)), axis=-1)
