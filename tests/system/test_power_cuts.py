@@ -23,7 +23,7 @@ from wavefocus.storage.raw.header import RawHeader, sequential
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITIONS, ACTUATORS, TAPS = 3, 2, 16
-TRIED = 24
+TRIED = 40
 # One position twice, so that the journal is used.
 TURNS = ((2, 1), (0, 1), (2, 2), (1, 1))
 STEP_V = 2.0**-15
