@@ -18,13 +18,13 @@ interrupts: list[int] = []
 def _end_at_interrupt(code: int | None = None) -> None:
     """End the process at once at Ctrl-C: only modules are loaded so far, or the command is over."""
 
-    def _end(number: int, frame: object) -> None:
+    def end(number: int, frame: object) -> None:
         if code is None:
             os.write(2, b"wavefocus: stopped by the user\n")
         os._exit(130 if code is None else code)
 
     if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _interrupt):  # it may be ignored
-        signal.signal(signal.SIGINT, _end)
+        signal.signal(signal.SIGINT, end)
 
 
 def raise_at_interrupt() -> None:
@@ -34,7 +34,7 @@ def raise_at_interrupt() -> None:
     signal.signal(signal.SIGINT, _interrupt)
     former = sys.unraisablehook
 
-    def _again(unraisable: sys.UnraisableHookArgs) -> None:
+    def again(unraisable: sys.UnraisableHookArgs) -> None:
         if not isinstance(unraisable.exc_value, KeyboardInterrupt):
             former(unraisable)
             return
@@ -45,7 +45,7 @@ def raise_at_interrupt() -> None:
         timer.daemon = True
         timer.start()
 
-    sys.unraisablehook = _again
+    sys.unraisablehook = again
 
 
 def _interrupt_again() -> None:

@@ -52,7 +52,7 @@ def taking(kind: type[Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
     Its signature, and its docstring below ``options``, list them as the command line does.
     """
 
-    def _decorate(function: Callable[P, R]) -> Callable[P, R]:
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
         own = signature(function)
         *former, _ = own.parameters.values()
         parameters, sentences = [], []
@@ -65,7 +65,7 @@ def taking(kind: type[Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
         function.__doc__ = (function.__doc__ or "").replace("options\n        As listed.", listed)
         return function
 
-    return _decorate
+    return decorate
 
 
 def options_from(kind: type[Options], given: Mapping[str, Any]) -> Options:

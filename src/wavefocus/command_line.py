@@ -61,7 +61,7 @@ def number(
 ) -> Argument:
     """Declare an option that takes a finite number within bounds, which its help repeats."""
 
-    def _read(text: str) -> float:
+    def read(text: str) -> float:
         try:
             value = int(text) if whole else float(text)
         except ValueError:
@@ -77,7 +77,7 @@ def number(
     if settings.get("default") is not None:
         notes.append(f"default: {settings['default']:g}")
     text = f"{help} [{'; '.join(notes)}]" if notes else help
-    return Argument((name,), {"type": _read, "metavar": "N", "help": text, **settings})
+    return Argument((name,), {"type": read, "metavar": "N", "help": text, **settings})
 
 
 def pair(text: str) -> tuple[float, float]:
@@ -143,14 +143,14 @@ def _option(one: Field[Any], kind: Any) -> Argument:
 
 
 def _words(allowed: Sequence[str]) -> Callable[[str], tuple[str, ...]]:
-    def _read(text: str) -> tuple[str, ...]:
+    def read(text: str) -> tuple[str, ...]:
         words = tuple(word.strip() for word in text.split(","))
         for word in words:
             if word not in allowed:
                 raise argparse.ArgumentTypeError(f"{word!r} is not known; allowed: {', '.join(allowed)}")
         return words
 
-    return _read
+    return read
 
 
 class _Formatter(argparse.HelpFormatter):

@@ -287,7 +287,7 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
     from rich.table import Column
     from rich.text import Text
 
-    class _RateColumn(ProgressColumn):
+    class RateColumn(ProgressColumn):
         def render(self, task: Task) -> Text:
             return Text(_rate(task))
 
@@ -298,16 +298,16 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
         BarColumn(bar_width=None, table_column=Column(min_width=10, ratio=1)),
         MofNCompleteColumn(table_column=Column(no_wrap=True, min_width=2 * len(str(total)) + 1)),
-        *([_RateColumn(table_column=Column(ratio=3, **rest))] if timed else []),  # type: ignore[arg-type]
+        *([RateColumn(table_column=Column(ratio=3, **rest))] if timed else []),  # type: ignore[arg-type]
         TextColumn("{task.fields[note]}", markup=False, table_column=Column(ratio=3, **rest)),  # type: ignore[arg-type]
     )
     with Progress(*columns, console=people(), expand=True) as bar:
         task = bar.add_task(what, total=total, completed=done, note="")
 
-        def _report(done: int, total: int, note: str = "") -> None:
+        def report(done: int, total: int, note: str = "") -> None:
             bar.update(task, completed=done, total=total, note=note)
 
-        yield _report
+        yield report
 
 
 class Pace:
@@ -331,7 +331,7 @@ def _line_reporter(what: str, pace: Pace, *, timed: bool) -> Report:
     """Progress as a line now and then, for when nobody watches a terminal."""
     last_s = time.monotonic()
 
-    def _report(done: int, total: int, note: str = "") -> None:
+    def report(done: int, total: int, note: str = "") -> None:
         nonlocal last_s
         rate, now_s = pace.per_s(done, total), time.monotonic()
         if now_s - last_s < 30.0:
@@ -343,7 +343,7 @@ def _line_reporter(what: str, pace: Pace, *, timed: bool) -> Report:
         left = f"{hours((total - done) / rate)} left" if rate > 0 else "no estimate yet"
         say(f"{what}: {done} of {total}, {rate:.1f}/s, {left} {note}".rstrip())
 
-    return _report
+    return report
 
 
 def print_line(line: str) -> None:

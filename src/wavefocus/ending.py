@@ -35,10 +35,10 @@ class EndingSignals:
     def here(cls, source: object = signal) -> EndingSignals:
         """The signals that a module such as `signal` has."""
 
-        def _those_of(*names: str) -> tuple[int, ...]:
+        def those_of(*names: str) -> tuple[int, ...]:
             return tuple(int(getattr(source, name)) for name in names if hasattr(source, name))
 
-        return cls(_those_of("SIGINT"), _those_of("SIGHUP"), _those_of("SIGTERM", "SIGBREAK", "SIGQUIT"))
+        return cls(those_of("SIGINT"), those_of("SIGHUP"), those_of("SIGTERM", "SIGBREAK", "SIGQUIT"))
 
     @property
     def all(self) -> tuple[int, ...]:
@@ -67,7 +67,7 @@ def stop_on_signals(stop: StopRequest) -> Iterator[None]:
     """
     signals, at_once = EndingSignals.here(), False
 
-    def _receive(number: int, frame: FrameType | None) -> None:
+    def receive(number: int, frame: FrameType | None) -> None:
         nonlocal at_once
         if at_once:
             return
@@ -81,7 +81,7 @@ def stop_on_signals(stop: StopRequest) -> Iterator[None]:
         stop.finish_position()
         raise KeyboardInterrupt
 
-    with signals.caught_by(_receive):
+    with signals.caught_by(receive):
         yield
 
 
@@ -93,20 +93,20 @@ def ending_at_once() -> Iterator[None]:
     """
     begun, former = False, sys.unraisablehook
 
-    def _receive(number: int, frame: FrameType | None) -> None:
+    def receive(number: int, frame: FrameType | None) -> None:
         nonlocal begun
         if not begun:
             begun = True
             raise KeyboardInterrupt
 
-    def _lost(unraisable: sys.UnraisableHookArgs) -> None:
+    def lost(unraisable: sys.UnraisableHookArgs) -> None:
         nonlocal begun
         begun = begun and not isinstance(unraisable.exc_value, KeyboardInterrupt)
         former(unraisable)
 
     in_main = threading.current_thread() is threading.main_thread()
-    with EndingSignals.here().caught_by(_receive) if in_main else nullcontext():
-        sys.unraisablehook = _lost
+    with EndingSignals.here().caught_by(receive) if in_main else nullcontext():
+        sys.unraisablehook = lost
         try:
             yield
         except InstrumentError as failure:
@@ -133,11 +133,11 @@ def _ended_by(happens: Callable[[threading.Event], bool], name: str, *, join: bo
         return
     over = threading.Event()
 
-    def _watch() -> None:
+    def watch() -> None:
         if happens(over) and not over.is_set():
             interrupt()
 
-    watcher = threading.Thread(target=_watch, name=name, daemon=True)
+    watcher = threading.Thread(target=watch, name=name, daemon=True)
     watcher.start()
     try:
         yield
@@ -155,7 +155,7 @@ def ended_by_file(path: Path) -> AbstractContextManager[None]:
     """
     path.unlink(missing_ok=True)
 
-    def _appears(over: threading.Event) -> bool:
+    def appears(over: threading.Event) -> bool:
         while not over.wait(0.1):
             if path.exists():
                 with suppress(OSError):
@@ -163,7 +163,7 @@ def ended_by_file(path: Path) -> AbstractContextManager[None]:
                 return True
         return False
 
-    return _ended_by(_appears, "order to end", join=True)
+    return _ended_by(appears, "order to end", join=True)
 
 
 def ended_by_input() -> AbstractContextManager[None]:
@@ -175,11 +175,11 @@ def ended_by_input() -> AbstractContextManager[None]:
         return nullcontext()
     source = sys.stdin.fileno()
 
-    def _ends(_over: threading.Event) -> bool:
+    def ends(_over: threading.Event) -> bool:
         # Not through sys.stdin: a thread that waits in its lock would not let the interpreter end.
         with suppress(OSError):  # it cannot be read any more: closed as well
             while os.read(source, 4096):
                 pass
         return True
 
-    return _ended_by(_ends, "end of input", join=False)
+    return _ended_by(ends, "end of input", join=False)

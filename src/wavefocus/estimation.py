@@ -118,17 +118,17 @@ def estimate_into(
         if bank.exists() and bank.samefile(raw):
             raise InputError(f"--bank {bank}: is the raw file itself; name another file")
 
-        def _announce(line: str) -> None:
+        def announce(line: str) -> None:
             report(f"{raw}: {line}")
 
-        _announce(
+        announce(
             f"{header.positions} positions, {header.records} records of {header.samples} samples at "
             f"{header.sample_rate_hz:g} Hz, {header.taps} taps"
             f"{'; finding what was played' if plan is None else ''}"
         )
         if not bank.exists():
             # The excitation must be found before a bank is made of it.
-            estimator = estimator_for(recordings, plan, _announce)
+            estimator = estimator_for(recordings, plan, announce)
             if is_network_mount(bank.absolute().parent):
                 report(f"{bank} is on a network drive, where locks and syncs are unreliable: estimate to a local disk")
             create_bank(bank, _bank_header(header))
@@ -141,7 +141,7 @@ def estimate_into(
             to_do = np.flatnonzero(writer.status == 0).tolist()
             done = first = header.positions - len(to_do)
             if to_do and estimator is None:
-                estimator = estimator_for(recordings, plan, _announce)
+                estimator = estimator_for(recordings, plan, announce)
             started_s = time.monotonic()
             faults: list[str] = []
             with watch("estimate", header.positions, done=first) as show:

@@ -53,7 +53,7 @@ class LinesIn:
     ) -> None:
         """Begin to read; `on_line` gets each object as it is read, `on_eof` is called after the last."""
 
-        def _read() -> None:
+        def read() -> None:
             try:
                 self._read(on_line)
                 on_eof()
@@ -64,7 +64,7 @@ class LinesIn:
                 finally:
                     self._lines.put(None)
 
-        threading.Thread(target=_read, name="orders", daemon=True).start()
+        threading.Thread(target=read, name="orders", daemon=True).start()
 
     def next(self, timeout_s: float | None = None) -> Mapping[str, object] | None:
         """The next object; None at the end of the input, again and again.

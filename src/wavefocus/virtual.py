@@ -162,13 +162,13 @@ class VirtualBench:
         rows = None if positions is None else bank_rows(positions, len(self.position_mm)).tolist()
         blueprint, earlier = with_bank(self._blueprint, path, Path(SOURCE))
 
-        def _show(event: Event) -> None:
+        def show(event: Event) -> None:
             if on_progress is not None and isinstance(event, Progress):
                 on_progress(event.done, event.total)
 
         with (
             BankWriter.open(path, plan_sha256=blueprint.plan.sha256) as writer,
-            opened_campaign(blueprint, self._setup, writer, StopRequest(), {"on_progress": _show}, earlier) as (
+            opened_campaign(blueprint, self._setup, writer, StopRequest(), {"on_progress": show}, earlier) as (
                 campaign,
                 _,
             ),

@@ -46,7 +46,7 @@ class Figures:
     clock_ppm: float
 
 
-class _ResponseMissingError(ReferenceMissingError):
+class ResponseMissingError(ReferenceMissingError):
     """The response channel does not hold the known signal."""
 
 
@@ -75,7 +75,7 @@ class Probe:
 
         output: The output; None for the loopback by itself.
 
-        Raises ReferenceMissingError: no signal from the loopback at the reference input. _ResponseMissingError: no
+        Raises ReferenceMissingError: no signal from the loopback at the reference input. ResponseMissingError: no
         signal at the response input. NotMeasuredError: the signal reaches the end of an input's range. InstrumentError:
         of the instrument that failed for good.
         """
@@ -100,7 +100,7 @@ class Probe:
         """
         try:
             reference, response = self._fits(self._played(output, 0), diagnose=False)
-        except _ResponseMissingError:
+        except ResponseMissingError:
             return False
         except ReferenceMissingError as missing:
             raise _check_loopback(missing) from None
@@ -114,7 +114,7 @@ class Probe:
             return reference, self._fitter.fit(recording.volts[1], diagnose=diagnose, name="the response channel")
         except ReferenceMissingError as missing:
             words = str(missing).replace("reference input", "response input")
-            raise _ResponseMissingError(words, advised=True) from None
+            raise ResponseMissingError(words, advised=True) from None
 
     def _in_range(self, output: int | None, record: int) -> Recording:
         recording = self._played(output, record)
@@ -158,7 +158,7 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
         operator.connect(BOTH)
         try:
             found = probe.compare(None)
-        except _ResponseMissingError as missing:
+        except ResponseMissingError as missing:
             if operator.again(f"no signal from the loopback at the response input ({missing})"):
                 continue
             raise NotMeasuredError("the inter-channel delay needs the loopback on both inputs") from None
@@ -181,7 +181,7 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
 
 
 @dataclass(frozen=True, slots=True)
-class _OutputFigures:
+class OutputFigures:
     """One output of the player.
 
     latency_s: How much later it is than the loopback output.
@@ -203,7 +203,7 @@ def measure_outputs(
     operator: Operator,
     progress: Callable[[int, int], None],
     box_gain: float | None = None,
-) -> tuple[_OutputFigures, ...]:
+) -> tuple[OutputFigures, ...]:
     """Compare each output with the loopback output.
 
     full_scale_v: Volts at full scale of every output from 0, as the rig believes.
@@ -218,7 +218,7 @@ def measure_outputs(
     setup, channels = probe.setup, probe.setup.actuator_channels
     if box_gain is not None:
         _plug_box(probe, operator)
-    measured: list[_OutputFigures] = []
+    measured: list[OutputFigures] = []
     for done, channel in enumerate(channels):
         progress(done, len(channels))
         found = _heard(channel, probe, operator, has_box=box_gain is not None)
@@ -227,13 +227,13 @@ def measure_outputs(
         if not measured:
             loopback = setup.loopback_channel
             own_v = full_scale_v[loopback] * abs(found.reference_gain) / setup.reference_gain
-            measured.append(_OutputFigures(loopback, 0.0, own_v, -1 if found.reference_gain < 0 else 1, 0.0))
+            measured.append(OutputFigures(loopback, 0.0, own_v, -1 if found.reference_gain < 0 else 1, 0.0))
         gain = 1.0 if box_gain is None else box_gain
         volts = full_scale_v[channel] * abs(found.response_gain) / gain if gain else None
         # The response input is sampled later, so all on it seems earlier.
         latency_s = found.late_s + setup.inter_channel_delay_s
         polarity: Literal[1, -1] = -1 if found.response_gain < 0 else 1
-        measured.append(_OutputFigures(channel, latency_s, volts, polarity, found.spread_s))
+        measured.append(OutputFigures(channel, latency_s, volts, polarity, found.spread_s))
     progress(len(channels), len(channels))
     return tuple(measured)
 
@@ -262,7 +262,7 @@ def _heard(channel: int, probe: Probe, operator: Operator, *, has_box: bool) -> 
                 return None
         try:
             return probe.compare(channel)
-        except _ResponseMissingError as missing:
+        except ResponseMissingError as missing:
             if not operator.again(f"no signal from output {channel} at the response input ({missing})"):
                 return None
         except ReferenceMissingError as missing:

@@ -70,7 +70,7 @@ def _commit_s(folder: Path, positions: int) -> dict[str, list[float]]:
         for file in files:
             file.create_dataset("green", shape, np.float32, chunks=(1, ACTUATORS, TAPS))
 
-        def _write(file: h5py.File, sync: bool) -> None:
+        def write(file: h5py.File, sync: bool) -> None:
             file["green"][row] = green
             file.flush()
             if sync:
@@ -79,9 +79,9 @@ def _commit_s(folder: Path, positions: int) -> dict[str, list[float]]:
         for row in range(positions):
             green = generator.standard_normal((ACTUATORS, TAPS), dtype=np.float32)
             seconds[OURS].append(_seconds(writer.commit, row, green, record))
-            seconds[EVERY].append(_seconds(_write, files[0], True))
-            seconds[TENTH].append(_seconds(_write, files[1], row % 10 == 9))
-            seconds[NEVER].append(_seconds(_write, files[2], False))
+            seconds[EVERY].append(_seconds(write, files[0], True))
+            seconds[TENTH].append(_seconds(write, files[1], row % 10 == 9))
+            seconds[NEVER].append(_seconds(write, files[2], False))
     return seconds
 
 

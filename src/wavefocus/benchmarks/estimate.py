@@ -166,13 +166,13 @@ def _plain_h1(excitation: PlayedExcitation) -> Method:
     hertz = np.arange(excitation.period_samples // 2 + 1) * excitation.sample_rate_hz / excitation.period_samples
     mask = ((hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)).astype(np.float32)
 
-    def _method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
+    def method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
         x = scipy.fft.rfft(_repeats(reference, excitation))
         y = scipy.fft.rfft(_repeats(response, excitation))
         h1 = mask * (x.conj() * y).sum(axis=1) / (np.abs(x) ** 2).sum(axis=1)
         return np.asarray(scipy.fft.irfft(h1)[:, :TAPS])
 
-    return _method
+    return method
 
 
 def _pyfar_methods(excitation: PlayedExcitation) -> dict[str, Method]:
@@ -180,18 +180,18 @@ def _pyfar_methods(excitation: PlayedExcitation) -> dict[str, Method]:
 
     rate, band = excitation.sample_rate_hz, excitation.band_hz
 
-    def _deconvolve(x: NDArray[Any], y: NDArray[Any], edges: tuple[float, float], **options: Any) -> NDArray[Any]:
+    def deconvolve(x: NDArray[Any], y: NDArray[Any], edges: tuple[float, float], **options: Any) -> NDArray[Any]:
         found = pyfar.dsp.deconvolve(pyfar.Signal(y, rate), pyfar.Signal(x, rate), frequency_range=edges, **options)
         return np.asarray(found.time[:, :TAPS])
 
-    def _averaged(channel: NDArray[np.float32]) -> NDArray[np.float32]:
+    def averaged(channel: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.asarray(_repeats(channel, excitation).mean(axis=1))
 
     # Of 108 combinations of edges and regularisation on this workload.
     wide = (5.0, 550.0)
     return {
-        PYFAR: lambda x, y: _deconvolve(x, y, band),
-        "pyfar, averaged, best settings found": lambda x, y: _deconvolve(
-            _averaged(x), _averaged(y), wide, regu_inside=1e-10, regu_outside=1e-4
+        PYFAR: lambda x, y: deconvolve(x, y, band),
+        "pyfar, averaged, best settings found": lambda x, y: deconvolve(
+            averaged(x), averaged(y), wide, regu_inside=1e-10, regu_outside=1e-4
         ),
     }

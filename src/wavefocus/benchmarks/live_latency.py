@@ -200,7 +200,7 @@ def _figures(
         if "ready" not in told.readline():
             raise RuntimeError("wavefocus live did not begin")
 
-        def _read() -> None:
+        def read() -> None:
             for line in told:
                 event = json.loads(line)
                 if event["event"] == "state":
@@ -209,7 +209,7 @@ def _figures(
                 elif event["event"] == "ended":
                     ended.update(event)
 
-        reader = threading.Thread(target=_read)
+        reader = threading.Thread(target=read)
         reader.start()
         begun_s = time.monotonic()
         for count in range(round(seconds * POSITIONS_HZ)):

@@ -130,12 +130,12 @@ def moving_drive(
 def smiling_face(radius_mm: float) -> Strokes:
     """An emoji: a circle, two eyes and a mouth."""
 
-    def _arc(x: float, y: float, radius: float, start_deg: float, stop_deg: float) -> Float64Array:
+    def arc(x: float, y: float, radius: float, start_deg: float, stop_deg: float) -> Float64Array:
         angle = np.radians(np.linspace(start_deg, stop_deg, 97))
         return radius_mm * (np.array((x, y)) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
-    eyes = [_arc(side * 0.38, 0.32, 0.13, 90.0, 450.0) for side in (-1.0, 1.0)]
-    return Strokes([_arc(0.0, 0.0, 1.0, 90.0, 450.0), *eyes, _arc(0.0, 0.0, 0.6, 205.0, 335.0)])
+    eyes = [arc(side * 0.38, 0.32, 0.13, 90.0, 450.0) for side in (-1.0, 1.0)]
+    return Strokes([arc(0.0, 0.0, 1.0, 90.0, 450.0), *eyes, arc(0.0, 0.0, 0.6, 205.0, 335.0)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -282,17 +282,17 @@ def _without_a_rim(repeats: int, positions: int) -> list[Entry]:
     hertz = BANK_STEP_HZ * np.arange(BANK_BINS)
     colour = np.ones(BANK_BINS, dtype=np.complex128)
 
-    def _table(single: bool) -> NDArray[Any]:
+    def table(single: bool) -> NDArray[Any]:
         return PlateTable(SOFT_PLATE, BANK_STEP_HZ, BANK_BINS, colour, single=single).evaluate(radius_mm)
 
-    def _directly() -> NDArray[np.complex128]:
+    def directly() -> NDArray[np.complex128]:
         return SOFT_PLATE.velocity(hertz, radius_mm[:, None])
 
-    timing = measure({"direct": _directly}, 1)["direct"]
+    timing = measure({"direct": directly}, 1)["direct"]
     work = f"gel without a rim, {positions} positions x 20 actuators x {BANK_BINS} frequencies"
     actions: Actions = {
-        ("table over distance, complex64", None): partial(_table, True),
-        ("table over distance, complex128", None): partial(_table, False),
+        ("table over distance, complex64", None): partial(table, True),
+        ("table over distance, complex128", None): partial(table, False),
     }
     return [
         Entry(work=work, method="Hankel functions, the truth", timing=timing),
@@ -309,15 +309,15 @@ def _with_a_rim(repeats: int, *, quick: bool) -> list[Entry]:
     inner = inner[outline.contains(inner, 10.0)]
     actuator_mm, place_mm = inner[:5], inner[5:205]
 
-    def _solved(size_mm: float) -> Float64Array:
+    def solved(size_mm: float) -> Float64Array:
         elements = Elements(triangulate(outline, size_mm))
         found = elements.solve(SOFT_PLATE, 0.0, HERTZ, elements.forces(actuator_mm))
         return np.stack([elements.values_at(place_mm, part) for part in (found.real, found.imag)])
 
-    timing = measure({"finest": partial(_solved, FINEST_MM)}, 1)["finest"]
+    timing = measure({"finest": partial(solved, FINEST_MM)}, 1)["finest"]
     sizes = ELEMENTS_MM[1::2] if quick else ELEMENTS_MM
     work = f"gel with a rim, one frequency ({HERTZ:g} Hz)"
-    actions: Actions = {("elements of fourth order", size): partial(_solved, size) for size in sizes}
+    actions: Actions = {("elements of fourth order", size): partial(solved, size) for size in sizes}
     return [
         Entry(work=work, method="the truth", parameters={"size_mm": FINEST_MM}, timing=timing),
         *_points(work, actions, timing.result, "size_mm", min(repeats, 3)),
@@ -329,17 +329,17 @@ def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Entry]:
     coarse_mm = max(grids_mm)
     run_s = PERIODS / float(GLASS.mode_hz(*GLASS_MODE))
 
-    def _stepped(make: Callable[[float], TimeStepper], spacing_mm: float) -> Float64Array:
+    def stepped(make: Callable[[float], TimeStepper], spacing_mm: float) -> Float64Array:
         plate = make(spacing_mm / 1e3)
         steps = round(run_s / plate.step_s)
         last = plate.released(GLASS.shape(*GLASS_MODE, plate.points_m), steps)[-1]
         on_coarse = np.all(np.abs(np.remainder(plate.points_m * 1e3 / coarse_mm + 0.5, 1.0) - 0.5) < 1e-6, axis=1)
         return np.asarray(last[on_coarse])
 
-    def _leapfrog(spacing_m: float) -> TimeStepper:
+    def leapfrog(spacing_m: float) -> TimeStepper:
         return TimeStepper(GLASS, spacing_m, run_s / np.ceil(run_s / explicit_limit_s(GLASS, spacing_m)), beta=0.0)
 
-    def _newmark(step_s: float, spacing_m: float) -> TimeStepper:
+    def newmark(step_s: float, spacing_m: float) -> TimeStepper:
         return TimeStepper(GLASS, spacing_m, run_s / np.ceil(run_s / step_s), beta=0.25)
 
     x, y = (
@@ -348,9 +348,9 @@ def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Entry]:
     at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     truth = GLASS.shape(*GLASS_MODE, at) * np.cos(2 * np.pi * PERIODS)
     actions: Actions = {
-        **{("leapfrog at its limit", size): partial(_stepped, _leapfrog, size) for size in grids_mm},
+        **{("leapfrog at its limit", size): partial(stepped, leapfrog, size) for size in grids_mm},
         **{
-            (f"Newmark, steps of {1e3 * step_s:g} ms", size): partial(_stepped, partial(_newmark, step_s), size)
+            (f"Newmark, steps of {1e3 * step_s:g} ms", size): partial(stepped, partial(newmark, step_s), size)
             for step_s in (1e-4, 2e-5)
             for size in grids_mm
         },
@@ -367,19 +367,19 @@ def _driven_glass(repeats: int) -> list[Entry]:
     push_n_s = np.zeros((2, DRIVEN_STEPS))
     push_n_s[:, :280] = fftconvolve(rng.standard_normal((2, 200)), get_window("hann", 81)[None], axes=1)
 
-    def _closed_form(highest_hz: float) -> Float64Array:
+    def closed_form(highest_hz: float) -> Float64Array:
         green = GLASS.impulse_velocity(
             points_m, sources_m, DRIVEN_STEPS, 1 / STEP_S, quality=HIGH_QUALITY, band_hz=(0.0, highest_hz)
         )
         return np.asarray(fftconvolve(green, push_n_s[None], axes=2)[..., :DRIVEN_STEPS].sum(axis=1))
 
-    def _exponentials(highest_hz: float) -> Float64Array:
+    def exponentials(highest_hz: float) -> Float64Array:
         plate = ExactPlate(GLASS, points_m, sources_m, STEP_S, quality=HIGH_QUALITY, band_hz=(0.0, highest_hz))
         return plate.driven(push_n_s)
 
-    timing = measure({"closed form": partial(_closed_form, MODES_HZ[-1])}, 1)["closed form"]
+    timing = measure({"closed form": partial(closed_form, MODES_HZ[-1])}, 1)["closed form"]
     work = f"glass of Q = {HIGH_QUALITY:g}, driven, {DRIVEN_STEPS * STEP_S:g} s"
-    actions: Actions = {("modal exponentials", hertz): partial(_exponentials, hertz) for hertz in MODES_HZ}
+    actions: Actions = {("modal exponentials", hertz): partial(exponentials, hertz) for hertz in MODES_HZ}
     points = _points(work, actions, timing.result, "modes_to_hz", min(repeats, 3))
     exact = replace(points[-1], marks=(Mark("error", 1e-10, at_most=True),))
     return [Entry(work=work, method="closed form, the truth", timing=timing), *points[:-1], exact]
@@ -388,10 +388,10 @@ def _driven_glass(repeats: int) -> list[Entry]:
 def _banks(repeats: int, positions: int | None) -> list[Entry]:
     """Green's functions of whole banks on every plate, and the stadium's modes."""
 
-    def _modes() -> None:
+    def modes() -> None:
         VirtualRig(RIGS["stadium"]).truth(0.0, 0.0, TAPS)
 
-    def _bank(name: str) -> None:
+    def bank(name: str) -> None:
         rig = VirtualRig(RIGS[name])
         true_bank(rig, default_grid(rig)[:positions], None)
 
@@ -399,8 +399,8 @@ def _banks(repeats: int, positions: int | None) -> list[Entry]:
         kept = os.environ.get("WAVEFOCUS_CACHE")
         os.environ["WAVEFOCUS_CACHE"] = folder
         try:
-            first, again = (measure({"": _modes}, count)[""] for count in (1, repeats))
-            found = measure({name: partial(_bank, name) for name in RIGS}, repeats, slow_s=60.0)
+            first, again = (measure({"": modes}, count)[""] for count in (1, repeats))
+            found = measure({name: partial(bank, name) for name in RIGS}, repeats, slow_s=60.0)
         finally:
             if kept is None:
                 del os.environ["WAVEFOCUS_CACHE"]

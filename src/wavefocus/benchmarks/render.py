@@ -374,25 +374,25 @@ def _precision_points(*, quick: bool) -> list[Entry]:
     path = Circle((0.0, 0.0), 25.0, seconds * SPEED_MM_S / (2.0 * np.pi * 25.0))
     samples = round(seconds * RATE_HZ)
 
-    def _load(step_mm: float) -> _RenderWorkload:
+    def load(step_mm: float) -> _RenderWorkload:
         return _RenderWorkload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
 
-    def _ours(method: Literal["exact", "sampled"], step_mm: float, db: float | None = None) -> Callable[[], Any]:
-        scene = Scene("precision", (_load(step_mm).source,), output=Output(interpolation="bilinear"))
+    def ours(method: Literal["exact", "sampled"], step_mm: float, db: float | None = None) -> Callable[[], Any]:
+        scene = Scene("precision", (load(step_mm).source,), output=Output(interpolation="bilinear"))
         return partial(render_with_report, scene, bank, method=method, tolerance_db=db)
 
-    def _merged(workload: _RenderWorkload) -> NDArray[np.float64]:
+    def merged(workload: _RenderWorkload) -> NDArray[np.float64]:
         return _render_merged(bank, _sampled_runs(workload), len(workload.segments()[2]))
 
     work = f"one moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s"
     actions: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
-        (SUMMED, {}, lambda: _sum_directly(_load(0.1), samples)),
-        ("exact, all bins", {}, _ours("exact", 0.1)),
-        *(("exact, left out by a proved bound", {"tolerance_db": db}, _ours("exact", 0.1, db)) for db in TOLERANCES_DB),
-        *((SAMPLED, {"step_mm": step}, _ours("sampled", step)) for step in STEPS_MM),
-        *((SAMPLED_LOOSE, {"step_mm": step}, _ours("sampled", step, -60.0)) for step in STEPS_MM),
-        (PEER_BILINEAR, {}, lambda: _render_merged(bank, _bilinear_runs(_load(0.1), samples), samples)),
-        *((PEER_NEAREST, {"step_mm": step}, partial(_merged, _load(step))) for step in STEPS_MM),
+        (SUMMED, {}, lambda: _sum_directly(load(0.1), samples)),
+        ("exact, all bins", {}, ours("exact", 0.1)),
+        *(("exact, left out by a proved bound", {"tolerance_db": db}, ours("exact", 0.1, db)) for db in TOLERANCES_DB),
+        *((SAMPLED, {"step_mm": step}, ours("sampled", step)) for step in STEPS_MM),
+        *((SAMPLED_LOOSE, {"step_mm": step}, ours("sampled", step, -60.0)) for step in STEPS_MM),
+        (PEER_BILINEAR, {}, lambda: _render_merged(bank, _bilinear_runs(load(0.1), samples), samples)),
+        *((PEER_NEAREST, {"step_mm": step}, partial(merged, load(step))) for step in STEPS_MM),
     ]
     named = {str(number): action for number, (_, _, action) in enumerate(actions)}
     found = measure(named, repeats, once=("0",), memory=True)

@@ -142,7 +142,7 @@ def _positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple
     starts: dict[int, float] = {}
     disturbed: set[int] = set()
 
-    def _note(event: Event) -> None:
+    def note(event: Event) -> None:
         match event:
             case PositionStarted(position=position):
                 starts[position] = time.monotonic()
@@ -150,7 +150,7 @@ def _positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple
                 disturbed.add(position)
 
     with tempfile.TemporaryDirectory() as folder:
-        measure_bank(Path(folder) / "bank.h5", plan, setup, _note)
+        measure_bank(Path(folder) / "bank.h5", plan, setup, note)
     # The last position has no next; one with a repeated record says nothing of the overhead.
     quiet = [row for row in range(positions - 1) if row not in disturbed and row + 1 in starts]
     return np.array([starts[row + 1] - starts[row] for row in quiet]), len(disturbed)

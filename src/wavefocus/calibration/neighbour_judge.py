@@ -224,7 +224,7 @@ class NeighbourDifference:
 
 
 @dataclass(frozen=True, slots=True)
-class _NeighbourResult:
+class NeighbourResult:
     """All that differs in a bank.
 
     differences: By position.
@@ -277,7 +277,7 @@ def judge_rows(
     usable: BoolArray,
     modelled: BoolArray | None = None,
     waves: Callable[[], WavesFound | None] | None = None,
-) -> _NeighbourResult:
+) -> NeighbourResult:
     """Judge the rows of a bank by all others.
 
     position_mm, float64 (positions, 2): Grid in millimetres.
@@ -310,7 +310,7 @@ def judge_rows(
 _Measured = tuple[Float64Array, Float64Array, Complex128Array, Float64Array]
 
 
-def _by_waves(measured: _Measured, rows: BoolArray, found: WavesFound | None) -> _NeighbourResult | None:
+def _by_waves(measured: _Measured, rows: BoolArray, found: WavesFound | None) -> NeighbourResult | None:
     """Judge by waves; None where none fit."""
     with suppress(np.linalg.LinAlgError):
         if found is not None:
@@ -372,7 +372,7 @@ class _Judge:
         worst_row = np.where(rows, np.nan_to_num(times), 0.0).max(axis=1, initial=0.0)
         return np.maximum(np.where(whole, middle_times, 0.0), worst_row), whole, rows
 
-    def find(self) -> _NeighbourResult:
+    def find(self) -> NeighbourResult:
         """Leave out the worst of each neighbourhood until none may be wrong, then take back what agrees without it."""
         for _ in range(ROUNDS if self._positions.size else 0):
             score = np.where(self._out, 0.0, self._scores(strict=False)[0])
@@ -382,7 +382,7 @@ class _Judge:
                 break
             self._out[worst] = True
             if self._out.sum() > MOST * self._positions.size:
-                return _NeighbourResult((), np.zeros_like(self.judged), self.by_waves)
+                return NeighbourResult((), np.zeros_like(self.judged), self.by_waves)
             self._predict()
         for _ in range(2 if self._out.any() else 0):
             if isinstance(self._rows, _RowsPredicted):
@@ -392,11 +392,11 @@ class _Judge:
             self._out &= unjudged | (self._scores(strict=True)[0] > 0)
             self._predict()
         if not self._out.any():
-            return _NeighbourResult((), self.judged, self.by_waves)
+            return NeighbourResult((), self.judged, self.by_waves)
         score, whole, rows = self._scores(strict=True)
         wrong = np.flatnonzero(self._out & (score > 0)).tolist()
         found = [one for row in wrong for one in self._named(row, rows[row], whole=bool(whole[row]))]
-        return _NeighbourResult(tuple(found), self.judged, self.by_waves)
+        return NeighbourResult(tuple(found), self.judged, self.by_waves)
 
     def _named(self, position: int, rows: BoolArray, *, whole: bool) -> list[NeighbourDifference]:
         values, predicted = self._values[position], self._values[position] - self.errors[position]

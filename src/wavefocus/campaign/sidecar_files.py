@@ -265,7 +265,7 @@ class VerifyLog:
         told_s, pace = time.monotonic(), Pace(0, total)
         self._write(VerifyStep(_now(), name, 0, total))
 
-        def _report(done: int, total: int) -> None:
+        def report(done: int, total: int) -> None:
             nonlocal told_s
             rate, now_s = pace.per_s(done, total), time.monotonic()
             # Followers look twenty times a second; more lines would only fill the disk.
@@ -274,7 +274,7 @@ class VerifyLog:
             told_s = now_s
             self._write(VerifyStep(_now(), name, done, total, round((total - done) / rate, 1) if rate > 0 else None))
 
-        return _report
+        return report
 
     def done(self, code: int, reason: str) -> None:
         """Say how it ended."""

@@ -256,7 +256,7 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
     if lines is None:
         return TerminalOperator(sys.stdin.readline, _forget_typed)
 
-    def _place_mm(x_mrad: float, y_mrad: float) -> tuple[float, float] | None:
+    def place_mm(x_mrad: float, y_mrad: float) -> tuple[float, float] | None:
         try:
             x_mm, y_mm = setup.mirror_map.surface_mm(x_mrad, y_mrad)
         except InputError:  # a beam that never meets the surface
@@ -265,7 +265,7 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
 
     answers = LinesIn()
     answers.start()
-    return _LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, _place_mm)
+    return _LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, place_mm)
 
 
 def _kept(out: Path | None, record: CalibrationRecord, folder: Path) -> Path:

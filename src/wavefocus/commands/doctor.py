@@ -64,7 +64,7 @@ def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
             openers = dataclasses.replace(openers, **noted)
         resettable = {one.role for one in rig.usb}
 
-        def _publish(finding: Finding) -> None:
+        def publish(finding: Finding) -> None:
             if finding.verdict == "fail" and finding.act is None and finding.instrument in resettable:
                 finding = replace(finding, act=Act("reset-usb", finding.instrument))
             findings.append(finding)
@@ -74,18 +74,18 @@ def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
         with ending_at_once():
-            identities = examine(rig, openers, _publish, play=options.play)
+            identities = examine(rig, openers, publish, play=options.play)
             for finding in shutter_findings(rig):
-                _publish(finding)
-        _check_surroundings(rig, folder, identities, _publish)
+                publish(finding)
+        _check_surroundings(rig, folder, identities, publish)
         for finding in message_findings(rig, rig_file.name, send=options.test_message):
-            _publish(finding)
+            publish(finding)
         for finding in alive_findings(rig.messages) if options.test_message else ():
-            _publish(finding)
-        _publish(awake_finding())
+            publish(finding)
+        publish(awake_finding())
         if exchanges is not None:
             what = f"{record} is incomplete: {exchanges.failure}"
-            _publish(
+            publish(
                 Finding("record", "file", "fail", what, "name a file elsewhere")
                 if exchanges.failure
                 else Finding("record", "file", "ok", f"every exchange is in {record}")

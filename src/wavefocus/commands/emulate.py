@@ -118,11 +118,11 @@ def _carry_out(emulated: EmulatedRig, stop: StopRequest) -> None:
     """Do what is typed, until quit or a signal; a closed keyboard is no reason to end."""
     typed: queue.SimpleQueue[str] = queue.SimpleQueue()
 
-    def _read() -> None:
+    def read() -> None:
         for line in sys.stdin:
             typed.put(line)
 
-    threading.Thread(target=_read, name="keyboard", daemon=True).start()
+    threading.Thread(target=read, name="keyboard", daemon=True).start()
     while not stop.requested:
         try:
             line = typed.get(timeout=0.1)

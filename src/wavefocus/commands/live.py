@@ -63,7 +63,7 @@ def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver:
     messages(ready if receiver is None else replace(ready, osc=receiver.address))
     folder = Path()
 
-    def _receive(content: Mapping[str, object] | InputError, arrived_s: float) -> None:
+    def receive(content: Mapping[str, object] | InputError, arrived_s: float) -> None:
         try:
             if isinstance(content, InputError):
                 raise content
@@ -71,20 +71,20 @@ def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver:
         except InputError as wrong:
             messages(Refused(str(wrong)))
 
-    def _read() -> None:
+    def read() -> None:
         count, last_s = 0, 0.0
         try:
             for content, arrived_s in input_objects():
-                _receive(content, arrived_s)
+                receive(content, arrived_s)
                 count, last_s = count + 1 if arrived_s == last_s else 1, arrived_s
                 if count % MAX_AT_ONCE == 0:
                     time.sleep(FLOOD_PAUSE_S)
         finally:
             session.stop()  # its starter is gone, or wants it to end
 
-    threading.Thread(target=_read, name="orders", daemon=True).start()
+    threading.Thread(target=read, name="orders", daemon=True).start()
     if receiver is not None:
-        receiver.start(_receive)
+        receiver.start(receive)
 
 
 def _raise_all() -> None:

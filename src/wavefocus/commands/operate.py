@@ -63,20 +63,20 @@ def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publ
     muting = CallThread("muting")
     orders = LinesIn()
 
-    def _is_mute(content: Mapping[str, object]) -> bool:
+    def is_mute(content: Mapping[str, object]) -> bool:
         return content.get("order") == "mute"
 
-    def _mute() -> None:
+    def mute() -> None:
         with suppress(HungError, InstrumentError):  # reported by the next mute: the order itself, or the way out
             muting.call(player.shut, 5.0)
 
-    def _overtake(content: Mapping[str, object]) -> None:
+    def overtake(content: Mapping[str, object]) -> None:
         """What shall be silent is so at once, whatever is under way; orders that wait are no longer wanted."""
-        if _is_mute(content):
-            orders.discard(_is_mute)
-            _mute()
+        if is_mute(content):
+            orders.discard(is_mute)
+            mute()
 
-    orders.start(_overtake, on_error=_mute)
+    orders.start(overtake, on_error=mute)
     while True:
         operation.look()
         due_s = operation.due_s()
@@ -94,7 +94,7 @@ def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publ
             order = order_of(content, rig)
         except InputError as wrong:
             publish(Refused(str(wrong)))
-            if _is_mute(content):  # silence is wanted all the same, and the gate was shut for it
+            if is_mute(content):  # silence is wanted all the same, and the gate was shut for it
                 operation.carry_out(Mute())
             publish(done)
             continue

@@ -124,7 +124,7 @@ def _write_wav(bank: Bank, rig: RigConfig | None, shape: tuple[int, int], drive_
         each = full_scale_v / interface_of(rig).full_scale_v
     with drive_pieces(drive_file) as pieces, progress("write WAV", shape[1]) as report:
 
-        def _shown() -> Iterator[Float64Array]:
+        def shown() -> Iterator[Float64Array]:
             done = 0
             for piece in pieces:
                 yield piece * each[:, np.newaxis]
@@ -132,6 +132,6 @@ def _write_wav(bank: Bank, rig: RigConfig | None, shape: tuple[int, int], drive_
                 report(done, shape[1])
 
         stream_wav(
-            wav, _shown(), shape, float(bank.sample_rate_hz), interface_rate_hz=rate_hz, full_scale_v=full_scale_v
+            wav, shown(), shape, float(bank.sample_rate_hz), interface_rate_hz=rate_hz, full_scale_v=full_scale_v
         )
     say(f"{wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")

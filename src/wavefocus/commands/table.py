@@ -52,10 +52,10 @@ def found(where: str) -> Any:
 
 
 def _order(word: Any) -> Callable[..., int]:
-    def _order(bank: Path, *, as_json: bool) -> int:
+    def order(bank: Path, *, as_json: bool) -> int:
         return int(found("status:order")(bank, word, as_json=as_json))
 
-    return _order
+    return order
 
 
 VARIANTS: Mapping[str, tuple[str, dict[str, Any]]] = {

@@ -89,7 +89,7 @@ def _carried_out(
     outputs = 0 if masking is None else masking.output + 1
     complete, session = False, None
 
-    def _sound(name: str) -> Sound:
+    def sound(name: str) -> Sound:
         """A stimulus as it is presented. Raises InputError: its drive file is missing or damaged."""
         drive = prepared.drive(name)
         return Sound(drive.drive_v, max(0, round(-drive.start_s * drive.sample_rate_hz)), design.stimuli[name].plays)
@@ -97,7 +97,7 @@ def _carried_out(
     try:
         with ending_at_once(), open_setup(rig, run, realtime=not fast, outputs=outputs) as setup:
             pause_s = design.config.trials.pause_s
-            line.presenter = RigPresenter(setup, _sound, float(bank.sample_rate_hz), pause_s, masking)
+            line.presenter = RigPresenter(setup, sound, float(bank.sample_rate_hz), pause_s, masking)
             session = TrialsSession(experiment, participant, answers, line, line, line.publish, hurried=fast)
             complete = session.run()
     except KeyboardInterrupt:
@@ -204,13 +204,13 @@ def _prepared(
     limits = stricter(design.config.output, rig.player)
     with progress("prepare", len(design.stimuli)) as report:
 
-        def _show(done: int, total: int) -> None:
+        def show(done: int, total: int) -> None:
             report(done, total)
             if line is not None:
                 line.publish(Preparing(done, total))
 
         interface = interface_of(rig)
-        prepared = prepare(design, bank, out, limits=limits, interface=interface, on_progress=_show, anew=anew)
+        prepared = prepare(design, bank, out, limits=limits, interface=interface, on_progress=show, anew=anew)
     for warning in prepared.warnings:
         say(f"warning: {warning}")
     return prepared

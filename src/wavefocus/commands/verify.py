@@ -311,11 +311,11 @@ class _Work:
     def _publisher(self, report: Report) -> Subscriber:
         view = CampaignView(report)
 
-        def _publish(event: Event) -> None:
+        def publish(event: Event) -> None:
             view(event)
             self.log(event)
 
-        return _publish
+        return publish
 
     @contextmanager
     def _step(self, name: str, total: int) -> Iterator[Report]:
@@ -323,11 +323,11 @@ class _Work:
         logged = self.log.step(name, total)
         with progress(name, total) as people:
 
-            def _report(done: int, total: int, note: str = "") -> None:
+            def report(done: int, total: int, note: str = "") -> None:
                 people(done, total, note)
                 logged(done, total)
 
-            yield _report
+            yield report
 
 
 def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str, object]:

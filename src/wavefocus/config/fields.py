@@ -114,12 +114,12 @@ def like(pattern: str, allowed: str) -> AfterValidator:
     """
     form = re.compile(pattern)
 
-    def _check(text: str) -> str:
+    def check(text: str) -> str:
         if not form.fullmatch(text):
             raise mistake("", text, allowed)
         return text
 
-    return AfterValidator(_check)
+    return AfterValidator(check)
 
 
 UNITS = {
@@ -211,14 +211,14 @@ def choices_of(field: FieldInfo) -> list[str]:
     """The texts that a key may hold, as TOML; none where it may hold any."""
     found: list[str] = []
 
-    def _walk(annotation: Any) -> None:
+    def walk(annotation: Any) -> None:
         if get_origin(annotation) is Literal:
             found.extend(json.dumps(choice) for choice in get_args(annotation))
         elif get_origin(annotation) is not tuple:
             for part in get_args(annotation):
-                _walk(part)
+                walk(part)
 
-    _walk(field.annotation)
+    walk(field.annotation)
     return found
 
 
@@ -227,19 +227,19 @@ def _allowed(field: FieldInfo) -> tuple[str, str]:
     bounds: dict[str, float] = {}
     choices = choices_of(field)
 
-    def _gather(metadata: Any) -> None:
+    def gather(metadata: Any) -> None:
         for part in metadata:
             bounds.update({name: getattr(part, name) for name in _BOUNDS if getattr(part, name, None) is not None})
-            _gather(getattr(part, "metadata", ()))
+            gather(getattr(part, "metadata", ()))
 
-    def _walk(annotation: Any) -> None:
+    def walk(annotation: Any) -> None:
         if get_origin(annotation) not in (Literal, tuple):
-            _gather(getattr(annotation, "__metadata__", ()))
+            gather(getattr(annotation, "__metadata__", ()))
             for part in get_args(annotation):
-                _walk(part)
+                walk(part)
 
-    _walk(field.annotation)
-    _gather(field.metadata)
+    walk(field.annotation)
+    gather(field.metadata)
     listed = " or ".join(", ".join(choices).rsplit(", ", 1)) if len(choices) > 1 else ""
     if "ge" in bounds and "le" in bounds and "gt" not in bounds:
         return listed, f"{_number(bounds['ge'])} to {_number(bounds['le'])}"

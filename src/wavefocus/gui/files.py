@@ -110,12 +110,12 @@ def choose_place(
     dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
     dialog.setNameFilters(list(endings))
 
-    def _name(kind: str) -> None:
+    def name(kind: str) -> None:
         dialog.setDefaultSuffix(endings[kind])
         dialog.selectFile(suggested.with_suffix(endings[kind]).name)
 
-    _name(next(iter(endings)))
-    dialog.filterSelected.connect(_name)
+    name(next(iter(endings)))
+    dialog.filterSelected.connect(name)
     dialog.fileSelected.connect(lambda name: chosen(Path(name)))
     dialog.show()
 

@@ -211,9 +211,9 @@ class _ResponsePlot(Plot):
         self.getPlotItem().setClipToView(True)
         self.curves = [self.line(NO_VALUES, NO_VALUES, self.theme.trace(colour), width) for colour, width in looks]
         self.now = self.getPlotItem().addLine(x=0.0, pen=pyqtgraph.mkPen(self.theme.fault, width=1.2))
-        self._clear()
+        self.clear_response()
 
-    def _clear(self) -> None:
+    def clear_response(self) -> None:
         for curve in self.curves:
             curve.setData(NO_VALUES, NO_VALUES)
         self.now.hide()
@@ -264,7 +264,7 @@ class FilmPlayer(Themed, QWidget):
             for one in self.maps:
                 one.show_values(np.full(0 if one.surface is None else one.surface.positions, np.nan))
                 one.show_sources(NOWHERE_MM)
-            self.response._clear()
+            self.response.clear_response()
             return
         for one, (title, end) in zip(self.maps, film.scales, strict=True):
             one.show_surface(film.surface)
@@ -286,7 +286,7 @@ class FilmPlayer(Themed, QWidget):
             one.mark(place)
         film = self.film
         if film is None or not 0 <= place < film.surface.positions:
-            self.response._clear()
+            self.response.clear_response()
             return
         title, lines = film.response(place)
         time_s = film.start_s + np.arange(film.samples) / film.sample_rate_hz

@@ -145,11 +145,11 @@ class OwnCommand(QObject):
         if received is not None:
             process.received.connect(received)
 
-        def _over() -> None:
+        def over() -> None:
             self.own = None
             ended(process)
 
-        process.finished.connect(_over)
+        process.finished.connect(over)
 
     def interrupt(self) -> None:
         """Ask it to stop, as Ctrl-C does."""

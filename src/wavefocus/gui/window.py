@@ -211,7 +211,7 @@ class Window(QMainWindow):
     def _make_lab(self, folder: Path, rig: str) -> None:
         """Write the files of a lab, as ``wavefocus init`` does, and open them."""
 
-        def _written(process: CommandProcess) -> None:
+        def written(process: CommandProcess) -> None:
             if process.failure:
                 self.context.report_end(process)
                 return
@@ -224,7 +224,7 @@ class Window(QMainWindow):
             self.messages.note(f"the lab is in {folder}; {nexts}")
 
         process = CommandProcess(["init", str(folder), "--rig", rig], self)
-        process.finished.connect(lambda: _written(process))
+        process.finished.connect(lambda: written(process))
 
     def _open_named(self, names: Sequence[str]) -> None:
         for name in names:

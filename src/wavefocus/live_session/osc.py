@@ -171,12 +171,12 @@ class OscInput:
         """
         messages = OscMessages()
 
-        def _listen() -> None:
+        def listen() -> None:
             for datagrams, arrived_s in self._datagrams():
                 for order in messages.read(*datagrams):
                     receive(order, arrived_s)
 
-        self._thread = threading.Thread(target=_listen, name="OSC", daemon=True)
+        self._thread = threading.Thread(target=listen, name="OSC", daemon=True)
         self._thread.start()
 
     def close(self) -> None:

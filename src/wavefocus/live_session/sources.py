@@ -82,7 +82,7 @@ def open_session(
 
         interface = interface_of(rig)
 
-        def _engine_and_limiter(interpolation: str) -> tuple[LiveEngine, LiveLimiter]:
+        def engine_and_limiter(interpolation: str) -> tuple[LiveEngine, LiveLimiter]:
             engine = LiveEngine(
                 view,
                 block_samples=max(1, round(options.block_ms * rate_hz / 1e3)),
@@ -98,8 +98,8 @@ def open_session(
         with naming(options.scene_file or bank, view), spinner("modelling what lies between the bank's positions"):
             # Finer rows take seconds, and warm nothing up.
             warm = "nearest" if output.interpolation in ("kernel", "waves", "auto") else output.interpolation
-            _warm_up(*_engine_and_limiter(warm), view)
-            engine, limiter = _engine_and_limiter(output.interpolation)
+            _warm_up(*engine_and_limiter(warm), view)
+            engine, limiter = engine_and_limiter(output.interpolation)
         with progress("reading the bank", 1):
             engine.preload()
         recording = None

@@ -128,7 +128,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     parameters = signature(function)
 
     @wraps(function)
-    def _call(*args: P.args, **kwargs: P.kwargs) -> R:
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
         types = _types_of(function)
         for name, value in parameters.bind(*args, **kwargs).arguments.items():
             if name != "self":
@@ -137,7 +137,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
                     raise InputError(f"{name} is {value}; a finite number is needed")
         return function(*args, **kwargs)
 
-    return _call
+    return call
 
 
 def check_fields(made: Any) -> None:

@@ -361,11 +361,11 @@ def require_sound_texts(file: h5py.File) -> None:
     """Refuse damage to a file's texts before HDF5 meets it; searches all but the datasets' values."""
     values: list[tuple[int, int]] = []
 
-    def _note(_: str, found: object) -> None:
+    def note(_: str, found: object) -> None:
         if isinstance(found, h5py.Dataset):
             values.extend(_stored_pieces(found))
 
-    file.visititems(_note)
+    file.visititems(note)
     end, path = 0, path_of(file)
     size = path.stat().st_size
     with path.open("rb") as raw:

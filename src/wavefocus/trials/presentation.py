@@ -139,14 +139,14 @@ class RigPresenter:
         self._note = note
         sound, attempts = self._sound_of(stimulus), 0
 
-        def _once() -> Onset:
+        def once() -> Onset:
             nonlocal attempts
             attempts += 1
             return self._once(sound, RecordLabel(trial, attempts, 0, "presentation"))
 
         for void in range(1, MAX_VOID + 1):
             try:
-                onset = self._recovery.retry_after_reconnect(_once)
+                onset = self._recovery.retry_after_reconnect(once)
                 return Onset(onset.at_s, onset.error_ms, onset.within_ms, attempts)
             except TransientInstrumentError as failure:
                 if void == MAX_VOID:

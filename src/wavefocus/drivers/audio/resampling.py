@@ -89,7 +89,7 @@ _FADED = 0.01
 """A signal that begins or ends above this part of its peak has no fade there."""
 
 
-class _BeyondFullScaleError(Exception):
+class BeyondFullScaleError(Exception):
     """Between its samples a signal is larger than the interface can put out.
 
     reaches: Its largest magnitude, as a part of full scale.
@@ -153,7 +153,7 @@ class PlayFrames:
         if key not in self._converted:
             try:
                 self._converted[key] = converted_frames(volts / full_scale_v, ratio)
-            except _BeyondFullScaleError as beyond:
+            except BeyondFullScaleError as beyond:
                 raise self._refusal(
                     doing,
                     f"between its samples the signal of channel {channel} reaches {beyond.reaches * full_scale_v:.4g}"
@@ -174,7 +174,7 @@ class PlayFrames:
 def converted_frames(parts: Float64Array, ratio: Fraction) -> tuple[Float32Array, int]:
     """Parts of full scale at the interface's rate, silence at either end left out, and the frame at which they begin.
 
-    Frame 0 is sample 0 of what was given; what the conversion adds before it is negative. Raises _BeyondFullScaleError.
+    Frame 0 is sample 0 of what was given; what the conversion adds before it is negative. Raises BeyondFullScaleError.
     """
     frames, lead = converted(parts, ratio), lead_samples(ratio)
     beyond = np.abs(frames) > 1
@@ -187,7 +187,7 @@ def converted_frames(parts: Float64Array, ratio: Fraction) -> tuple[Float32Array
         if abs(parts[-1]) > audible:
             beyond[max(0, frames.size - 2 * lead) :] = False
         if beyond.any():
-            raise _BeyondFullScaleError(float(np.abs(frames[beyond]).max()))
+            raise BeyondFullScaleError(float(np.abs(frames[beyond]).max()))
         frames = np.clip(frames, -1, 1)
     sounding = np.flatnonzero(np.abs(frames) > HALF_STEP)
     # The given samples stay whole, so that a play lasts as long as its signal, silence in it or not.

@@ -60,14 +60,14 @@ class _CampaignRun(OwnCommand):
     def order(self, word: str, bank: Path | None, done: Callable[[], object] = lambda: None) -> None:
         """Send an order to the process that owns the bank; `done` is called when it was received."""
 
-        def _answered(process: CommandProcess) -> None:
+        def answered(process: CommandProcess) -> None:
             self._context.report_end(process, process.last_line, f"{word}: the answer is not waited for")
             if process.exit_code == 0:
                 done()
 
         if bank is not None:
             order = CommandProcess([word, str(bank), "--json"], self._context.owner, name=word)
-            order.finished.connect(lambda: _answered(order))
+            order.finished.connect(lambda: answered(order))
             self._context.messages.warn(f"{word}: waiting for the capture…", ("Stop waiting", order.kill))
 
     @property
@@ -290,13 +290,13 @@ class CampaignTab(Tab):
             self._claim(word, [command, str(bank), *options], bank, virtual=virtual)
 
     def _claim(self, word: str, arguments: list[str], bank: Path, *, virtual: bool) -> None:
-        def _start() -> None:
+        def start() -> None:
             if not self.run.running:
                 self.context.settings.opened(bank)  # other tabs find it there
                 self.follow(bank)
             self.run.start(arguments, bank, virtual=virtual)
 
-        self.context.claim_instruments(word, _start, virtual=virtual, but=self.run)
+        self.context.claim_instruments(word, start, virtual=virtual, but=self.run)
 
     def _report(self, why: str, details: str) -> None:
         """Say why the bank cannot be followed; empty where it can again."""

@@ -201,11 +201,11 @@ class TextFiles(QObject):
     def open(self, path: Path) -> None:
         """Open a file, and remember it as one of the last."""
 
-        def _show() -> None:
+        def show() -> None:
             if self.show(path):
                 self._context.settings.opened(path)
 
-        self._unless_unsaved(f"opening {path.name}", _show)
+        self._unless_unsaved(f"opening {path.name}", show)
 
     def save(self, then: Then | None = None) -> None:
         """Save to the file, or ask for one; calls `then` when it is saved."""

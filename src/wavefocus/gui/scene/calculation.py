@@ -173,21 +173,21 @@ def _begin_process(newest: Any) -> None:
     window = multiprocessing.parent_process()
     assert window is not None
 
-    def _end_with_window() -> None:
+    def end_with_window() -> None:
         window.join()
         os._exit(1)
 
-    threading.Thread(target=_end_with_window, daemon=True).start()
+    threading.Thread(target=end_with_window, daemon=True).start()
 
 
 def _checks(number: int) -> Callable[[int, int], None]:
     """A report of progress that raises _SupersededError once a newer scene is asked for."""
 
-    def _check(_done: int, _total: int) -> None:
+    def check(_done: int, _total: int) -> None:
         if any(newest.value != number for newest in _NEWEST):
             raise _SupersededError
 
-    return _check
+    return check
 
 
 def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) -> SceneResults:

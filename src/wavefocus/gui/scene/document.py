@@ -135,14 +135,14 @@ def scene_toml(scene: config.SceneConfig) -> str:
 def with_absolute_files(scene: config.SceneConfig, folder: Path) -> config.SceneConfig:
     """The scene with full names of the files that it names relative to a folder."""
 
-    def _named(table: FilesTable) -> FilesTable:
+    def named(table: FilesTable) -> FilesTable:
         if isinstance(table.path, config.SvgTable | config.TrajectoryTable):
             table = changed(table, path=changed(table.path, file=str(folder / table.path.file)))
         if isinstance(table, config.SourceTable) and isinstance(table.signal, config.FileTable):
             table = changed(table, signal=changed(table.signal, path=str(folder / table.signal.path)))
         return table
 
-    return changed(scene, source=tuple(map(_named, scene.source)), quiet=tuple(map(_named, scene.quiet)))
+    return changed(scene, source=tuple(map(named, scene.source)), quiet=tuple(map(named, scene.quiet)))
 
 
 def build_draft(draft: config.SceneConfig, place: Path) -> Scene:

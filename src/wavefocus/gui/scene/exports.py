@@ -109,7 +109,7 @@ class _SceneTask(OwnCommand):
         received: Receives the commands' JSON lines.
         """
 
-        def _over(process: CommandProcess) -> None:
+        def ended(process: CommandProcess) -> None:
             if process.exit_code == 0 and not process.cancelled and len(commands) > 1:
                 self._run_all(commands[1:], done, received)
                 return
@@ -121,7 +121,7 @@ class _SceneTask(OwnCommand):
         advice = "" if state == RENDERING else "check that the rig is silent"
         name = self._document.path.name if self._document.path else "the scene"
         shown_as = {self._in_folder("drive.h5"): "the scene", self._in_folder("scene.toml"): name}
-        self.run(command, _over, received, holds=self._holder, advice=advice, shown_as=shown_as)
+        self.run(command, ended, received, holds=self._holder, advice=advice, shown_as=shown_as)
         self._enter(state)
 
     def _end_process(self, *, sounds: bool) -> None:

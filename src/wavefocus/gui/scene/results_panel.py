@@ -115,7 +115,7 @@ class _FieldView(FilmPlayer):
         marks_s: Float64Array,
         sources_mm: Callable[[float], Float64Array],
     ) -> None:
-        def _response(place: int) -> tuple[str, list[Real]]:
+        def response(place: int) -> tuple[str, list[Real]]:
             x_mm, y_mm = surface.position_mm[place]
             return f"position {field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm", [field.field[place]]
 
@@ -124,7 +124,7 @@ class _FieldView(FilmPlayer):
         self.show_film(
             Film(
                 surface, field.start_s, field.sample_rate_hz, field.field.shape[1],
-                lambda sample: [field.field[:, sample]], sources_mm, marks, _response, field.response_unit,
+                lambda sample: [field.field[:, sample]], sources_mm, marks, response, field.response_unit,
                 [("response", float(max(field.field.max(), -field.field.min())))],
             )
         )  # fmt: skip

@@ -173,12 +173,12 @@ class SceneTab(Tab):
             self.context.messages.warn(f"{path.name}: choose the bank that it belongs to, then open it again")
             return
 
-        def _show(read: tuple[Field, PlotSurface]) -> None:
+        def show(read: tuple[Field, PlotSurface]) -> None:
             self.use_mode(DRAW)
             self.results.field.show_file(path, *read)
             self.results.pages.setCurrentWidget(self.results.field)
 
-        self.context.background.ask("field", partial(read_field_on, path, bank), _show, self.context.report_failure)
+        self.context.background.ask("field", partial(read_field_on, path, bank), show, self.context.report_failure)
 
     def _drawn(self, kind: str, path: PathTable) -> None:
         if kind == QUIET and isinstance(path, PointTable):

@@ -204,15 +204,15 @@ class MapsPanel(FilmPlayer):
         """Show another verification, at its first focus instant."""
         pair, record = results.pair, results.record
 
-        def _sources_mm(time_s: float) -> Float64Array:
+        def sources_mm(time_s: float) -> Float64Array:
             places = [source.at_mm(time_s) for source in record.sources]
             return np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
 
-        def _frames(sample: int) -> list[Frame]:
+        def frames(sample: int) -> list[Frame]:
             predicted, scanned = pair.at_sample(sample)
             return [predicted, scanned, np.where(record.compared, scanned - predicted, np.nan)]
 
-        def _response(place: int) -> tuple[str, list[Real]]:
+        def response(place: int) -> tuple[str, list[Real]]:
             (x_mm, y_mm), (predicted, scanned) = record.position_mm[place], pair.at_position(place)
             title = f"position {record.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
             return f"{title}: {_figures_text(record, place)}", [predicted, scanned, scanned - predicted]
@@ -224,10 +224,10 @@ class MapsPanel(FilmPlayer):
         ]
         self.show_film(
             Film(
-                results.surface, pair.start_s, pair.sample_rate_hz, pair.samples, _frames, _sources_mm,
-                results.focus_sample, _response, pair.response_unit, scales,
+                results.surface, pair.start_s, pair.sample_rate_hz, pair.samples, frames, sources_mm,
+                results.focus_sample, response, pair.response_unit, scales,
             )
         )  # fmt: skip
-        first_mm = _sources_mm(float(record.focus_s[0])) if len(results.focus_sample) else NOWHERE_MM
+        first_mm = sources_mm(float(record.focus_s[0])) if len(results.focus_sample) else NOWHERE_MM
         if self.maps[0].marked < 0 and len(first_mm):  # so that a response is seen at once
             self.show_position(results.surface.raster.nearest(*first_mm[0].tolist()))

@@ -93,14 +93,14 @@ class _VerificationRun(OwnCommand):
         if not self.running:
             return None
 
-        def _stop(close: Callable[[], object]) -> None:
+        def stop(close: Callable[[], object]) -> None:
             self._close = close
             self.cancel()
             if not self.running:
                 close()
 
         sentence = f"A verification plays and scans into {self.out.name}. Stop it when the window closes?"
-        return sentence, (("Continue in the background", lambda close: close()), ("Stop, mute and park", _stop))
+        return sentence, (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop))
 
     def _forget(self) -> None:
         self.step, self.message, self._reason = _NO_STEP, "", ""

@@ -51,11 +51,11 @@ class DriveLimits:
     def with_limits(self, other: DriveLimits) -> DriveLimits:
         """Return the smaller limits of both with their keys; of equal ones this one's."""
 
-        def _volts(limit: tuple[float | None, str]) -> float:
+        def volts(limit: tuple[float | None, str]) -> float:
             return math.inf if limit[0] is None else limit[0]
 
-        peak_v, peak_key = min((self.peak_v, self.peak_key), (other.peak_v, other.peak_key), key=_volts)
-        rms_v, rms_key = min((self.rms_v, self.rms_key), (other.rms_v, other.rms_key), key=_volts)
+        peak_v, peak_key = min((self.peak_v, self.peak_key), (other.peak_v, other.peak_key), key=volts)
+        rms_v, rms_key = min((self.rms_v, self.rms_key), (other.rms_v, other.rms_key), key=volts)
         return DriveLimits(peak_v, rms_v, peak_key, rms_key)
 
 

@@ -228,14 +228,14 @@ def _sounding(moments: Sequence[Moment]) -> list[Moment]:
     power = np.sum([np.abs(np.einsum("jjf->jf", moment.emitted)).sum(axis=0) for moment in moments], axis=0)
     used, narrowed = power > FAINT * power.max(initial=0.0), dict[int, Complex128Array]()
 
-    def _quiet(rows: Complex128Array) -> Complex128Array:
+    def quiet(rows: Complex128Array) -> Complex128Array:
         """The same array for the same rows, by which foci are found to share them."""
         return narrowed.setdefault(id(rows), rows[used])
 
     return [
         Moment(
-            [Focus(focus.row[used], _quiet(focus.quiet), focus.place, focus.sigma, focus.source) for focus in m.foci],
-            m.emitted[:, :, used], _quiet(m.quiet), m.place, m.applies,
+            [Focus(focus.row[used], quiet(focus.quiet), focus.place, focus.sigma, focus.source) for focus in m.foci],
+            m.emitted[:, :, used], quiet(m.quiet), m.place, m.applies,
         )
         for m in moments
     ]  # fmt: skip

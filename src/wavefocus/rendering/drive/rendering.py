@@ -107,10 +107,10 @@ class SceneRenderer:
         try:
             drive_v = np.empty(self.shape)
 
-            def _put(first: int, block: Float64Array) -> None:
+            def put(first: int, block: Float64Array) -> None:
                 drive_v[:, first : first + block.shape[1]] = block
 
-            report = self._prepared(on_progress, _put, lambda: drive_v)
+            report = self._prepared(on_progress, put, lambda: drive_v)
         except MemoryError as error:
             size = 8 * self.shape[0] * self.shape[1] / 2**30
             raise InputError(

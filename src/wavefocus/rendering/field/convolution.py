@@ -69,11 +69,11 @@ class BankSpectra:
                 " lower rate"
             ) from error
 
-        def _fill(first: int) -> None:
+        def fill(first: int) -> None:
             where = slice(first, first + ROWS_AT_ONCE)
             kept[:, where] = _transform_rows(self.reader, rows[where].tolist(), self.band, host_device())
 
-        for _ in threaded_map(_fill, range(0, len(rows), ROWS_AT_ONCE)):
+        for _ in threaded_map(fill, range(0, len(rows), ROWS_AT_ONCE)):
             pass
         self._made = kept
 

@@ -319,7 +319,7 @@ def runs_of(lives: Sequence[Life], nodes_at: Callable[[Float64Array], Nodes], fi
     at_mm = np.concatenate([course.at_mm for course in courses])
     begins, ends = np.array([(course.sample[0], course.sample[-1]) for course in courses]).T
 
-    def _places(life: Int64Array, sample: Int64Array) -> Float64Array:
+    def places(life: Int64Array, sample: Int64Array) -> Float64Array:
         time = np.minimum(np.maximum(sample, begins[life]), ends[life]) + (life * span - low)
         return np.stack([np.interp(time, knots, at_mm[:, 0]), np.interp(time, knots, at_mm[:, 1])], axis=1)
 
@@ -330,7 +330,7 @@ def runs_of(lives: Sequence[Life], nodes_at: Callable[[Float64Array], Nodes], fi
     )
     gaps, number = np.diff(sample), np.repeat(np.arange(len(lives)), len(sample))
     time = np.tile(sample, len(lives))
-    nodes = nodes_at(_places(number, time))
+    nodes = nodes_at(places(number, time))
     seen = [nodes.rows, nodes.weights, nodes.nearest]
     same = (nodes.rows[1:] == nodes.rows[:-1]) & (nodes.weights[1:] == nodes.weights[:-1])
     gap = np.tile(np.append(gaps, 1), len(lives))[:-1]
@@ -339,7 +339,7 @@ def runs_of(lives: Sequence[Life], nodes_at: Callable[[Float64Array], Nodes], fi
         between = gap[differ] - 1
         which = np.repeat(differ, between)
         offset = np.arange(1, len(which) + 1) - np.repeat(np.cumsum(between) - between, between)
-        added = nodes_at(_places(number[which], time[which] + offset))
+        added = nodes_at(places(number[which], time[which] + offset))
         time, number = np.concatenate([time, time[which] + offset]), np.concatenate([number, number[which]])
         order = np.argsort(number * span + time, kind="stable")
         time, number = time[order], number[order]

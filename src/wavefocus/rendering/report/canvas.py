@@ -125,13 +125,13 @@ def drawn_in_style(draw: Callable[Parameters, Picture]) -> Callable[Parameters, 
     """Draw with the report's style, whatever the process has set."""
 
     @functools.wraps(draw)
-    def _styled(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Picture:
+    def styled(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Picture:
         from matplotlib import rc_context
 
         with rc_context(STYLE):
             return draw(*args, **kwargs)
 
-    return _styled
+    return styled
 
 
 @dataclass(frozen=True, slots=True)

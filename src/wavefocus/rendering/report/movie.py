@@ -211,13 +211,13 @@ def write_movie(
         loudest = int(np.argmax(np.einsum("ij,ij->i", frames, frames)))
         palette = draw(frames, loudest).quantize(256)
 
-        def _drawn() -> Iterator[Image]:
+        def drawn() -> Iterator[Image]:
             for frame in range(len(frames)):
                 yield draw(frames, frame).quantize(palette=palette, dither=Dither.NONE)
                 if on_progress is not None:
                     on_progress(frame + 1, len(frames))
 
-        pictures = _drawn()
+        pictures = drawn()
         milliseconds = 10 * max(2, round(100 / plan.frame_rate_hz))  # GIF counts in hundredths of a second, at least 2
         with replacement(path) as temporary, temporary.open("wb") as file:
             next(pictures).save(
@@ -252,7 +252,7 @@ def _stage(
     speed = _speed(plan.slowed)
     figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, speed, color=FAINT, ha="right", fontsize=9)
 
-    def _draw(frames: Float32Array, frame: int) -> Image.Image:
+    def draw(frames: Float32Array, frame: int) -> Image.Image:
         time_s = field.start_s + int(plan.sample[frame]) / field.sample_rate_hz
         cells.set_array(factor * frames[frame])
         rows = np.empty(0, np.int64) if drive_foci is None else drive_foci.at(time_s)
@@ -261,7 +261,7 @@ def _stage(
         canvas.agg.draw()
         return Image.fromarray(np.array(canvas.agg.buffer_rgba())[:, :, :3])
 
-    return _draw
+    return draw
 
 
 @drawn_in_style

@@ -171,10 +171,10 @@ def sample_source(
     with _off_grid(lambda point: f"source {index}, path point {point},"):
         nodes = follow(arc_length)
 
-    def _of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+    def of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         return nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop]
 
-    def _of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+    def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         along = np.minimum(source.speed_mm_s * np.arange(start, stop) / sample_rate_hz, source.path.length_mm)
         with _off_grid(lambda point: f"source {index}, sample {start + point} after its start,"):
             found = follow(along)
@@ -182,7 +182,7 @@ def sample_source(
 
     emission: Emission
     if source.emission == "per_point" and moving:
-        emission = PointEmission(signal, focus[:-1], _of_points, max(2048, taps))
+        emission = PointEmission(signal, focus[:-1], of_points, max(2048, taps))
     else:
         last = int(focus[-1]) if moving else int(focus[0]) + len(signal)
         if last <= focus[0]:
@@ -193,9 +193,9 @@ def sample_source(
         if source.repeat:
             signal = np.resize(signal, last - int(focus[0]))
         emission = (
-            ContinuousEmission(signal, int(focus[0]), last, _of_samples)
+            ContinuousEmission(signal, int(focus[0]), last, of_samples)
             if exact
-            else ContinuousEmission(signal, int(focus[0]), last, _of_points, focus[:-1])
+            else ContinuousEmission(signal, int(focus[0]), last, of_points, focus[:-1])
         )
     foci = focus[:-1]
     return SampledSource(index, emission, arc_length, points_mm, foci, nodes.nearest, signal, nodes.rows.shape[1])
@@ -221,25 +221,25 @@ def _sample_trajectory(
     with _off_grid(lambda _: f"the path of source {index}"):
         follow = None if isinstance(interpolation, GridInterpolation) else interpolation.follow(path)
 
-    def _nodes_at(sample: Int64Array) -> Nodes:
+    def nodes_at(sample: Int64Array) -> Nodes:
         # Ties between positions fall as while it sounded only at the same places to the bit.
         if follow is None:
             return interpolation.nodes(course.at(sample)[0])
         return follow(path.arc_length_mm(sample / sample_rate_hz - source.start_s))
 
-    def _of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+    def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         sample = first + np.arange(start, stop)
         at_s = sample / sample_rate_hz - source.start_s
         with _off_grid(lambda point: f"source {index}, {at_s[point]:.6g} s after its start,"):
-            found = _nodes_at(sample)
+            found = nodes_at(sample)
         return found.rows, found.weights, found.nearest
 
     focus_s, points_mm = path.foci(source.start_s)
     focus = np.rint(focus_s * sample_rate_hz).astype(np.int64)
     with _off_grid(lambda point: f"row {path.focus_rows[point]} of the trajectory of source {index}"):
-        nodes = _nodes_at(focus)
+        nodes = nodes_at(focus)
     emission, arc_mm = (
-        ContinuousEmission(signal, first, stop, _of_samples),
+        ContinuousEmission(signal, first, stop, of_samples),
         path.arc_length_mm(focus_s - source.start_s),
     )
     return SampledSource(index, emission, arc_mm, points_mm, focus, nodes.nearest, signal, nodes.rows.shape[1])

@@ -192,10 +192,10 @@ def _paths_of(file: Path) -> list[tuple[str, str, Float64Array]]:
     found: list[tuple[str, str, Float64Array]] = []
     transforms = [np.eye(3)]
 
-    def _refuse(*_: object) -> NoReturn:
+    def refuse(*_: object) -> NoReturn:
         raise InputError(f"{file} declares a document type or an entity; remove the DOCTYPE, it is not needed")
 
-    def _start(name: str, attributes: dict[str, str]) -> None:
+    def start(name: str, attributes: dict[str, str]) -> None:
         text = attributes.get("transform", "").strip()
         try:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -208,8 +208,8 @@ def _paths_of(file: Path) -> list[tuple[str, str, Float64Array]]:
             found.append((attributes.get("id", ""), attributes.get("d", ""), transforms[-1]))
 
     parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = _refuse
-    parser.StartElementHandler = _start
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.StartElementHandler = start
     parser.EndElementHandler = lambda name: transforms.pop()
     try:
         parser.Parse(content, True)

@@ -105,13 +105,13 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     fields = dict(_fields(variables, ""))
     by_own_name = structs[0] if len(structs) == 1 and "green" not in variables else {}
 
-    def _get(name: str) -> Any:
+    def get(name: str) -> Any:
         value = fields[name] if name in fields else by_own_name.get(name)
         if value is _UNREAD:
             raise InputError(f"{path}: variable {name!r} is not an array of numbers, which is needed")
         return None if isinstance(value, dict) else _squeezed(name, value)
 
-    return measured_arrays(NamedArrays(path, _get, [name for name, value in fields.items() if name]), options)
+    return measured_arrays(NamedArrays(path, get, [name for name, value in fields.items() if name]), options)
 
 
 def _fields(variables: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

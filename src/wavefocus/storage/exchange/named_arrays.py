@@ -109,21 +109,21 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
     if unknown := sorted(set(theirs).difference(_OURS)):
         raise InputError(f"--names: {unknown[0]!r} is not a name of ours; allowed: {', '.join(_OURS)}")
 
-    def _find(name: str) -> Any:
+    def find(name: str) -> Any:
         found = file.get(theirs.get(name, name))
         if found is None and name in theirs:
             raise InputError(f"{path} has no array {theirs[name]!r}; there are {_some(file.names)}")
         return found
 
-    def _numbers(name: str) -> Float64Array | None:
-        found = _find(name)
+    def numbers(name: str) -> Float64Array | None:
+        found = find(name)
         if found is None:
             return None
         require_unit(path, name, file.units(theirs.get(name, name)))
         return real(found, path, name)
 
-    whole, imaginary = _find("green"), _find("green_imag")
-    if whole is None and imaginary is not None and (given := _find("green_real")) is not None:
+    whole, imaginary = find("green"), find("green_imag")
+    if whole is None and imaginary is not None and (given := find("green_real")) is not None:
         _require_room(path, 2 * given.size * 8)
         whole = np.asarray(given[...]) + 1j * np.asarray(imaginary[...])
     if whole is None:
@@ -134,7 +134,7 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
     values = ordered(whole, path, options)
     count, actuators, samples = values.shape
     is_complex = values.dtype.kind == "c"
-    position_m, actuator_m = (_places(path, _numbers, role) for role in ("position", "actuator"))
+    position_m, actuator_m = (_places(path, numbers, role) for role in ("position", "actuator"))
     if options.places is not None or position_m is None:
         position_m, actuator_m = table_of(options, path, count, actuators)
     if actuator_m is None:
@@ -145,10 +145,10 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
                 f"{path}: has places of {len(places)} {what} and responses of {wanted}; name the order of the axes with"
                 " --axes, as actuator,position,sample"
             )
-    rate_hz, frequency_hz, start_s = _axis(path, options, _numbers, samples, is_complex=is_complex)
-    band, unit, drive = _numbers("band_hz"), _find("response_unit"), _find("drive_unit")
+    rate_hz, frequency_hz, start_s = _axis(path, options, numbers, samples, is_complex=is_complex)
+    band, unit, drive = numbers("band_hz"), find("response_unit"), find("drive_unit")
     unit = stated_unit(unit if isinstance(unit, str) else "", drive if isinstance(drive, str) else "", path)
-    status = _numbers("status")
+    status = numbers("status")
     status = None if status is None else np.nan_to_num(status)  # missing, as what was not measured
     if status is not None and not (status.size == count and np.isin(status, np.arange(32)).all()):
         raise InputError(f"{path}: status needs a sum of 1, 2, 4, 8 and 16 for each of the {count} positions")
@@ -163,7 +163,7 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
         start_s=start_s,
         band_hz=None if band is None or band.size != 2 or np.isnan(band).any() else (float(band[0]), float(band[1])),
         status=None if status is None else status.reshape(-1).astype(np.uint8),
-        quality=_quality(_numbers, count, actuators),
+        quality=_quality(numbers, count, actuators),
         left_out=_left_out(file.names, theirs),
     )
 
@@ -332,7 +332,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     archive = stack.enter_context(zipfile.ZipFile(path))
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
 
-    def _get(name: str) -> Any:
+    def get(name: str) -> Any:
         if name not in members:
             return None
         info = members[name]
@@ -344,5 +344,5 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             array = np.lib.format.read_array(member, allow_pickle=False)
         return str(array) if dtype.kind == "U" and array.size == 1 else array
 
-    notes = notes_of(str(_get("publication_notes") or ""))
-    return replace(measured_arrays(NamedArrays(path, _get, members), options), notes=notes)
+    notes = notes_of(str(get("publication_notes") or ""))
+    return replace(measured_arrays(NamedArrays(path, get, members), options), notes=notes)

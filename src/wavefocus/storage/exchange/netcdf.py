@@ -74,7 +74,7 @@ def read_arrays(
         groups = [name for name in hard if file.get(name, getclass=True) is h5py.Group]
         group = next((f"{name}/" for name in groups if hdf5_reading.has(file, f"{name}/green")), "")
 
-    def _get(name: str) -> Any:
+    def get(name: str) -> Any:
         if "." in name and name not in names:
             name = name.replace(".", "/")  # as MATLAB writes a field of a struct
         place = name if "/" in name else group + name.replace("quality_", "quality/", 1)
@@ -91,11 +91,11 @@ def read_arrays(
             return np.array(hdf5_reading.numbers(file, name, 1 if name == "sample_rate_hz" else 2))
         return None
 
-    def _units(name: str) -> str:
+    def units(name: str) -> str:
         place = name if "/" in name else group + name
         return text_attribute(file[place], "units") if hdf5_reading.has(file, place) else ""
 
-    return measured_arrays(NamedArrays(path, _get, listed, _units), options)
+    return measured_arrays(NamedArrays(path, get, listed, units), options)
 
 
 def _members(file: h5py.File, name: str) -> list[str]:
@@ -204,7 +204,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     if head.startswith(b"CDF"):
         return _read_classic(path, options, stack)
 
-    def _understand(dataset: h5py.Dataset) -> Any:
+    def understand(dataset: h5py.Dataset) -> Any:
         if dataset.dtype.kind == "V":
             return compound_complex(hdf5_reading.read_whole(dataset))
         how = hdf5_reading.packing_of(dataset)
@@ -213,7 +213,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     notes: tuple[Note, ...] = ()
     with hdf5_reading.opened(path) as content, suppress(InputError):  # another program may mean no text by it
         notes = notes_of(hdf5_reading.text(content, "notes") or "")
-    return replace(read_arrays(path, options, stack, _understand), notes=notes)
+    return replace(read_arrays(path, options, stack, understand), notes=notes)
 
 
 def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
@@ -224,7 +224,7 @@ def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measu
     warnings.filterwarnings("ignore", message="Cannot close a netcdf_file")
     file = stack.enter_context(netcdf_file(path, "r", mmap=True, maskandscale=False))
 
-    def _get(name: str) -> Any:
+    def get(name: str) -> Any:
         if name in file.variables:
             variable = file.variables[name]
             stored = np.array(variable.data)
@@ -240,8 +240,8 @@ def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measu
             value.decode("utf-8", "replace") if isinstance(value, bytes) else None if value is None else np.array(value)
         )
 
-    def _units(name: str) -> str:
+    def units(name: str) -> str:
         value = getattr(file.variables.get(name), "units", b"")
         return value.decode("utf-8", "replace") if isinstance(value, bytes) else ""
 
-    return measured_arrays(NamedArrays(path, _get, file.variables, _units), options)
+    return measured_arrays(NamedArrays(path, get, file.variables, units), options)

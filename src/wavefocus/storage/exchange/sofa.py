@@ -49,26 +49,26 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
             _set_text(file, name, text)
         scales = {name: bare_dimension(file, name, size) for name, size in sizes.items()}
 
-        def _variable(name: str, dimensions: str, values: Any, **attributes: str) -> None:
+        def variable(name: str, dimensions: str, values: Any, **attributes: str) -> None:
             data = filled(file, name, np.asarray(values, np.float64), None)
             attach(data, *(scales[dimension] for dimension in dimensions))
             for attribute, text in attributes.items():
                 _set_text(data, attribute, text)
 
         place = {"Type": "cartesian", "Units": "metre"}
-        _variable("ListenerPosition", "MC", _metres(rows.position_mm), **place)
-        _variable("ReceiverPosition", "IC", np.zeros((1, 3)), **place)
+        variable("ListenerPosition", "MC", _metres(rows.position_mm), **place)
+        variable("ReceiverPosition", "IC", np.zeros((1, 3)), **place)
         room = rows.convention == "SingleRoomMIMOSRIR"
-        _variable("SourcePosition", "MC" if room else "IC", np.zeros((count if room else 1, 3)), **place)
+        variable("SourcePosition", "MC" if room else "IC", np.zeros((count if room else 1, 3)), **place)
         if room:  # its views and ups are mandatory; the laser looks from above
             for name in ("Listener", "Source"):
-                _variable(f"{name}View", "IC", [[1.0, 0.0, 0.0]], **place)
-                _variable(f"{name}Up", "IC", [[0.0, 0.0, 1.0]])
-        _variable("EmitterPosition", "EC", _metres(bank.actuator_mm), **place)
-        _variable("Data.SamplingRate", "I", [bank.sample_rate_hz], Units="hertz")
-        _variable("Data.Delay", "IRI" if room else "IRE", np.zeros((1, 1, 1 if room else bank.actuators)))
-        _variable("BankPosition", "M", rows.row)
-        _variable("BankStatus", "M", rows.status)
+                variable(f"{name}View", "IC", [[1.0, 0.0, 0.0]], **place)
+                variable(f"{name}Up", "IC", [[0.0, 0.0, 1.0]])
+        variable("EmitterPosition", "EC", _metres(bank.actuator_mm), **place)
+        variable("Data.SamplingRate", "I", [bank.sample_rate_hz], Units="hertz")
+        variable("Data.Delay", "IRI" if room else "IRE", np.zeros((1, 1, 1 if room else bank.actuators)))
+        variable("BankPosition", "M", rows.row)
+        variable("BankStatus", "M", rows.status)
         data = reserved(file, "Data.IR", (count, 1, bank.taps, bank.actuators), "<f8", None)
         attach(data, *(scales[dimension] for dimension in "MRNE"))
         for measurement, (_, green) in enumerate(rows.each(on_progress)):

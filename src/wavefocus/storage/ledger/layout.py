@@ -143,7 +143,7 @@ def find_layout(
     Raises InputError: something is missing or laid out otherwise.
     """
 
-    def _offset(name: str, expected: tuple[int, ...], dtype: str) -> int:
+    def offset(name: str, expected: tuple[int, ...], dtype: str) -> int:
         dataset = hdf5_reading.plain_dataset(file, name, shape=expected)
         found = dataset.id.get_offset()
         if dataset.dtype != np.dtype(dtype) or dataset.chunks or found is None:
@@ -154,10 +154,10 @@ def find_layout(
         header,
         shape,
         np.array([_row_offsets(file, path, name, shape, count) for name in shape.format.datasets]),
-        _offset(LEDGER, (count, shape.row_bytes), "u1"),
-        _offset(JOURNAL, (shape.journal_bytes,), "u1"),
+        offset(LEDGER, (count, shape.row_bytes), "u1"),
+        offset(JOURNAL, (shape.journal_bytes,), "u1"),
         {
-            name: (_offset(name, form, dtype), int(np.prod(form[1:])) * np.dtype(dtype).itemsize)
+            name: (offset(name, form, dtype), int(np.prod(form[1:])) * np.dtype(dtype).itemsize)
             for name, (form, dtype) in figures.items()
         },
     )
@@ -170,11 +170,11 @@ def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count:
         raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {_NOT_WRITTEN}")
     chunks = np.full(count, -1, np.int64)
 
-    def _note(chunk: h5py.h5d.StoreInfo) -> None:
+    def note(chunk: h5py.h5d.StoreInfo) -> None:
         if chunk.size == shape.data_bytes and chunk.filter_mask == 0 and chunk.chunk_offset[0] < count:
             chunks[chunk.chunk_offset[0]] = chunk.byte_offset
 
-    dataset.id.chunk_iter(_note)
+    dataset.id.chunk_iter(note)
     if dataset.id.get_create_plist().get_nfilters() or (chunks < 0).any():
         raise OtherLayoutError(f"{path} is damaged: {name} lacks rows or is compressed; {_NOT_WRITTEN}")
     return chunks

@@ -326,11 +326,11 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
         raise InputError(f"{path}: /reference has shape {reference.shape}; that of /response is needed")
     positions, records, samples = response.shape
 
-    def _number(name: str) -> float | None:
+    def number(name: str) -> float | None:
         return hdf5_reading.number(file, name) if name in file.attrs else None
 
-    def _whole(name: str) -> int | None:
-        value = _number(name)
+    def whole(name: str) -> int | None:
+        value = number(name)
         if value is not None and value != int(value):
             raise InputError(f"{name} is {value:g}; a whole number is needed")
         return None if value is None else int(value)
@@ -342,7 +342,7 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
         actuator_mm = np.full((schedule.actuators, 2), np.nan)
         if hdf5_reading.has(file, "/actuator_mm"):
             actuator_mm = hdf5_reading.read_floats(file, "/actuator_mm", (schedule.actuators, 2))
-        taps = _whole("taps")
+        taps = whole("taps")
         if taps is None:
             raise InputError(f"{path} has no attribute taps")
         return RawHeader(
@@ -358,9 +358,9 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
             reference_gain=hdf5_reading.number(file, "reference_gain", default=1.0),
             inter_channel_delay_s=hdf5_reading.number(file, "inter_channel_delay_s", default=0.0),
             volts_per_count=(volts[0], volts[1]),
-            averages=_whole("averages"),
-            sweep_s=_number("sweep_s"),
-            decay_s=_number("decay_s"),
+            averages=whole("averages"),
+            sweep_s=number("sweep_s"),
+            decay_s=number("decay_s"),
             same_clock=_same_clock(file, path),
             **{own: hdf5_reading.text(file, name) or "" for name, own in _WORDS.items()},
         )

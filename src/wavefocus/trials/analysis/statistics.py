@@ -90,12 +90,12 @@ def factors_of(answers: DataFrame) -> tuple[str, ...]:
 def combinations_of(answers: DataFrame) -> tuple[tuple[str, ...], ...]:
     """Single factors, and pairs of those that are not given by another factor, as signals may be by the speed."""
 
-    def _count(*columns: str) -> int:
+    def count(*columns: str) -> int:
         return sum(1 for _ in groups(answers, columns))
 
     factors = factors_of(answers)
     given = {
-        factor for factor in factors for other in factors if factor != other and _count(factor, other) == _count(other)
+        factor for factor in factors for other in factors if factor != other and count(factor, other) == count(other)
     }
     return (*((factor,) for factor in factors), *combinations([factor for factor in factors if factor not in given], 2))
 

@@ -162,11 +162,11 @@ class StreamPlayer(Player):
         self._send(play.doing, ("piece", frames))
         self._written_s = time.monotonic()
 
-        def _there_is_room() -> bool | None:
+        def there_is_room() -> bool | None:
             return True if play.outcome or play.waiting_frames <= play.ahead_frames else None
 
         longest_s = 1.1 * (play.ahead_frames + len(frames)) / rate_hz + 2 * self.latency_s + _OVERDUE_S
-        room = self._wait_for(play.doing, _there_is_room, time.monotonic() + longest_s)
+        room = self._wait_for(play.doing, there_is_room, time.monotonic() + longest_s)
         if play.outcome == UNDERFLOW:
             raise self._ran_dry(play)
         if room is None:
