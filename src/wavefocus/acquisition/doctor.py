@@ -160,7 +160,8 @@ class _Examination(RigFindings):
         if mirror is None:
             self.add("mirror", "corners", "skipped", "the mirror is not there")
             return False
-        x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.vstack([_corners_mm(self._rig), _middle_mm(self._rig)]).T)
+        middle_mm = _middle_mm(self._rig)
+        x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.vstack([_corners_mm(self._rig, middle_mm), middle_mm]).T)
         angles = [(float(x), float(y)) for x, y in zip(x_mrad, y_mrad, strict=True)]
         reach_mrad = max(max(map(abs, pair)) for pair in angles)
         if reach_mrad > limit_mrad:
@@ -282,12 +283,11 @@ def _middle_mm(rig: RigConfig) -> Float64Array:
     return np.asarray(place_mm[0 if depth_mm[0] > depth_mm.max() / 2 else depth_mm.argmax()])
 
 
-def _corners_mm(rig: RigConfig) -> Float64Array:
+def _corners_mm(rig: RigConfig, middle_mm: Float64Array) -> Float64Array:
     """Corners of the largest rectangle of the surface's proportions about its middle, (4, 2)."""
-    surface, middle_mm = rig.surface, _middle_mm(rig)
-    corner_mm = np.array([surface.length_mm, surface.width_mm]) / 2
+    corner_mm = np.array([rig.surface.length_mm, rig.surface.width_mm]) / 2
     shares = np.linspace(0, 1, 101)
-    inside = surface.outline.contains(middle_mm + shares[:, None, None] * SIGNS * corner_mm).all(axis=1)
+    inside = rig.surface.outline.contains(middle_mm + shares[:, None, None] * SIGNS * corner_mm).all(axis=1)
     return np.asarray(middle_mm + CORNER_SHARE * shares[inside].max() * SIGNS * corner_mm)
 
 

@@ -254,9 +254,8 @@ class ResultsPanel(Themed, QWidget):
         self.loops = ui.number_box("Repetitions", tip, "", 0, 1.0, 10_000.0, value=1.0, prefix="× ")
         self._state = ui.label("Saving and playing", role="faint", any_width=True)
         tip = "Render the scene exactly and save the drives (V), or the sound file of the rig's interface (.wav)"
-        choose = lambda: choose_place(self, "Save the drives", self.saving.suggested, KINDS, self.save)  # noqa: E731
         self.actions_by_name = {
-            "drive": ui.action(self, "Save &drive…", choose, "Ctrl+E", tip=tip),
+            "drive": ui.action(self, "Save &drive…", self._choose_place, "Ctrl+E", tip=tip),
             "cancel": ui.action(self, "&Cancel", self.saving.cancel, tip="Cancel saving"),
             "play": ui.action(self, "&Play", self.play, "F9", tip="Render within the rig's limits and play"),
             "stop": ui.action(self, "&Stop", self.playing.stop, "Shift+F9", tip="Stop at once and mute the outputs"),
@@ -319,6 +318,9 @@ class ResultsPanel(Themed, QWidget):
         lasts_s = 0.0 if drive is None else drive.drive_v.shape[1] / drive.sample_rate_hz
         act = partial(self.playing.play, self.rig, self.gain.value(), self.loops.whole(), lasts_s)
         self._context.claim_instruments("Play", act, virtual=names_virtual_rig(self.rig))
+
+    def _choose_place(self) -> None:
+        choose_place(self, "Save the drives", self.saving.suggested, KINDS, self.save)
 
     def _check_rig(self) -> None:
         if self.rig != self._rig:

@@ -176,7 +176,7 @@ class _RequestForm(QWidget):
         """What has to be chosen first; empty when a verification can be started."""
         names = (self.scene, "a scene file"), (self.bank, "a bank"), (self.rig, "a rig file"), (self.out, "a folder")
         words = [word for field, word in names if not field.line.text().strip()]
-        return f"choose {' and '.join(filter(None, [', '.join(words[:-1]), *words[-1:]]))}" if words else ""
+        return f"choose {' and '.join(', '.join(words).rsplit(', ', 1))}" if words else ""
 
     def arguments(self, out: Path) -> list[str]:
         """The command of the present choices, into a folder."""

@@ -110,13 +110,14 @@ class PlaceRows:
     def __init__(self, bank: GreenSource, own: Interpolation | None = None, name: str | None = None) -> None:
         self._bank, self.rows = bank, bank
         self._grid, self._status = PositionGrid(bank.position_mm), np.asarray(bank.status)
+        self._reach = bank_grid(bank)
         self._method = None if isinstance(own, GridInterpolation) else own
         self.name = name or ("auto" if self._method is None else self._method.name)
         self._between_mm: list[Float64Array] = []
 
     def at(self, points_mm: Float64Array) -> Int64Array:
         """Rows (n,) at points (n, 2). Raises OffGridError: a point is off the grid, or nothing is measured there."""
-        near(bank_grid(self._bank), points_mm)
+        near(self._reach, points_mm)
         rows, distance_mm = self._grid.nearest(points_mm)
         between = (distance_mm > ON_POSITION * self._grid.spacing_mm) | ~usable(self._bank)[rows]
         if between.any() and self._method is None:
