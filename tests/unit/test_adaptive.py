@@ -42,15 +42,15 @@ def test_ladder_begins_at_its_easiest_level():
 def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder, sign):
     rng = np.random.default_rng(5)
     thresholds, slopes = [], []
-    for _ in range(5):
+    for _ in range(8):
         track = QuestPlus(table(method="quest_plus", trials=100, harder=harder), LADDER[::-sign])
         while (level := track.next_level()) is not None:
             track.answered(bool(rng.random() < share_right(math.log10(level), -0.9, 8.0 * sign, 0.5, 0.02)))
         thresholds.append(track.threshold)
         slopes.append(math.log(sign * track.slope))
-    assert np.mean(thresholds) == pytest.approx(-0.9, abs=0.07)
+    assert np.mean(thresholds) == pytest.approx(-0.9, abs=0.05)
     assert np.std(thresholds) < 0.15
-    assert np.mean(slopes) == pytest.approx(math.log(8.0), abs=0.45)
+    assert np.mean(slopes) == pytest.approx(math.log(8.0), abs=0.35)
 
 
 DESIGN = """
