@@ -52,14 +52,27 @@ usable() {
 import wavefocus, numpy, scipy.fft, h5py, pydantic, rich, matplotlib, jinja2, soundfile') >/dev/null 2>&1
 }
 
+# uv installs in seconds what takes pip half a minute. Where it cannot (no wheel for this system, another index), pip does.
 install() {
-    say "installing wavefocus${extra:+ with what \"$extra\" needs} into .venv (needs the network; about a minute)"
+    say "installing wavefocus${extra:+ with what \"$extra\" needs} into .venv (needs the network)"
     rm -f "$stamp"
-    # Python compiles the modules that are used when they are first imported: pip would compile all of them, 20 seconds.
-    .venv/bin/python -m pip install --quiet --no-compile --constraint constraints.txt --editable "$target" || {
+    by_uv || by_pip || {
         say "pip could not install; its reason stands above. Try again, or start afresh with: make clean"
         exit 1
     }
+}
+
+by_uv() {
+    [ -x .venv/bin/uv ] || .venv/bin/python -m pip install --quiet --constraint constraints.txt uv || return 1
+    UV_DEFAULT_INDEX=${PIP_INDEX_URL:-$(.venv/bin/python -m pip config get global.index-url 2>/dev/null || true)}
+    [ -z "$UV_DEFAULT_INDEX" ] && unset UV_DEFAULT_INDEX || export UV_DEFAULT_INDEX
+    .venv/bin/uv pip install --quiet --native-tls --python .venv/bin/python --constraint constraints.txt \
+        --editable "$target"
+}
+
+# Python compiles the modules that are used when they are first imported: pip would compile all of them, 20 seconds.
+by_pip() {
+    .venv/bin/python -m pip install --quiet --no-compile --constraint constraints.txt --editable "$target"
 }
 
 whole || make_venv
