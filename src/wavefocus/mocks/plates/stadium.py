@@ -22,6 +22,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -311,20 +312,30 @@ def _ritz_modes(
     highest_hz: Upper end of the band.
     """
     from scipy.linalg import eigh
+    from threadpoolctl import threadpool_limits
 
     force = elements.forces(actuator_mm)
     solved_hz = np.linspace(0.6 * _SOLVED_STEP_HZ, 1.25 * highest_hz, int(np.ceil(1.25 * highest_hz / _SOLVED_STEP_HZ)))
-    found = np.concatenate([elements.solve(wave, admittance, hertz, force) for hertz in solved_hz.tolist()], axis=1)
+    # Made before the threads share them.
+    stiffness_of_nodes, mass, rim_of_nodes = elements.stiffness, elements.mass, elements.rim
+
+    def solved(frequency_hz: float) -> Complex128Array:
+        return elements.solve(wave, admittance, frequency_hz, force)
+
+    # SciPy factorises outside Python's lock, with some hundred megabytes each. Threads of BLAS would only spin.
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
+        found = np.concatenate(list(pool.map(solved, solved_hz.tolist())), axis=1)
     space = np.concatenate([found.real, found.imag], axis=1)
-    space /= np.sqrt(np.einsum("ij,ij->j", space, elements.mass @ space))
-    norm, turn = eigh(space.T @ (elements.mass @ space))
+    gram = space.T @ (mass @ space)
+    size = np.sqrt(np.diag(gram))
+    norm, turn = eigh(gram / np.outer(size, size))
     # Directions of the projected space below this share of the strongest are dropped.
     kept = norm > 1e-10 * norm[-1]
-    space = space @ (turn[:, kept] / np.sqrt(norm[kept]))
-    stiffness, turn = eigh(space.T @ (elements.stiffness @ space))
+    space = space @ (turn[:, kept] / np.sqrt(norm[kept]) / size[:, None])
+    stiffness, turn = eigh(space.T @ (stiffness_of_nodes @ space))
     shapes = space @ turn
-    edge = np.unique(elements.rim.indices)
-    rim = shapes[edge].T @ (elements.rim[edge][:, edge] @ shapes[edge])
+    edge = np.unique(rim_of_nodes.indices)
+    rim = shapes[edge].T @ (rim_of_nodes[edge][:, edge] @ shapes[edge])
     return _RitzModes(shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
 
 
