@@ -62,7 +62,7 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
         "Predict ten positions of its field": lambda: prediction.predict(
             drive, bank, out / "field.h5", some, as_json=False
         ),
-        "Play it on the rig, scan it, compare": lambda: _verify(scene, bank, out / "verify", 1 if quick else 4),
+        "Play it on the rig, scan it, compare": lambda: _verify(scene, bank, out / "verify", 1 if quick else 8),
     }
     worst, begun_s = Exit.DONE, time.monotonic()
     for name, work in steps.items():
