@@ -174,6 +174,12 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} ({self.prog} --help shows what there is)")
 
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """Refuse an empty value, as a shell passes for a variable that is not set: it would count as left out."""
+        if action.option_strings and "" in arg_strings:
+            raise argparse.ArgumentError(action, "is empty; give a value, or leave the option out")
+        return super()._get_values(action, arg_strings)
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Name the nearest command or choice in place of all."""
         if action.choices is None or value in action.choices:

@@ -66,7 +66,7 @@ def test_given_an_extreme_number_then_no_calibration_begins(lab, capsys, monkeyp
         assert told(lab, capsys, monkeypatch, [*command, f"{option}={text}"]) == 2
 
 
-def test_given_a_step_of_positions_without_end_then_one_sentence(lab, capsys, monkeypatch):
+def test_given_no_rows_or_rows_without_end_then_one_sentence(lab, capsys, monkeypatch):
     verify = ["verify", "scene.toml", "--bank", "bank.h5", "--rig", "virtual", "--out", "verify", "--positions"]
-    for positions in (f"every:000000001{9 * 600}", "every:" + "9" * 5000, "0-" + "9" * 5000):
+    for positions in (f"every:000000001{9 * 600}", "every:" + "9" * 5000, "0-" + "9" * 5000, ""):
         assert told(lab, capsys, monkeypatch, [*verify, positions]) == 2

@@ -137,6 +137,8 @@ def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, ban
 
 @pytest.mark.smoke
 def test_given_a_preparation_then_the_stimuli_are_there_and_a_window_is_not_needed(lab, bank, capsys):
+    assert run([*experiment(lab)[:-2], "--lines"]) == 2
+    assert "--participant is missing" in capsys.readouterr().err
     assert run([*experiment(lab)[:-2], "--prepare", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["stimuli"]
     assert sorted(listed) == sorted(one.stem for one in (lab / "out" / "stimuli").glob("*.h5"))

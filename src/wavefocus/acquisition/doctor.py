@@ -176,7 +176,7 @@ class _Examination(RigFindings):
                 return False
             astray += found
         what = f"{len(angles) - 1} corners and the middle reached, "
-        what += f"read back within {max(astray):.3f} mrad" if astray else "not read back: this mirror cannot say"
+        what += f"read back within {max(astray):.3f} mrad" if astray else "not read back: it reports no position"
         if astray and max(astray) > MAX_ASTRAY_MRAD:
             remedy = "see that nothing holds the mirror, and that its units are those of the rig file"
             self.add("mirror", "corners", "fail", what, remedy)

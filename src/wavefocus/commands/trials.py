@@ -42,6 +42,8 @@ def trials(trials_file: Path, bank: Path, rig_file: Path, out: Path, options: Tr
     """
     design, participant, fast = load_trials(trials_file), options.participant, options.fast
     if not options.only_prepare:
+        if not participant:
+            raise InputError("trials: --participant is missing; only --prepare goes without one")
         check_participant(participant)
         if not options.as_lines:
             from wavefocus.commands.gui import open_trials
