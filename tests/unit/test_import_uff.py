@@ -1,5 +1,6 @@
 """Universal files that pyuff writes: a modal test, coordinate systems, padded lines, types of functions."""
 
+import codecs
 from typing import Any
 
 import numpy as np
@@ -205,6 +206,7 @@ def test_coordinates_whose_signs_take_the_space_between_them_then_are_read(tmp_p
         numbers = "".join(f"{one:{width}.{digits}E}" for one in place)
         text += f"{node:10d}{0:10d}{0:10d}{0:10d}{newline}{numbers}\n"
     path = written(tmp_path / "a.uff", *functions(RESPONSES), text=text + "    -1\n")
+    path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())  # as some editors save it
     assert np.abs(imported(path)[0] - places[:, :2] * 1e3).max() < 1e-3
 
 

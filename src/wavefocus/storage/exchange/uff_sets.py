@@ -183,6 +183,8 @@ class Contents:
 def contents(file: IO[bytes], path: Path) -> Contents:
     """Read all sets; raises InputError, or what a damaged set makes NumPy and Python raise."""
     held = Contents()
+    if file.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:  # some editors put it in front
+        file.seek(0)
     while (line := file.readline(_LINE)) != b"":
         if line.strip() != b"-1":
             continue
