@@ -5,7 +5,6 @@ clamped disk by Bessel series. `bending`: a simply supported rectangle of glass 
 Green's functions with noise at -55 dB, scans are responses of the changed rig with noise at -40 dB.
 """
 
-import itertools
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -14,14 +13,11 @@ import scipy.fft
 import scipy.special
 
 from tests.unit.independent_plates import disk as membrane
+from tests.unit.independent_plates import reflected
 from tests.unit.line_verification import scan_of
+from wavefocus import GreenArray, Line, Noise, Scene, Source, predict
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Line
-from wavefocus.rendering.scene.signals import Noise
 from wavefocus.rendering.verify.results import Sentinel
 from wavefocus.rendering.verify.verdict import compare
 
@@ -50,27 +46,22 @@ class Medium:
     mass_mm: tuple[float, float] = (9.0, -7.0)
 
 
-def hankel_waves(place_mm, sources, medium, speed_m_s):
-    """Waves from places and gains of each source and its images."""
-    wavenumber = OMEGA / (medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06) * (1.0 - 0.04j * medium.loss)
-    total = 0.0
-    for source_mm, gain in sources:
-        apart_m = 1e-3 * np.maximum(np.hypot(*(place_mm[:, None] - source_mm).transpose(2, 0, 1)), 1.0)
-        total = total + gain * scipy.special.hankel2(0, wavenumber * apart_m[..., None])
-    return 1e-2 * OMEGA * total
+def wavenumber(medium, speed_m_s):
+    """Of waves whose speed grows a little with frequency, in rad/mm."""
+    speed_mm_s = 1e3 * medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06
+    return OMEGA / speed_mm_s * (1.0 - 0.04j * medium.loss)
 
 
 def gel(place_mm, source_mm, medium):
     echoes = ((1.0, 1.0), (1.3, 0.3), (-1.45, 0.2))
-    return hankel_waves(place_mm, [(scale * source_mm, gain) for scale, gain in echoes], medium, 5.2)
+    k = wavenumber(medium, 5.2)
+    waves = (gain * reflected(k, place_mm, scale * source_mm, 0.0, 0.0, 0) for scale, gain in echoes)
+    return 1e-2 * OMEGA * sum(waves)
 
 
 def mirrors(place_mm, source_mm, medium):
-    images = [
-        (source_mm * [(-1.0) ** m, (-1.0) ** n] + np.array([m * 210.0, n * 140.0]), (-0.85) ** (abs(m) + abs(n)))
-        for m, n in itertools.product((-1, 0, 1), repeat=2)
-    ]
-    return hankel_waves(place_mm, images, medium, 6.5)
+    images = reflected(wavenumber(medium, 6.5), place_mm, source_mm, np.array([210.0, 140.0]), -0.85, 1)
+    return 1e-2 * OMEGA * images
 
 
 def disk(place_mm, source_mm, medium):

@@ -8,8 +8,7 @@ import pytest
 
 from tests.unit import analytic_plates as plates
 from tests.unit.analytic_plates import ACTUATORS, Medium, driven, green, verified
-from tests.unit.line_verification import rendered, scan_of
-from wavefocus.rendering.verify.extra_measurements import QUIETER_DB, linearity
+from wavefocus.rendering.verify.extra_measurements import QUIETER_DB
 from wavefocus.rendering.verify.results import Symptom, SymptomCode, remedy, sentence
 
 
@@ -127,20 +126,6 @@ def test_given_a_sound_rig_then_nothing_is_named(plate):
     assert found.symptoms == ()
     assert found.fields.error < 0.01
     assert all(abs(one.level_db) < 0.1 and abs(one.delay_us) < 10.0 for one in found.actuators)
-
-
-@pytest.mark.parametrize(("exponent", "share"), [(3, 1.0), (1, 0.0)])
-def test_scene_played_quieter_then_it_shows_how_much_of_difference_is_distortion(exponent, share):
-    _, prediction = rendered()
-    loudest = float(np.abs(prediction.field).max())
-
-    def played(factor):
-        field = prediction.field / factor
-        field = field + 0.5 * loudest * (field / loudest) ** exponent
-        return scan_of(field, prediction.start_s, prediction.sample_rate_hz, 0.0)
-
-    _, found = linearity(prediction, played(1.0), played(10 ** (QUIETER_DB / 20.0)), (50.0, 500.0), 0.05)
-    assert found == pytest.approx(share, abs=0.02)
 
 
 def test_given_any_code_then_it_has_a_sentence_and_a_remedy_and_states_its_values():
