@@ -133,7 +133,9 @@ def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus():
         assert drive.focus_position.tolist() == [position]
 
 
-def test_continuous_emission_is_exact_and_the_other_sampled():
+def test_continuous_emission_lasts_to_the_next_focus_and_is_exact():
+    drive = drive_of(Source(Line((-8, 0), (8, 0)), Sine(50, 0.01), 0.0, 80.0, 4.0))
+    assert (drive.drive_v.shape[1], drive.focus_sample.tolist()) == (250 + 60 - 1, [0, 50, 100, 150, 200])
     assert drive_of(REPEATING).method == drive_of(MOVING, method="sampled").method == "sampled"
     assert drive_of(MOVING).method == drive_of(MOVING, REPEATING).method == "exact"
 
@@ -265,6 +267,7 @@ def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(sources,
     told = streamed.write(tmp_path / "d.h5")
     written = read_drive(tmp_path / "d.h5")
     assert written.verified
+    assert np.isfinite(written.drive_v).all()
     assert told.single == (sources is ALL and tolerance_db is not None)
     assert (written.scale, written.omitted_bound) == (told.scale, told.omitted_bound)
     for name in ("focus_sample", "focus_position", "focus_source", "focus_mm", "start_s", "method"):

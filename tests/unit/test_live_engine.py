@@ -314,7 +314,7 @@ def test_fingers_near_one_another_sound_within_the_energy_and_it_is_said():
         (PLATE, "nearest", [(4.0 * number % 24.0 - 12.0, 4.0 * (number // 6) - 8.0) for number in range(24)]),
         (alone, "nearest", FINGERS_MM),
     ):
-        options = {"blocks": 60, "interpolation": kind, "bank": bank}
+        options = {"blocks": 40, "interpolation": kind, "bank": bank}
         plain, quiet = (played(places_mm, independent=one, **options) for one in (False, True))
         assert np.isfinite(quiet).all()
         assert np.square(quiet).sum() < 1.2 * MAX_ENERGY * np.square(plain).sum()
