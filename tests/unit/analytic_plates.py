@@ -5,8 +5,6 @@ clamped disk by Bessel series. `bending`: a simply supported rectangle of glass 
 Green's functions with noise at -55 dB, scans are responses of the changed rig with noise at -40 dB.
 """
 
-import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -14,15 +12,13 @@ import numpy as np
 import scipy.fft
 import scipy.special
 
+from tests.unit.independent_plates import disk as membrane
+from tests.unit.independent_plates import reflected
+from tests.unit.line_verification import scan_of
+from wavefocus import GreenArray, Line, Noise, Scene, Source, predict
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Line
-from wavefocus.rendering.scene.signals import Noise
 from wavefocus.rendering.verify.results import Sentinel
-from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.verdict import compare
 
 NEAREST = Output(interpolation="nearest")
@@ -50,49 +46,29 @@ class Medium:
     mass_mm: tuple[float, float] = (9.0, -7.0)
 
 
-Transfer = Callable[[np.ndarray, np.ndarray, Medium], np.ndarray]
-"""Spectra (places, sources, K) between places and sources in mm."""
-
-
-def hankel_waves(place_mm, sources, medium, speed_m_s):
-    """Waves from places and gains of each source and its images."""
-    wavenumber = OMEGA / (medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06) * (1.0 - 0.04j * medium.loss)
-    total = 0.0
-    for source_mm, gain in sources:
-        apart_m = 1e-3 * np.maximum(np.hypot(*(place_mm[:, None] - source_mm).transpose(2, 0, 1)), 1.0)
-        total = total + gain * scipy.special.hankel2(0, wavenumber * apart_m[..., None])
-    return 1e-2 * OMEGA * total
+def wavenumber(medium, speed_m_s):
+    """Of waves whose speed grows a little with frequency, in rad/mm."""
+    speed_mm_s = 1e3 * medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06
+    return OMEGA / speed_mm_s * (1.0 - 0.04j * medium.loss)
 
 
 def gel(place_mm, source_mm, medium):
     echoes = ((1.0, 1.0), (1.3, 0.3), (-1.45, 0.2))
-    return hankel_waves(place_mm, [(scale * source_mm, gain) for scale, gain in echoes], medium, 5.2)
+    k = wavenumber(medium, 5.2)
+    waves = (gain * reflected(k, place_mm, scale * source_mm, 0.0, 0.0, 0) for scale, gain in echoes)
+    return 1e-2 * OMEGA * sum(waves)
 
 
 def mirrors(place_mm, source_mm, medium):
-    images = [
-        (source_mm * [(-1.0) ** m, (-1.0) ** n] + np.array([m * 210.0, n * 140.0]), (-0.85) ** (abs(m) + abs(n)))
-        for m, n in itertools.product((-1, 0, 1), repeat=2)
-    ]
-    return hankel_waves(place_mm, images, medium, 6.5)
+    images = reflected(wavenumber(medium, 6.5), place_mm, source_mm, np.array([210.0, 140.0]), -0.85, 1)
+    return 1e-2 * OMEGA * images
 
 
 def disk(place_mm, source_mm, medium):
     """A membrane, clamped at a radius of 125 mm: sum over Bessel modes."""
-    radius_m, speed = 0.125, medium.speed * 7.5
-    total = 0.0
-    for order in range(40):
-        roots = scipy.special.jn_zeros(order, 24)
-        omega = speed * roots / radius_m
-        norm = (1.0 if order == 0 else 0.5) * np.pi * (radius_m * scipy.special.jvp(order, roots)) ** 2
-        shape = []
-        for points in (place_mm, source_mm):
-            r, angle = np.hypot(*points.T) * 1e-3 / radius_m, np.arctan2(points[:, 1], points[:, 0])
-            shape.append((scipy.special.jv(order, roots * r[:, None]), angle))
-        turn = np.cos(order * (shape[0][1][:, None] - shape[1][1]))
-        mode = omega[:, None] ** 2 * (1.0 + 0.07j * medium.loss) - OMEGA**2
-        total = total + turn[..., None] * np.einsum("pm,sm,mk->psk", shape[0][0], shape[1][0] / norm, 1j * OMEGA / mode)
-    return total
+    speed, loss = 7.5 * medium.speed, 0.07 * medium.loss
+    hertz = FREQUENCY_HZ[USED]
+    return membrane(place_mm, source_mm, hertz, speed_m_s=speed, loss=loss, radius_mm=125.0, modes=(40, 24))
 
 
 def bending(place_mm, source_mm, medium):
@@ -114,10 +90,9 @@ def bending(place_mm, source_mm, medium):
     return total
 
 
-PLATES: dict[str, Transfer] = {"gel": gel, "mirrors": mirrors, "disk": disk, "bending": bending}
+PLATES = {"gel": gel, "mirrors": mirrors, "disk": disk, "bending": bending}
 PITCH_MM = {"bending": 10.0}
 SHAPE = {"bending": (85.0, 60.0)}
-GEL_KG = {"gel": 40.0, "mirrors": 40.0, "disk": 1.0, "bending": 1.0}
 
 
 def places_mm(plate):
@@ -152,14 +127,6 @@ def green(plate, medium=Medium(), place_mm=None):
     return _green(plate, medium, np.ascontiguousarray(place, float).tobytes())
 
 
-@dataclass(frozen=True)
-class Case:
-    """What a scan shows."""
-
-    green: np.ndarray
-    respond: Callable[[np.ndarray], np.ndarray] = lambda response: response
-
-
 @cache
 def lab(plate):
     rng = np.random.default_rng([5, len(plate)])
@@ -177,23 +144,20 @@ def noisy(values, rng):
     return (values + level * rng.standard_normal(values.shape)).astype(np.float32)
 
 
-def verified(plate, case, rng, *, quiet_db=None):
-    bank, drive = lab(plate)
+def verified(plate, values, cubic=0.0, *, quiet_db=None):
+    """The comparison of a scan of such Green's functions, and of a cubic distortion of the response."""
+    (bank, drive), rng = lab(plate), np.random.default_rng([7, 1])
 
     def scan(factor):
-        field_ = np.asarray(predict(drive, replace(bank, values=case.green)).field, float)
-        loudest = np.abs(field_).max()
-        field_ = loudest * case.respond(factor * field_ / loudest)
-        noise = SCAN_NOISE * np.sqrt(np.mean(field_**2)) / factor
-        field_ = field_ + noise * factor * rng.standard_normal(field_.shape)
-        count = len(field_)
-        return Scan(
-            field_.astype(np.float32), np.arange(count), RATE_HZ, drive.start_s, "m/s", np.ones(count, np.uint8),
-            np.ones(count, int), np.full(count, noise * factor), np.ones(count), np.ones(count),
-        )  # fmt: skip
+        field = np.asarray(predict(drive, replace(bank, values=values)).field, float)
+        loudest = np.abs(field).max()
+        field = factor * field / loudest
+        field = loudest * (field + cubic * field**3)
+        noise = SCAN_NOISE * np.sqrt(np.mean(field**2))
+        return scan_of(field + noise * rng.standard_normal(field.shape), drive.start_s, RATE_HZ, noise)
 
     row = len(bank.position_mm) // 2 + 3
-    sentinel = Sentinel(row, noisy(case.green[[row]], rng)[0], np.full(ACTUATORS, 55.0, np.float32))
+    sentinel = Sentinel(row, noisy(values[[row]], rng)[0], np.full(ACTUATORS, 55.0, np.float32))
     return compare(
         predict(drive, bank), scan(1.0), drive, bank, sentinel=sentinel,
         quiet=None if quiet_db is None else scan(10 ** (-quiet_db / 20)),
@@ -205,13 +169,3 @@ def driven(values, actuators, factor, late_ms):
     turn = np.ones((ACTUATORS, len(FREQUENCY_HZ)), complex)
     turn[list(actuators)] = factor * np.exp(-2e-3j * np.pi * late_ms * FREQUENCY_HZ)
     return np.fft.irfft(np.fft.rfft(values, LENGTH) * turn, LENGTH)[..., :TAPS]
-
-
-def unlisted(plate):
-    """Causes that have no name: damping, a cubic, a finger."""
-    finger = Medium(mass=1e-3 * GEL_KG[plate], mass_mm=(-11.0, 8.0))
-    return {
-        "damping": Case(green(plate, Medium(loss=2.0))),
-        "cubic": Case(green(plate), respond=lambda response: response + 0.6 * response**3),
-        "finger": Case(green(plate, finger)),
-    }

@@ -4,28 +4,32 @@ Each gives mobilities (places, actuators, frequencies) at any frequencies, and w
 """
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import scipy.special
+
+from wavefocus.mocks.plates.soft import DampedWave
 
 MIRRORED_MM = np.array([120.0, 90.0])
 DISK_MM = 55.0
 
 
-def mirror_images(places_mm, actuator_mm, hertz, *, speed_m_s=6.0, loss=0.1, orders=1):
-    """A membrane in a rectangle whose edges reflect: Hankel functions of the source and its images."""
-    wave = 2 * np.pi * np.asarray(hertz) / speed_m_s / np.sqrt(1 + 1j * loss)
-    size, half = MIRRORED_MM / 1e3, MIRRORED_MM / 2e3
-    found = np.zeros((len(places_mm), len(actuator_mm), len(hertz)), complex)
-    places_m, sources_m = np.asarray(places_mm) / 1e3 + half, np.asarray(actuator_mm) / 1e3 + half
-    for m in range(-orders, orders + 1):
-        for n in range(-orders, orders + 1):
-            for sx in (1, -1):
-                for sy in (1, -1):
-                    image = sources_m * [sx, sy] + 2 * size * [m, n]
-                    apart = np.hypot(*(places_m[:, None] - image).transpose(2, 0, 1)) + 1e-3
-                    found += sx * sy * scipy.special.hankel2(0, wave * apart[..., None])
-    return found * np.asarray(hertz)
+def reflected(wavenumber, points_mm, sources_mm, size_mm, reflection, orders):
+    """Waves of sources in a rectangle and of their images in its rim, which reflects a part of them."""
+    found = 0.0
+    for number in np.stack(np.meshgrid(*[np.arange(-orders, orders + 1)] * 2), axis=-1).reshape(-1, 2):
+        image_mm = number * size_mm + np.where(number % 2 == 0, 1.0, -1.0) * sources_mm
+        apart_mm = np.maximum(np.hypot(*(points_mm[:, None] - image_mm).transpose(2, 0, 1)), 1.0)
+        waves = scipy.special.hankel2(0, np.multiply.outer(apart_mm, wavenumber))
+        found = found + reflection ** np.abs(number).sum() * waves
+    return found
+
+
+def mirror_images(places_mm, actuator_mm, hertz, *, speed_m_s=6.0, loss=0.1):
+    """A membrane in a rectangle whose edges are held."""
+    wave = 2 * np.pi * np.asarray(hertz) / (1e3 * speed_m_s) / np.sqrt(1 + 1j * loss)
+    return reflected(wave, np.asarray(places_mm), np.asarray(actuator_mm), MIRRORED_MM, -1.0, 2) * np.asarray(hertz)
 
 
 def free_disk(wavenumber, points_mm, sources_mm, radius_mm, orders):
@@ -51,23 +55,23 @@ def lattice(spacing_mm, radius_mm):
 
 
 @cache
-def _bessel_zeros():
-    return [(order, zero) for order in range(18) for zero in scipy.special.jn_zeros(order, 9)]
+def _bessel_zeros(orders, zeros):
+    return [(order, zero) for order in range(orders) for zero in scipy.special.jn_zeros(order, zeros)]
 
 
-def disk(places_mm, actuator_mm, hertz, *, speed_m_s=7.0, loss=0.05):
+def disk(places_mm, actuator_mm, hertz, *, speed_m_s=7.0, loss=0.05, radius_mm=DISK_MM, modes=(18, 9)):
     """A membrane in a fixed ring: its modes are Bessel functions."""
     omega = 2 * np.pi * np.asarray(hertz)
     found = np.zeros((len(places_mm), len(actuator_mm), len(hertz)), complex)
     (r, angle), (r0, angle0) = (
-        (np.hypot(*np.transpose(some)) / DISK_MM, np.arctan2(some[:, 1], some[:, 0]))
+        (np.hypot(*np.transpose(some)) / radius_mm, np.arctan2(some[:, 1], some[:, 0]))
         for some in (np.asarray(places_mm), np.asarray(actuator_mm))
     )
-    for order, zero in _bessel_zeros():
+    for order, zero in _bessel_zeros(*modes):
         shape, source = scipy.special.jv(order, zero * r), scipy.special.jv(order, zero * np.minimum(r0, 0.98))
         around = np.cos(order * (angle[:, None] - angle0)) * (2 if order else 1)
         norm = scipy.special.jv(order + 1, zero) ** 2
-        natural = zero * speed_m_s / (DISK_MM / 1e3)
+        natural = zero * speed_m_s / (radius_mm / 1e3)
         resonance = 1j * omega / (natural**2 * (1 + 1j * loss) - omega**2)
         found += (shape[:, None] * source * around / norm)[..., None] * resonance
     return found
@@ -133,3 +137,34 @@ def responses(kind, places_mm, actuator_mm, rate_hz, taps, band_hz):
     spectra[..., used] *= np.exp(-2j * np.pi * hertz[used] * 0.1 * taps / rate_hz)
     green = np.fft.irfft(spectra, taps)
     return green / np.sqrt(np.mean(np.square(green)))
+
+
+class WaveTravel(NamedTuple):
+    group_velocity_m_s: float
+    attenuation_db_per_cm: float
+
+
+def impulse_travel(wave, band_hz=(50.0, 450.0), span_mm=(10.0, 50.0)):
+    """Of an impulse with a flat spectrum in the band, its spreading removed: exp(-j k r).
+
+    The velocity is the distance over the delay between the centroids of energy at the two ends of the span; the
+    attenuation is the loss of energy between them.
+    """
+    frequency_hz = np.linspace(*band_hz, 401)
+    k = wave.wavenumber(frequency_hz)
+    if isinstance(wave, DampedWave):
+        damped = 4 * np.pi * frequency_hz - 1j * wave.damping_per_s
+        slowness = (damped / (2 * k * wave.speed_m_s**2)).real
+    else:
+        slowness = (1 - 0.5 * wave.exponent) * k.real / (2 * np.pi * frequency_hz)
+    near_m, far_m = np.array(span_mm) / 1e3
+    near, far = (np.exp(2 * k.imag * distance_m) for distance_m in (near_m, far_m))
+    delay_s = far_m * np.average(slowness, weights=far) - near_m * np.average(slowness, weights=near)
+    loss_db = 10 * np.log10(near.sum() / far.sum())
+    return WaveTravel((far_m - near_m) / delay_s, loss_db / (100 * (far_m - near_m)))
+
+
+def thin_plate_green(k, radius_m):
+    """-j / (8 k^2) [H0(2)(k r) - (2j / pi) K0(k r)], r > 0 (Timoshenko and Woinowsky-Krieger 1959)."""
+    z = k * np.asarray(radius_m)
+    return -1j / (8 * k * k) * (scipy.special.hankel2(0, z) - 2j / np.pi * scipy.special.kv(0, z))

@@ -5,13 +5,9 @@ from functools import cache
 
 import numpy as np
 
+from wavefocus import GreenArray, Impulse, Line, Scene, Source, predict
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Line
-from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.rendering.verify.scan import Scan
 
 RATE_HZ = 4_000.0
@@ -43,16 +39,10 @@ def rendered():
 
 def scan_of(field, start_s, rate_hz, noise_rms=np.nan, **changes):
     """A scan of all positions that holds such a field."""
+    count = len(field)
     made = Scan(
-        field=field.astype(np.float32),
-        position_index=np.arange(len(field)),
-        sample_rate_hz=rate_hz,
-        start_s=start_s,
-        response_unit="m/s",
-        status=np.ones(len(field), np.uint8),
-        attempts=np.ones(len(field), np.int64),
-        noise_rms=np.full(len(field), noise_rms),
-        clock_ratio=np.ones(len(field)),
-        playback_gain=np.ones(len(field)),
-    )
+        field.astype(np.float32), np.arange(count), rate_hz, start_s, "m/s", status=np.ones(count, np.uint8),
+        attempts=np.ones(count, np.int64), noise_rms=np.full(count, noise_rms), clock_ratio=np.ones(count),
+        playback_gain=np.ones(count),
+    )  # fmt: skip
     return replace(made, **changes)

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
+from tests.unit.line_verification import scan_of
 from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
+from wavefocus import Drive, InputError
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.verify.correction import correct_drive, correction_lines, held_out
-from wavefocus.rendering.verify.scan import Scan
 from wavefocus.storage.bank.ledger import Status
-from wavefocus.storage.drive_file import Drive
-from wavefocus.storage.errors import InputError
 
 PLACES_MM = [[0.0, 0.0], [20.0, 0.0], [-20.0, 4.0], [0.0, 16.0]]
 ROWS = np.arange(len(PLACES_MM))
@@ -54,11 +53,7 @@ class _Rig:
         status = np.full(len(field), Status.VALID, np.uint8)
         status[list(self.lost)] = Status.POOR_SIGNAL
         field[list(self.lost)] = 0
-        ones = np.ones(len(field))
-        return Scan(
-            field.astype(np.float32), np.arange(len(field)), RATE_HZ, drive.start_s, "m/s", status,
-            ones.astype(np.int64), self.noise_rms * ones, ones, ones,
-        )  # fmt: skip
+        return scan_of(field, drive.start_s, RATE_HZ, self.noise_rms, status=status)
 
 
 def _error(rig, drive):

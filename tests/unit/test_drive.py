@@ -14,19 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.plate_banks import NOISE_MM, noise_bank
+from wavefocus import Circle, Impulse, InputError, Line, Noise, Point, Scene, Sine, Source, read_drive, render
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.drives import render
 from wavefocus.rendering.device import Device, cuda_device, host_device
 from wavefocus.rendering.drive.coil_limits import levels_of
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.drive.wav import stream_wav
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.report.render_report import RenderWarning
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Circle, Line, Point
-from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
-from wavefocus.storage.drive_file import read_drive
-from wavefocus.storage.errors import InputError
 
 RATE_HZ, COLUMNS, PITCH_MM = 1000.0, 9, 4.0
 MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)
@@ -97,10 +92,8 @@ def relative_error(found, expected):
     return np.linalg.norm(found - expected) / np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize(
-    ("interpolation", "method"),
-    [("nearest", "exact"), ("nearest", "sampled"), ("bilinear", "exact"), ("bilinear", "sampled")],
-)
+@pytest.mark.parametrize("method", ["exact", "sampled"])
+@pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
 def test_a_scene_in_memory_and_in_blocks_is_the_direct_evaluation(interpolation, method):
     """Sources that begin and end at other times and of other lengths share blocks and transforms."""
     held = SATURATED if (interpolation == "nearest") == (method == "exact") else Regularisation()
@@ -142,8 +135,7 @@ def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus():
 
 def test_continuous_emission_lasts_to_the_next_focus_and_is_exact():
     drive = drive_of(Source(Line((-8, 0), (8, 0)), Sine(50, 0.01), 0.0, 80.0, 4.0))
-    assert drive.drive_v.shape[1] == 250 + 60 - 1
-    assert drive.focus_sample.tolist() == [0, 50, 100, 150, 200]
+    assert (drive.drive_v.shape[1], drive.focus_sample.tolist()) == (250 + 60 - 1, [0, 50, 100, 150, 200])
     assert drive_of(REPEATING).method == drive_of(MOVING, method="sampled").method == "sampled"
     assert drive_of(MOVING).method == drive_of(MOVING, REPEATING).method == "exact"
 
@@ -191,22 +183,20 @@ def test_the_bound_is_never_smaller_than_the_error_of_what_was_left_out(
     assert drive.omitted_bound <= 10 ** (tolerance_db / 20)
 
 
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [
-        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 0.0, 4.0), "speed_mm_s of source 0 is 0"),
-        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 80.0, 0.0), "step_mm of source 0 is 0"),
-        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 80.0, 1e-9), "path points; at most"),
-        (Source(Line((-8, 0), (8, 0)), Impulse(), 0, 1e9, 4.0), "emits nothing"),
+def test_a_source_that_cannot_be_rendered_is_refused():
+    line, bank = Line((-8, 0), (8, 0)), noise_bank(scale=1e-6)
+    for source, message in (
+        (Source(line, Impulse(), 0, 0.0, 4.0), "speed_mm_s of source 0 is 0"),
+        (Source(line, Impulse(), 0, 80.0, 0.0), "step_mm of source 0 is 0"),
+        (Source(line, Impulse(), 0, 80.0, 1e-9), "path points; at most"),
+        (Source(line, Impulse(), 0, 1e9, 4.0), "emits nothing"),
         (Source(Point((0, 0)), Impulse(), 1e9), "samples are allowed"),
         (Source(Point((0, 0)), Impulse(), amplitude=1e308), "does not fit into float64"),
         (Source(Point((0, 0)), given_signal(np.zeros(0))), "the signal of source 0 is empty"),
         (Source(Point((4, 4)), Sine(100.0, 1e-9)), "signal of source 0: .* no sample to emit"),
-    ],
-)
-def test_a_source_that_cannot_be_rendered_is_refused(source, message):
-    with pytest.raises(InputError, match=message):
-        render(scene_of(source), noise_bank(scale=1e-6))
+    ):
+        with pytest.raises(InputError, match=message):
+            render(scene_of(source), bank)
 
 
 def test_a_doubtful_row_on_the_path_warns_and_a_failed_one_ends_the_blocks_there():
@@ -256,21 +246,29 @@ def test_a_streamed_wav_is_the_whole_one_and_beyond_full_scale_it_is_refused(tmp
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-7)
 
 
+ALL, HUGE = (MOVING, REPEATING, STANDING), Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=1e42)
+
+
 @pytest.mark.parametrize(
-    ("limits", "tolerance_db"),
+    ("sources", "limits", "tolerance_db"),
     [
-        ({"limit_v": 1e-3}, None),
-        ({"limit_v": 1e-3, "limit_rms_v": 2e-4}, -40.0),
-        ({}, -40.0),
+        (ALL, {"limit_v": 1e-3}, None),
+        (ALL, {"limit_v": 1e-3, "limit_rms_v": 2e-4}, -40.0),
+        (ALL, {}, -40.0),
+        ([Source(Point((3, 3)), Impulse())], {"limit_rms_v": 1e-3}, None),
+        ([HUGE], {}, -40.0),
     ],
+    ids=["peak", "power", "tolerance", "one sample", "beyond single precision"],
 )
-def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(limits, tolerance_db, tmp_path):
-    scene = scene_of(MOVING, REPEATING, STANDING, regularisation=Regularisation(saturation=0.5), **limits)
+def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(sources, limits, tolerance_db, tmp_path):
+    scene = scene_of(*sources, regularisation=Regularisation(saturation=0.5), **limits)
     whole, report = render_with_report(scene, noise_bank(), tolerance_db=tolerance_db)
     streamed = SceneRenderer(scene, noise_bank(), tolerance_db=tolerance_db)
     told = streamed.write(tmp_path / "d.h5")
     written = read_drive(tmp_path / "d.h5")
     assert written.verified
+    assert np.isfinite(written.drive_v).all()
+    assert told.single == (sources is ALL and tolerance_db is not None)
     assert (written.scale, written.omitted_bound) == (told.scale, told.omitted_bound)
     for name in ("focus_sample", "focus_position", "focus_source", "focus_mm", "start_s", "method"):
         np.testing.assert_array_equal(getattr(written, name), getattr(whole, name))
@@ -282,20 +280,6 @@ def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(limits, 
     assert np.abs(written.drive_v).max() <= limits.get("limit_v", np.inf)
     assert levels_of(written.drive_v, RATE_HZ).rms_v.max() <= limits.get("limit_rms_v", np.inf)
     assert streamed.peak_v == pytest.approx(np.abs(written.drive_v).max(), rel=1e-12)
-
-
-def test_one_sample_and_one_beyond_single_precision_are_written(tmp_path):
-    for signal, amplitude, limits, tolerance_db in (
-        (Impulse(), 1.0, {"limit_rms_v": 1e-3}, None),
-        (Noise((50, 400), 0.7, 3), 1e42, {}, -40.0),
-    ):
-        source = Source(Point((3, 3)), signal)
-        scene = scene_of(replace(source, amplitude=amplitude), **limits)
-        report = SceneRenderer(scene, noise_bank(), tolerance_db=tolerance_db).write(tmp_path / "d.h5", force=True)
-        assert not report.single
-        expected = drive_of(source, **limits).drive_v * amplitude
-        found = read_drive(tmp_path / "d.h5").drive_v
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
 STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)

@@ -6,19 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.plate_banks import SPACING_MM, plate_bank
-from tests.unit.test_drive import STRICT
+from tests.unit.test_drive import STRICT, relative_error
+from wavefocus import Drive, GreenArray, Impulse, InputError, Line, Scene, Source, render
 from wavefocus.config.scene import Output
-from wavefocus.drives import render
 from wavefocus.rendering.device import host_device
 from wavefocus.rendering.field.convolution import BankSpectra
 from wavefocus.rendering.field.foci import focus_figures, predicted_at
 from wavefocus.rendering.field.prediction import Prediction, measured_positions, predict, share_above
-from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Line
-from wavefocus.rendering.scene.signals import Impulse
-from wavefocus.storage.drive_file import Drive
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import LowPass
 
 NONE = np.zeros(0, np.int64)
@@ -36,11 +30,6 @@ def make_bank(values, **options):
 def convolved(bank, drive, positions):
     rows = (zip(bank.values[position].astype(float), drive.drive_v, strict=True) for position in positions)
     return np.array([sum(np.convolve(green, volts) for green, volts in row) for row in rows])
-
-
-def relative_error(found, expected):
-    assert found.shape == expected.shape
-    return np.linalg.norm(found - expected) / np.linalg.norm(expected)
 
 
 @settings(max_examples=12)

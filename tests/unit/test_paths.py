@@ -15,26 +15,17 @@ from wavefocus.storage.errors import InputError
 NAN = float("nan")
 
 
-TWO_STROKES = [np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[10.0, 0.0], [10.0, 3.0]])]
-QUARTER_MM = 2.5 * math.pi
-
-
-@pytest.mark.parametrize(
-    ("path", "length_mm", "points_mm"),
-    [
-        (
-            Polyline([(0, 0), (0, 0), (4, 0), (4, 0), (4, 3)], closed=True), 12.0,
-            {4: (4, 0), 7: (4, 3), 9.5: (2, 1.5), 12: (0, 0)},
-        ),
-        (Strokes(TWO_STROKES), 5.0, {1.9: (1.9, 0), 2.0: (10, 0), 5.0: (10, 3)}),
-        (Circle((1.0, 2.0), 5.0, 0.25), QUARTER_MM, {0.0: (6, 2), QUARTER_MM: (1.0, 7.0)}),
-        (Circle((1.0, 2.0), 5.0, -0.25, 90.0), QUARTER_MM, {0.0: (1, 7), QUARTER_MM: (6, 2)}),
-    ],
-    ids=["closed polyline", "strokes joined by jumps", "anticlockwise circle", "clockwise circle"],
-)  # fmt: skip
-def test_a_path_is_followed_by_its_arc_length(path, length_mm, points_mm):
-    assert path.length_mm == pytest.approx(length_mm)
-    np.testing.assert_allclose(path.point_at(list(points_mm)), list(points_mm.values()), atol=1e-12)
+def test_a_path_is_followed_by_its_arc_length():
+    strokes = [np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[10.0, 0.0], [10.0, 3.0]])]
+    square, quarter_mm = Polyline([(0, 0), (0, 0), (4, 0), (4, 0), (4, 3)], closed=True), 2.5 * math.pi
+    for path, length_mm, points_mm in (
+        (square, 12.0, {4: (4, 0), 7: (4, 3), 9.5: (2, 1.5), 12: (0, 0)}),
+        (Strokes(strokes), 5.0, {1.9: (1.9, 0), 2.0: (10, 0), 5.0: (10, 3)}),
+        (Circle((1.0, 2.0), 5.0, 0.25), quarter_mm, {0.0: (6, 2), quarter_mm: (1.0, 7.0)}),
+        (Circle((1.0, 2.0), 5.0, -0.25, 90.0), quarter_mm, {0.0: (1, 7), quarter_mm: (6, 2)}),
+    ):
+        assert path.length_mm == pytest.approx(length_mm)
+        np.testing.assert_allclose(path.point_at(list(points_mm)), list(points_mm.values()), atol=1e-12)
 
 
 @given(
@@ -51,18 +42,11 @@ def test_neighbours_on_a_polyline_are_never_further_apart_than_along_it(points, 
 
 def test_a_path_that_makes_no_sense_is_refused():
     for make in (
-        lambda: Point((NAN, 0)),
-        lambda: Line((0, 0), (math.inf, 0)),
-        lambda: Polyline([]),
-        lambda: Polyline([(0, NAN)]),
-        lambda: Circle((0, 0), -1.0),
-        lambda: Circle((0, 0), 1.0, math.inf),
-        lambda: TextPath("  ", 10),
-        lambda: TextPath("A", 0),
-        lambda: TextPath("A", 10, (NAN, 0)),
+        lambda: Point((NAN, 0)), lambda: Line((0, 0), (math.inf, 0)), lambda: Polyline([]), lambda: Strokes([]),
+        lambda: Circle((0, 0), -1.0), lambda: Circle((0, 0), 1.0, math.inf), lambda: Polyline([(0, NAN)]),
+        lambda: TextPath("  ", 10), lambda: TextPath("A", 0), lambda: TextPath("A", 10, (NAN, 0)),
         lambda: TextPath("\u4e2d", 10),
-        lambda: Strokes([]),
-    ):
+    ):  # fmt: skip
         with pytest.raises(InputError):
             make()
 
@@ -85,26 +69,18 @@ def test_an_svg_path_is_upright_with_its_transforms_and_is_found_by_its_id(tmp_p
     np.testing.assert_allclose(SvgPath(file).point_at([0, 2]), [[10, -2], [10, -4]], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("data", "end", "length"),
-    [
-        ("M0 0 H10 V5", (10, 5), 15),
-        ("m1,1 h2v3l-2-3z", (1, 1), 5 + math.sqrt(13)),
-        ("M0 0 10 0 10 10", (10, 10), 20),
-        ("M0,0C0,0 10,0 10,0", (10, 0), 10),
-        ("M0 0c0 0 5 0 5 0s5 0 5 0", (10, 0), 10),
-        ("M0 0Q5 0 10 0T20 0", (20, 0), 20),
-        ("M0 0A10 10 0 0 1 20 0", (20, 0), 10 * math.pi),
-        ("M0 0a10 10 0 1010 10", (10, 10), 15 * math.pi),
-        ("M0 0A1 1 0 0 1 20 0", (20, 0), 10 * math.pi),
-        ("M0 0A0 5 0 0 1 3 4", (3, 4), 5),
+def test_path_commands_draw_what_the_standard_says():
+    for data, end, length in (
+        ("M0 0 H10 V5", (10, 5), 15), ("m1,1 h2v3l-2-3z", (1, 1), 5 + math.sqrt(13)),
+        ("M0 0 10 0 10 10", (10, 10), 20), ("M0,0C0,0 10,0 10,0", (10, 0), 10),
+        ("M0 0c0 0 5 0 5 0s5 0 5 0", (10, 0), 10), ("M0 0Q5 0 10 0T20 0", (20, 0), 20),
+        ("M0 0A10 10 0 0 1 20 0", (20, 0), 10 * math.pi), ("M0 0a10 10 0 1010 10", (10, 10), 15 * math.pi),
+        ("M0 0A1 1 0 0 1 20 0", (20, 0), 10 * math.pi), ("M0 0A0 5 0 0 1 3 4", (3, 4), 5),
         ("M1e1-.5.5.5", (0.5, 0.5), math.hypot(9.5, 1.0)),
-    ],
-)
-def test_path_commands_draw_what_the_standard_says(data, end, length):
-    (stroke,) = flatten(data, 1e-4)
-    np.testing.assert_allclose(stroke[-1], end, atol=1e-9)
-    assert np.hypot(*np.diff(stroke, axis=0).T).sum() == pytest.approx(length, rel=1e-3)
+    ):  # fmt: skip
+        (stroke,) = flatten(data, 1e-4)
+        np.testing.assert_allclose(stroke[-1], end, atol=1e-9)
+        assert np.hypot(*np.diff(stroke, axis=0).T).sum() == pytest.approx(length, rel=1e-3)
 
 
 MALFORMED = ["", "L0 0", "M0", "M0 0 X", "M0 0 L1", "M0 0A1 1 0 2 0 5 5", "M0 0z 5", "M0 0 nan 0", "M 0 0 L 12",

@@ -1,23 +1,18 @@
-"""Plates whose rim reflects waves, against closed forms of disk and rectangle, and against all their elements."""
+"""Plates whose rim reflects waves, and the solid, against closed forms and against all their finite elements."""
 
 import numpy as np
 import pytest
+from scipy.sparse import block_array
+from scipy.sparse.linalg import splu
 from scipy.special import h2vp, hankel2, jv, jvp
 
-from tests.unit.wave_travel import thin_plate_green
+from tests.unit.independent_plates import thin_plate_green
 from wavefocus.benchmarks.plate import ThinPlate
 from wavefocus.config.outline import Outline
-from wavefocus.mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE
+from wavefocus.mocks.plates import thin
+from wavefocus.mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, DampedWave, SolidPlate
 from wavefocus.mocks.plates.stadium import Elements, StadiumPlate, spacing_mm, triangulate
-from wavefocus.mocks.plates.thin import HIGHEST_HZ as HIGHEST_HZ_GLASS
-from wavefocus.mocks.plates.thin import (
-    INFINITE_STRENGTH,
-    KAPPA_M2_S,
-    MASS_KG_M2,
-    STRENGTH,
-    InfiniteGlass,
-    ThinRectangle,
-)
+from wavefocus.mocks.plates.thin import KAPPA_M2_S, InfiniteGlass, ThinRectangle
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
@@ -28,16 +23,6 @@ SOURCE_MM = np.array([[30.0, 0.0], [5.0, -8.0]])
 PLACE_MM = np.array([[-20.0, 11.0], [0.0, 24.0], [12.0, -3.0], [-33.0, -2.0]])
 STADIUM = Outline.stadium(70.0, 40.0)
 ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0], [-24.0, -5.0]])
-
-
-@pytest.fixture(scope="module")
-def disk():
-    return Elements(triangulate(Outline.stadium(2 * DISK_MM, 2 * DISK_MM), SPACING_MM))
-
-
-@pytest.fixture(scope="module")
-def elements():
-    return Elements(triangulate(STADIUM, SPACING_MM))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -67,27 +52,29 @@ def _disk_response(k, place_mm, source_mm, rim):
     return complex(-0.25j * total * _mean_over_disk(k))
 
 
-@pytest.mark.parametrize(("admittance", "frequency_hz"), [(0.0, 450.0), (1.0, 250.0), (1.0, 450.0)])
-def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form(disk, frequency_hz, admittance):
-    k = complex(SOFT_PLATE.wavenumber(frequency_hz))
-    rim = 2j * np.pi * frequency_hz * admittance / SOFT_PLATE.speed_m_s
-    solved = disk.values_at(PLACE_MM, disk.solve(SOFT_PLATE, admittance, frequency_hz, disk.forces(SOURCE_MM)))
-    exact = np.array([[_disk_response(k, place, source, rim) for source in SOURCE_MM] for place in PLACE_MM])
-    assert np.linalg.norm(solved - exact) < 5e-3 * np.linalg.norm(exact)
+def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form():
+    disk = Elements(triangulate(Outline.stadium(2 * DISK_MM, 2 * DISK_MM), SPACING_MM))
+    for admittance, frequency_hz in ((0.0, 450.0), (1.0, 250.0), (1.0, 450.0)):
+        k = complex(SOFT_PLATE.wavenumber(frequency_hz))
+        rim = 2j * np.pi * frequency_hz * admittance / SOFT_PLATE.speed_m_s
+        solved = disk.values_at(PLACE_MM, disk.solve(SOFT_PLATE, admittance, frequency_hz, disk.forces(SOURCE_MM)))
+        exact = np.array([[_disk_response(k, place, source, rim) for source in SOURCE_MM] for place in PLACE_MM])
+        assert np.linalg.norm(solved - exact) < 5e-3 * np.linalg.norm(exact)
 
 
-@pytest.mark.parametrize("admittance", [0.0, 0.7])
-def test_given_a_stadium_then_its_responses_are_those_of_all_elements(elements, admittance):
-    plate = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like, rim_admittance=admittance)
-    response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
-    assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
-    for place in (1, 5, 10):
-        solved = elements.solve(SOFT_PLATE, admittance, 50.0 * place, elements.forces(ACTUATOR_MM))
-        velocity = 2j * np.pi * 50.0 * place * elements.values_at(np.array([[-8.0, 3.0]]), solved)[0]
-        assert np.linalg.norm(response[:, place] - velocity) < 3e-3 * np.linalg.norm(velocity)
-    single = plate.response((-8.0, 3.0), 50.0, 11, single=True)
-    assert single.dtype == np.complex64
-    assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
+def test_given_a_stadium_then_its_responses_are_those_of_all_elements():
+    elements = Elements(triangulate(STADIUM, SPACING_MM))
+    for admittance in (0.0, 0.7):
+        plate = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like, rim_admittance=admittance)
+        response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
+        assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
+        for place in (1, 5, 10):
+            solved = elements.solve(SOFT_PLATE, admittance, 50.0 * place, elements.forces(ACTUATOR_MM))
+            velocity = 2j * np.pi * 50.0 * place * elements.values_at(np.array([[-8.0, 3.0]]), solved)[0]
+            assert np.linalg.norm(response[:, place] - velocity) < 3e-3 * np.linalg.norm(velocity)
+        single = plate.response((-8.0, 3.0), 50.0, 11, single=True)
+        assert single.dtype == np.complex64
+        assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
 
 
 def test_given_taps_then_the_spectra_are_those_of_the_cut_responses():
@@ -128,9 +115,9 @@ def test_a_rectangle_of_glass_then_its_responses_are_the_sum_of_its_modes_in_tim
     corner_mm = np.array([125.0, 75.0])
     rung = ThinPlate(0.25, 0.15, KAPPA_M2_S).impulse_velocity(
         (np.array([[-40.0, 10.0]]) + corner_mm) / 1e3, (np.array([[60.0, 30.0]]) + corner_mm) / 1e3,
-        samples, rate_hz, quality=80.0, band_hz=(0.0, HIGHEST_HZ_GLASS),
+        samples, rate_hz, quality=80.0, band_hz=(0.0, thin.HIGHEST_HZ),
     )[0, 0]  # fmt: skip
-    spectrum = STRENGTH * np.fft.rfft(rung)[:501] / rate_hz
+    spectrum = thin.STRENGTH * np.fft.rfft(rung)[:501] / rate_hz
     assert np.linalg.norm(response - spectrum) < 0.01 * np.linalg.norm(spectrum)
     with pytest.raises(ValueError, match="rectangle"):
         ThinRectangle(ACTUATOR_MM, STADIUM, np.ones_like)
@@ -142,10 +129,11 @@ def test_glass_without_an_edge_and_little_loss_then_its_response_is_the_closed_f
     angular = 2 * np.pi * hertz
     wavenumber = np.sqrt(angular / KAPPA_M2_S)
     argument = wavenumber * MAGNET_RADIUS_MM / 1e3
-    green = thin_plate_green(wavenumber, np.hypot(100.0, 20.0) / 1e3) / (MASS_KG_M2 * KAPPA_M2_S**2)
+    green = thin_plate_green(wavenumber, np.hypot(100.0, 20.0) / 1e3) / (thin.MASS_KG_M2 * KAPPA_M2_S**2)
     found = plate.response((-40.0, 10.0), 50.0, 11, single=False)[0, 1:]
     # Averaged over a small disk, both parts change by (k a)^2 / 8.
-    np.testing.assert_allclose(found, INFINITE_STRENGTH * 1j * angular * green, rtol=float(argument.max() ** 2 / 4))
+    wanted = thin.INFINITE_STRENGTH * 1j * angular * green
+    np.testing.assert_allclose(found, wanted, rtol=float(argument.max() ** 2 / 4))
 
 
 def test_given_glass_that_rings_for_seconds_then_its_response_does_not_wrap():
@@ -155,3 +143,58 @@ def test_given_glass_that_rings_for_seconds_then_its_response_does_not_wrap():
     )
     short, long = rig.truth(-40.0, 10.0, 1000)[0], rig.truth(-40.0, 10.0, 50_000)[0, :1000]
     assert np.linalg.norm(short - long) < 2e-3 * np.linalg.norm(long)
+
+
+# --- the elastic solid
+
+
+LOSSY_DISK = Outline.of("disk", 90.0, 90.0)
+SOLID_KEYS = {"shear_speed_m_s": 5.0, "pressure_speed_m_s": 8.0, "damping_per_s": 2500.0}
+"""So lossy that nothing comes back from the rim of the disk."""
+SOLID_SOURCE_MM = np.array([[4.0, -3.0]])
+SOLID_PLACE_MM = np.array([[-12.0, 9.0], [3.0, 21.0], [14.0, -3.0], [-2.0, -17.0], [5.5, -1.5]])
+
+
+def _solid_solved(elements, frequency_hz):
+    """Velocity (places, oscillation, force) from the weak form of the paper's eq. (3) in units of rho c_s^2."""
+    import skfem
+
+    def gradients(of_u, of_v):
+        return skfem.BilinearForm(lambda u, v, _: u.grad[of_u] * v.grad[of_v]).assemble(elements.basis)
+
+    angular, shear, pressure = 2 * np.pi * frequency_hz, SOLID_KEYS["shear_speed_m_s"], SOLID_KEYS["pressure_speed_m_s"]
+    modulus = 1 / (1 - 1j * SOLID_KEYS["damping_per_s"] / angular)
+    lame, mass = ((pressure / shear) ** 2 - 2) * modulus, (angular / shear) ** 2 * elements.mass
+    xx, yy, xy, yx = gradients(0, 0), gradients(1, 1), gradients(1, 0), gradients(0, 1)
+    system = block_array(
+        [
+            [(lame + 2 * modulus) * xx + modulus * yy - mass, lame * xy + modulus * yx],
+            [lame * yx + modulus * xy, (lame + 2 * modulus) * yy + modulus * xx - mass],
+        ]
+    ).tocsc()
+    load, count = elements.forces(SOLID_SOURCE_MM)[:, 0], elements.mass.shape[0]
+    forces = np.zeros((2 * count, 2), dtype=np.complex128)
+    forces[:count, 0] = forces[count:, 1] = load
+    # Symmetric, which an ordering for it halves the fill of.
+    factors = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    moved = factors.solve(forces)
+    parts = [elements.values_at(SOLID_PLACE_MM, np.asarray(part)) for part in (moved[:count], moved[count:])]
+    return 1j * angular * np.stack(parts, axis=1)
+
+
+@pytest.mark.parametrize("frequency_hz", [pytest.param(60.0, marks=pytest.mark.nightly), 450.0])
+def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(frequency_hz):
+    elements = Elements(triangulate(LOSSY_DISK, 0.5 * spacing_mm(DampedWave(5.0, 2500.0), 450.0)))
+    solved = _solid_solved(elements, frequency_hz)
+    for force in (0, 1):
+        for oscillation in (0, 1):
+            directions = {"force_deg": 90.0 * force, "oscillation_deg": 90.0 * oscillation}
+            plate = SolidPlate(SOLID_SOURCE_MM, LOSSY_DISK, np.ones_like, **SOLID_KEYS, **directions)
+            found = [plate.response(tuple(place), frequency_hz, 2, single=False)[0, 1] for place in SOLID_PLACE_MM]
+            wanted = solved[:, oscillation, force]
+            assert np.linalg.norm(found - wanted) < 0.01 * np.linalg.norm(wanted), (force, oscillation)
+
+
+def test_given_a_pressure_wave_that_is_too_slow_then_it_is_refused():
+    with pytest.raises(ValueError, match=r"pressure_speed_m_s is 5; it must be above 5\.774"):
+        SolidPlate(SOLID_SOURCE_MM, LOSSY_DISK, np.ones_like, **SOLID_KEYS | {"pressure_speed_m_s": 5.0})

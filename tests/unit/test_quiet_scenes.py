@@ -1,4 +1,4 @@
-"""Quiet places: filters of least energy against other solvers, drives, levels, files and stiff cases."""
+"""Quiet places: filters of least energy, drives, levels, files and stiff cases."""
 
 import json
 import re
@@ -9,23 +9,16 @@ import h5py
 import numpy as np
 import pytest
 import scipy.fft
-from scipy.optimize import minimize
 
 from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS, plate_bank, plate_greens
+from wavefocus import Circle, GreenArray, Impulse, InputError, Line, Noise, Point, Sine, predict, quiet_levels
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.rendering.drive.quiet_filters import Focus, Moment, find_multipliers, least_energy
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.field.quiet_levels import quiet_levels
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import QuietPlace, Scene, Source, read_scene
-from wavefocus.rendering.scene.paths import Circle, Line, Point
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.rendering.verify.correction import control_rows
 from wavefocus.rendering.verify.verdict import compare
 from wavefocus.storage.drive_file import read_drive, write_drive
-from wavefocus.storage.errors import InputError
 
 NOISE = Noise((60.0, 450.0), 0.5, 3)
 SHORT = replace(NOISE, duration_s=0.2)
@@ -94,7 +87,10 @@ def test_a_quiet_place_then_its_level_is_met_and_the_response_at_the_focus_stays
 
 @pytest.mark.parametrize(("places", "saturation"), [(2, 0.0), (12, 0.8)])
 def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, places, saturation):
-    """w = A^-1 h* a / (h A^-1 h*) with the reported multipliers, by transforms of twice the filters' length."""
+    """w = A^-1 h* a / (h A^-1 h*) with the reported multipliers, by transforms of twice the filters' length.
+
+    All multipliers are positive and all levels met exactly, so no other filters need less energy (Karush-Kuhn-Tucker).
+    """
     at = [(16.0 - 4.0 * (k % 4), 8.0 + 4.0 * (k // 4)) for k in range(places)]
     scene = scene_of(*at, level_db=-20.0, regularisation=Regularisation(saturation=saturation))
     drive, report = render_with_report(scene, bank)
@@ -119,13 +115,11 @@ def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, 
     expected = gain * np.stack([np.convolve(signal, one) for one in filters])
     assert drive.drive_v.shape == expected.shape
     assert np.linalg.norm(drive.drive_v - expected) < 1e-9 * np.linalg.norm(expected)
+    assert (report.quiet.multiplier > 0).all()
+    assert [track.rendered_db for track in report.quiet_tracks] == pytest.approx([-20.0] * places, abs=0.03)
 
 
-@pytest.mark.parametrize(
-    ("seeds", "seconds", "apart_s"),
-    [((1, 1, 1), 0.5, 0.0), ((0, 1, 2), 0.2, 0.15)],
-    ids=["the same noise", "following each other"],
-)
+@pytest.mark.parametrize(("seeds", "seconds", "apart_s"), [((1, 1, 1), 0.5, 0.0), ((0, 1, 2), 0.2, 0.15)])
 def test_independent_sources_are_quiet_at_each_other_while_both_sound(bank, seeds, seconds, apart_s):
     at = [(-16.0, 0.0), (8.0, 12.0), (12.0, -16.0)]
     sources = tuple(
@@ -244,15 +238,14 @@ def test_on_a_coarse_grid_it_is_said_how_quiet_a_place_between_positions_is_in_t
         assert len([text for text in report.warnings if "between the grid's positions" in text]) == said
 
 
+MOVING = scene_of(path=Line((-8.0, 0.0), (8.0, 0.0)), speed=50.0)
 BESIDE = QuietPlace(Line((-8.0, 1.0), (8.0, 1.0)), speed_mm_s=50.0)
 REFUSED = {
     "at the focus": (scene_of(FOCUS), "quiet[0]"),
     "disc around the focus": (scene_of((0.0, 0.0), FOCUS, radius_mm=4.0), "quiet[1]"),
     "outside the grid": (scene_of((90.0, 0.0)), "quiet[0]"),
-    "goes with the source": (
-        replace(scene_of(path=Line((-8.0, 0.0), (8.0, 0.0)), speed=50.0), quiet=(BESIDE,)), "quiet[0]",
-    ),
-}  # fmt: skip
+    "goes with the source": (replace(MOVING, quiet=(BESIDE,)), "quiet[0]"),
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -263,31 +256,38 @@ def test_a_place_that_cannot_be_quiet_is_refused_by_name(bank, case):
 
 
 STIFF = {
-    "within half a millimetre of the focus": scene_of((-7.6, 0.3), signal=SHORT),
+    "a tenth of a millimetre from the focus": scene_of((-7.9, 0.05), (16.0, 8.0), signal=SHORT),
     "two at one place": scene_of((16.0, 8.0), (16.0, 8.0), signal=SHORT),
     "thirty": scene_of(*[(x, y) for x in range(0, 22, 4) for y in range(-20, 20, 8)], signal=SHORT),
+    "a level beyond reach": scene_of((16.0, 8.0), level_db=-300.0, signal=SHORT),
     "a source that runs through it": scene_of(
         (4.0, 0.0), path=Line((-12.0, 0.0), (12.0, 0.0)), speed=160.0, output=NEAREST
     ),
     "a sine": scene_of((16.0, 8.0), signal=Sine(250.0, 0.2)),
+    "hardly moves": scene_of((16.0, 8.0), signal=SHORT),
+    "does not move": scene_of((16.0, 8.0), signal=SHORT),
 }
+STILL = {"hardly moves": 1e-60, "does not move": 0.0}
+MISSED = {"a tenth of a millimetre from the focus": ["quiet[0]"], "a level beyond reach": ["quiet[0]"]}
 
 
 @pytest.mark.parametrize("case", STIFF)
 def test_stiff_scenes_are_finite_within_the_energy_and_say_what_is_not_reached(bank, case):
     scene = STIFF[case]
+    bank = replace(bank, values=bank.values.copy())
+    bank.values[row_at(bank, (16.0, 8.0))] *= STILL.get(case, 1.0)
     plain, _ = render_with_report(plain_of(scene), bank)
     drive, report = render_with_report(scene, bank)
     assert np.isfinite(drive.drive_v).all()
     assert energy(drive) <= 10.5 * energy(plain)
     missed = [track.name for track in report.quiet_tracks if track.rendered_db > track.level_db + 0.5]
     assert all(any(name in text for text in report.warnings) for name in missed)
-    if "one place" in case or "sine" in case:
-        assert not missed
-    if "thirty" in case or "half" in case:
+    if case == "thirty":
         assert missed
-    if "through" in case:
+    elif "through" in case:
         assert any("source 0 is at quiet[0]" in text for text in report.warnings)
+    else:
+        assert missed == MISSED.get(case, [])
 
 
 def test_banks_of_one_actuator_on_one_line_or_without_a_band():
@@ -319,78 +319,3 @@ def test_a_wrong_table_is_refused_by_its_key():
     for lines, key in WRONG.items():
         with pytest.raises(InputError, match=rf"quiet\[0\]\.{key}\b"):
             read_scene(f"{text}[[quiet]]\n{lines}\n", Path("scene.toml"))
-
-
-# --- filters
-
-
-BINS, ACTUATORS = 12, 6
-
-
-def rows(count, seed=0, *, actuators=ACTUATORS, scale=1.0):
-    parts = np.random.default_rng(seed).standard_normal((2, BINS, count, actuators))
-    return scale * (parts[0] + 1j * parts[1])
-
-
-def solved(row, quiet, place, level, *, power=None, **limits):
-    """Multipliers, and the filters of one focus."""
-    power = np.ones(BINS) if power is None else power
-    focus = Focus(row, quiet, place)
-    moment = Moment([focus], power[None, None].astype(complex), quiet, place, np.ones((1, place.max() + 1), bool))
-    found = find_multipliers([moment], level, **limits)
-    return found, least_energy([focus], found.of_place)[0]
-
-
-def test_given_a_small_case_then_a_general_solver_finds_no_less_energy():
-    """SciPy's SLSQP knows nothing of multipliers: it has the filters themselves, the energy and the bounds."""
-    bins, actuators, level = 4, 5, np.array([1e-3, 3e-3])
-    h, q = rows(1, actuators=actuators)[:bins, 0], rows(3, 1, actuators=actuators)[:bins]
-    power, place, a = np.linspace(0.5, 2.0, bins), np.array([0, 1, 1]), np.square(np.abs(h)).sum(axis=1)
-    _, w = solved(h, q, place, level, power=power)
-    bound = level * (power @ np.square(np.abs((h * w).sum(axis=1))))
-
-    def responses(x):
-        filters = x.view(complex).reshape(bins, actuators)
-        there = power @ np.square(np.abs((q @ filters[..., None])[..., 0]))
-        return (h * filters).sum(axis=1), np.array([there[0], there[1:].mean()])
-
-    def energy(x):
-        return float(power @ np.square(x).reshape(bins, -1).sum(axis=1))
-
-    constraints = [
-        {"type": "ineq", "fun": lambda x: 1.0 - responses(x)[1] / bound},
-        {"type": "eq", "fun": lambda x: (responses(x)[0] - a).view(float)},
-    ]
-    found = minimize(
-        energy, h.conj().ravel().view(float), jac=lambda x: 2.0 * np.repeat(power, 2 * actuators) * x,
-        constraints=constraints, method="SLSQP", options={"maxiter": 500, "ftol": 1e-10},
-    )  # fmt: skip
-    assert found.success
-    assert energy(np.ascontiguousarray(w).ravel().view(float)) == pytest.approx(found.fun, rel=3e-3)
-    np.testing.assert_allclose(w, found.x.view(complex).reshape(w.shape), rtol=0, atol=0.02 * np.abs(w).max())
-
-
-STIFF_ROWS = {
-    "two places that are nearly one": (lambda: rows(1, 1) * (1.0 + 1e-9 * np.arange(2))[:, None], 1e-3, True),
-    "more places than actuators": (lambda: rows(24, 1), 1e-3, False),
-    "nearly the focus": (lambda: rows(1) * (1 + 1e-7) + 1e-7 * rows(1, 1), 1e-3, False),
-    "an infeasible one": (lambda: np.concatenate([rows(1) * (1 + 1e-9), rows(2, 1)], axis=1), 1e-3, False),
-    "no energy there": (lambda: 0.0 * rows(2, 1), 1e-3, True),
-    "a level beyond reach": (lambda: rows(2, 1), 1e-30, False),
-    "tiny rows": (lambda: 1e-60 * rows(2, 1), 1e-3, True),
-}
-
-
-@pytest.mark.parametrize("name", STIFF_ROWS)
-def test_given_a_stiff_case_then_the_filters_are_finite_and_keep_to_the_energy(name):
-    make, level, reachable = STIFF_ROWS[name]
-    h, q = rows(1)[:, 0], make()
-    place = np.arange(q.shape[1])
-    found, w = solved(h, q, place, np.full(len(place), level), most_energy=10.0)
-    assert np.isfinite([found.level, found.of_place]).all()
-    assert found.energy <= 10.0 * (1 + 1e-9)
-    assert bool((found.level <= level * 1.01).all()) == reachable
-    np.testing.assert_allclose((h * w).sum(axis=1), np.square(np.abs(h)).sum(axis=1), rtol=1e-6)
-    if "infeasible" in name:
-        assert found.level[0] > 0.9
-        np.testing.assert_allclose(found.level[1:], 1e-3, rtol=0.05)

@@ -14,14 +14,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
+from wavefocus import Drive, InputError
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.figures import _label_clock
 from wavefocus.rendering.report.movie import Foci, colour_limit, plan_frames, read_frames
 from wavefocus.rendering.report.page import build_report, remarks
 from wavefocus.rendering.verify.verdict import compare
-from wavefocus.storage.drive_file import Drive
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, FieldRowReader, write_field
 
 NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
@@ -34,11 +33,11 @@ def louder_scan(gain=1.0, noise=0.001):
     return scan_of(field, prediction.start_s, RATE_HZ, noise_rms, playback_gain=np.full(len(field), gain))
 
 
-def few_foci(count=2):
-    """The drive, of whose foci only the first are looked at: each takes time to be judged and drawn."""
+def first_focus():
+    """The drive, of whose foci only the first is looked at: each takes time to be judged and drawn."""
     drive, _ = rendered()
     keys = ("focus_sample", "focus_position", "focus_source", "focus_mm")
-    return dataclasses.replace(drive, **{key: getattr(drive, key)[:count] for key in keys})
+    return dataclasses.replace(drive, **{key: getattr(drive, key)[:1] for key in keys})
 
 
 def images_of(html):
@@ -57,7 +56,7 @@ def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(
     points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
     points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
     outline = np.array([(-50.0, -45.0), (50.0, -45.0), (50.0, 45.0), (-50.0, 45.0), (-50.0, -45.0)])
-    drive = few_foci(1)
+    drive = first_focus()
     report = build_report(
         tmp_path / "made", verification=compare(prediction, scan, drive, flawed), scene=scene_of(NASTY), drive=drive,
         prediction=prediction, scan=scan, bank=flawed, campaign={"hours simulated": 30.0, NASTY: NASTY}, drift=points,
@@ -86,41 +85,27 @@ def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(
     assert html.count("</title>") == 1
 
 
-def few_positions():
-    _, prediction = rendered()
-    return Field(prediction.field[80:90], np.arange(80, 90), RATE_HZ, prediction.start_s, "m/s")
+def test_given_a_scan_then_the_remarks_say_what_to_check():
+    drive, (_, prediction) = first_focus(), rendered()
+    few = Field(prediction.field[80:90], np.arange(80, 90), RATE_HZ, prediction.start_s, "m/s")
+    for scan, remark, not_remark in (
+        (louder_scan(gain=1.04), "louder than predicted. Check that amplifier volume", "Not judged"),
+        (louder_scan(gain=1.3), "loopback carried 1.3 times", "Not judged"),
+        (louder_scan(noise=0.5), "Most of the error is the vibrometer's noise", "not explained by noise"),
+        (few, "Not judged: focus to path point", "not explained"),
+    ):
+        text = " ".join(remarks(compare(prediction, scan, drive, bank()), drive, scan))
+        assert remark in text
+        assert not_remark not in text
 
 
-@pytest.mark.parametrize(
-    ("scan", "remark", "not_remark"),
-    [
-        (lambda: louder_scan(gain=1.04), "louder than predicted. Check that amplifier volume", "Not judged"),
-        (lambda: louder_scan(gain=1.3), "loopback carried 1.3 times", "Not judged"),
-        (lambda: louder_scan(noise=0.5), "Most of the error is the vibrometer's noise", "not explained by noise"),
-        (few_positions, "Not judged: focus to path point", "not explained"),
-    ],
-)
-def test_given_a_scan_then_the_remarks_say_what_to_check(scan, remark, not_remark):
-    drive, (_, prediction) = few_foci(), rendered()
-    text = " ".join(remarks(compare(prediction, scan(), drive, bank()), drive, scan()))
-    assert remark in text
-    assert not_remark not in text
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [
-        (None, "mm", "\N{EN DASH}"),
-        (math.nan, "", "\N{EN DASH}"),
-        (0.0004, "mm", "0.00 mm"),
-        (-0.001, "dB", "0.00 dB"),
-        (-12.345, "dB", "\N{MINUS SIGN}12.3 dB"),
-        (1234.5, "V", "1,234 V"),
-        (math.inf, "", "∞"),
-    ],
-)
-def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves(value, unit, text):
-    assert number(value, unit) == text
+def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves():
+    dash, minus = "\N{EN DASH}", "\N{MINUS SIGN}"
+    for value, unit, text in (
+        (None, "mm", dash), (math.nan, "", dash), (0.0004, "mm", "0.00 mm"), (-0.001, "dB", "0.00 dB"),
+        (-12.345, "dB", f"{minus}12.3 dB"), (1234.5, "V", "1,234 V"), (math.inf, "", "∞"),
+    ):  # fmt: skip
+        assert number(value, unit) == text
 
 
 @pytest.mark.may_skip("Windows has no tzset")

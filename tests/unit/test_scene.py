@@ -9,16 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.plate_banks import NOISE_MM, noise_bank, plate_bank
+from wavefocus import Circle, InputError, Line, Point, Polyline, Scene, Source, load_scene
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
-from wavefocus.rendering.scene.model import Scene, Source, load_scene
-from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
 from wavefocus.rendering.scene.sampling import sample_scene, scene_size
 from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine, SoundFile
 from wavefocus.rendering.scene.trajectory import Trajectory, TrajectoryPath
-from wavefocus.storage.errors import InputError
 
 NAN, INF = float("nan"), float("inf")
 RATE_HZ = 1000.0
@@ -43,24 +41,17 @@ def drive_v(scene, bank=None, **options):
     return render_with_report(scene, bank or noise_bank(), **options)[0].drive_v
 
 
-def line(**figures):
-    return Source(Line((0, 0), (10, 0)), Impulse(), **{"speed_mm_s": 80.0, "step_mm": 4.0, **figures})
-
-
+LINE = Source(Line((0, 0), (10, 0)), Impulse(), speed_mm_s=80.0, step_mm=4.0)
+WRONG_FIGURES = (
+    ("start_s", -0.1), ("start_s", NAN), ("amplitude", INF), ("emission", "once"), ("speed_mm_s", -1.0),
+    ("speed_mm_s", NAN), ("step_mm", -4.0), ("step_mm", INF),
+)  # fmt: skip
 TWO = ((0.0, 0.0), (1.0, 0.0))
 OUT_OF_RANGE = {
-    "start_s is -0.1": lambda: line(start_s=-0.1),
-    "start_s is nan": lambda: line(start_s=NAN),
-    "amplitude is inf": lambda: line(amplitude=INF),
-    "emission is 'once'": lambda: line(emission="once"),
-    "speed_mm_s is -1": lambda: line(speed_mm_s=-1.0),
-    "speed_mm_s is nan": lambda: line(speed_mm_s=NAN),
-    "step_mm is -4": lambda: line(step_mm=-4.0),
-    "step_mm is inf": lambda: line(step_mm=INF),
     "no source": lambda: Scene("empty", ()),
     "emission is 'per_point'": lambda: Source(FINGER.path, NOISE, emission="per_point"),
     "repeat is true; .* a path that": lambda: Source(Point((0.0, 0.0)), NOISE, repeat=True),
-    "repeat is true; it needs emission": lambda: line(emission="per_point", repeat=True),
+    "repeat is true; it needs emission": lambda: replace(LINE, emission="per_point", repeat=True),
     "at least two": lambda: TrajectoryPath((0.0,), ((0.0, 0.0),)),
     "2 instants, places of shape .3": lambda: TrajectoryPath((0.0, 1.0), (*TWO, (2.0, 0.0))),
     "row 1 .* later than in the row before": lambda: TrajectoryPath((0.0, 0.0), TWO),
@@ -70,11 +61,14 @@ OUT_OF_RANGE = {
 }
 
 
-@pytest.mark.parametrize("message", OUT_OF_RANGE)
-def test_a_scene_source_or_trajectory_out_of_range_is_refused_by_name(message):
+def test_a_scene_source_or_trajectory_out_of_range_is_refused_by_name():
     Source(Point((1.0, 2.0)), Impulse(), speed_mm_s=-5.0, step_mm=NAN)  # a point needs neither speed nor step
-    with pytest.raises(InputError, match=message):
-        OUT_OF_RANGE[message]()
+    for name, value in WRONG_FIGURES:
+        with pytest.raises(InputError, match=f"{name} is {value!r}"):
+            replace(LINE, **{name: value})
+    for message, make in OUT_OF_RANGE.items():
+        with pytest.raises(InputError, match=message):
+            make()
 
 
 # --- positions that a scene needs
@@ -159,7 +153,9 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     line = Source(Line((-10.0, 0.0), (10.0, 0.0)), NOISE, 0.0, 100.0, 4.0, repeat=True)
     (sampled,) = sample_scene(scene_of(line), noise_bank()).sources
     assert sampled.signal.tolist() == np.resize(NOISE.samples(RATE_HZ), 240).tolist()
-    assert scene_size(scene_of(line), sample_rate_hz=RATE_HZ, taps=60, actuators=3).signal_samples == 240
+    stated = scene_size(scene_of(line), sample_rate_hz=RATE_HZ, taps=60, actuators=3)
+    assert (stated.signal_samples, stated.path_points) == (240, len(sampled.focus_sample))
+    assert stated.samples == drive_v(scene_of(line), method="sampled").shape[1]
 
 
 def test_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_circle():
@@ -275,18 +271,11 @@ def test_a_signal_that_cannot_be_emitted_is_refused(tmp_path):
     names = ("missing", "broken", "silent", "empty", r"cut.wav is truncated: it holds 100 of 244 bytes")
     files = ((SoundFile(tmp_path / f"{name.split('.')[0]}.wav"), name) for name in names)
     for signal, message in (
-        (Sine(0.0, 1.0), "frequency_hz is 0.0"),
-        (Sine(5000.0, 1.0), "below 5000"),
-        (Sine(100.0, 0.0), "duration_s is 0.0"),
-        (Sine(100.0, NAN), "duration_s is nan"),
-        (Sine(100.0, 1e-5), "no sample to emit"),
-        (Sine(100.0, 1e-4), "empty or silent"),
-        (Sine(100.0, 1e9), "more than"),
-        (Noise((400, 50), 1.0), "band_hz"),
-        (Noise((50, 6000), 1.0), "band_hz"),
-        (Noise((50, 60), 0.01), "empty or silent"),
-        (Noise((50, 60), 1.0, -1), "seed is -1"),
-        *files,
-    ):
+        (Sine(0.0, 1.0), "frequency_hz is 0.0"), (Sine(5000.0, 1.0), "below 5000"),
+        (Sine(100.0, 0.0), "duration_s is 0.0"), (Sine(100.0, NAN), "duration_s is nan"),
+        (Sine(100.0, 1e-5), "no sample to emit"), (Sine(100.0, 1e-4), "empty or silent"),
+        (Sine(100.0, 1e9), "more than"), (Noise((400, 50), 1.0), "band_hz"), (Noise((50, 6000), 1.0), "band_hz"),
+        (Noise((50, 60), 0.01), "empty or silent"), (Noise((50, 60), 1.0, -1), "seed is -1"), *files,
+    ):  # fmt: skip
         with pytest.raises(InputError, match=message):
             signal.samples(10_000.0)

@@ -1,5 +1,5 @@
-import dataclasses
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,13 +17,9 @@ ACTUATOR = 2
 TAKE = RecordLabel(0, 1, 0)
 
 QUIET = VirtualSettings(
-    noise_v=0.0,
-    reference_noise_v=0.0,
-    clock_ppm=0.0,
-    inter_channel_delay_s=0.0,
-    latency_s=(0.01, 0.01),
+    noise_v=0.0, reference_noise_v=0.0, clock_ppm=0.0, inter_channel_delay_s=0.0, latency_s=(0.01, 0.01),
     dropout_probability=0.0,
-)
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -32,22 +28,18 @@ def quiet_rig():
     return VirtualRig(QUIET)
 
 
-def changed(settings=QUIET, **changes):
-    return dataclasses.replace(settings, **changes)
-
-
-def point(rig, place_mm=PLACE_MM):
-    rig.instruments.mirror.move_to(*rig.settings.mirror.angles_mrad(*place_mm))
+def point(rig):
+    rig.instruments.mirror.move_to(*rig.settings.mirror.angles_mrad(*PLACE_MM))
     rig.instruments.mirror.wait_settled(1.0)
 
 
-def record(rig, drive_v, label=TAKE, *, channels=(ACTUATOR,), place_mm=PLACE_MM, samples=4000, range_v=(2.0, 1.0)):
-    point(rig, place_mm)
+def record(rig, drive_v, label=TAKE, *, channels=(ACTUATOR,), range_v=(2.0, 1.0), play_hz=RATE_HZ):
+    point(rig)
     instruments = rig.instruments
-    instruments.recorder.start(RecordRequest(samples, RATE_HZ, range_v, label))
+    instruments.recorder.start(RecordRequest(4000, RATE_HZ, range_v, label))
     instruments.clock.sleep(PRE_ROLL_S)
     signals = dict.fromkeys((*channels, rig.settings.channel_of_loopback), drive_v)
-    instruments.player.play(signals, RATE_HZ)
+    instruments.player.play(signals, play_hz)
     instruments.player.wait(10.0)
     return instruments.recorder.read(10.0)
 
@@ -62,8 +54,8 @@ def on_steps(volts):
     return np.rint(volts / step_v) * step_v
 
 
-def response_volts(rig, drive_v, taps=6000, place_mm=PLACE_MM, actuator=ACTUATOR):
-    green = rig.truth(*place_mm, taps)[actuator] / rig.settings.sensitivity_m_s_per_v
+def response_volts(rig, drive_v, actuator=ACTUATOR):
+    green = rig.truth(*PLACE_MM, 6000)[actuator] / rig.settings.sensitivity_m_s_per_v
     return np.convolve(drive_v, green)
 
 
@@ -89,7 +81,7 @@ def test_with_one_clock_and_no_noise_the_response_is_drive_convolved_with_truth(
 
 
 def test_given_two_clocks_then_sample_k_arrives_at_offset_plus_k_times_ratio():
-    settings = changed(clock_ppm=400.0, latency_s=(0.0123456, 0.0123456), inter_channel_delay_s=2e-5)
+    settings = replace(QUIET, clock_ppm=400.0, latency_s=(0.0123456, 0.0123456), inter_channel_delay_s=2e-5)
     # A smooth signal: white noise cut off sharply would ring on for ever, and a transform repeats that.
     rig, drive_v = VirtualRig(settings), on_steps(np.convolve(drive(), np.hanning(30) / 15))
     heard = record(rig, drive_v)
@@ -104,7 +96,7 @@ def test_given_two_clocks_then_sample_k_arrives_at_offset_plus_k_times_ratio():
 
 def test_channels_in_another_wiring_drive_their_actuators_and_responses_add():
     channels = tuple(range(20, 0, -1))
-    rig, drive_v = VirtualRig(changed(actuator_channels=channels, loopback_channel=0)), drive()
+    rig, drive_v = VirtualRig(replace(QUIET, actuator_channels=channels, loopback_channel=0)), drive()
     together = record(rig, drive_v, channels=[channels[actuator] for actuator in (0, 5, 11)]).volts[1]
     assert rig.instruments.player.channels == 21
     expected = sum(response_volts(rig, drive_v, actuator=actuator)[:3000] for actuator in (0, 5, 11))
@@ -112,17 +104,9 @@ def test_channels_in_another_wiring_drive_their_actuators_and_responses_add():
 
 
 def test_given_a_player_at_48_khz_then_the_response_is_that_of_the_same_waveform(quiet_rig):
-    rig = quiet_rig
-    time_s = np.arange(4800) / 48_000
-    tone = np.sin(2 * np.pi * 200 * time_s) * np.hanning(4800)
+    tone = np.sin(2 * np.pi * 200 * np.arange(4800) / 48_000) * np.hanning(4800)
     slow = np.sin(2 * np.pi * 200 * np.arange(1000) / 10_000) * np.hanning(1001)[:-1]
-    point(rig)
-    heard = []
-    for volts, rate_hz in ((tone, 48_000.0), (slow, RATE_HZ)):
-        rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), RecordLabel(0, 1, 0)))
-        rig.instruments.player.play({ACTUATOR: volts}, rate_hz)
-        rig.instruments.player.wait(1.0)
-        heard.append(rig.instruments.recorder.read(1.0).volts[1])
+    heard = [record(quiet_rig, volts, play_hz=hz).volts[1] for volts, hz in ((tone, 48_000.0), (slow, RATE_HZ))]
     assert np.abs(heard[0]).max() > 0.01
     assert np.abs(heard[0] - heard[1]).max() < 2e-3 * np.abs(heard[0]).max()
 
@@ -142,28 +126,25 @@ def test_given_a_play_that_began_before_then_its_rest_is_recorded(quiet_rig):
     point(rig)
     rig.instruments.player.play({ACTUATOR: drive_v, 20: drive_v}, RATE_HZ)
     rig.instruments.clock.sleep(0.11)
-    rig.instruments.recorder.start(RecordRequest(1500, RATE_HZ, (2.0, 1.0), RecordLabel(0, 1, 0)))
+    rig.instruments.recorder.start(RecordRequest(1500, RATE_HZ, (2.0, 1.0), TAKE))
     heard = rig.instruments.recorder.read(1.0)
     assert np.abs(heard.volts[0] - drive_v[1000:2500]).max() < 0.6 * heard.volts_per_count[0]
     expected = response_volts(rig, drive_v)[1000:2500]
     assert np.abs(heard.volts[1] - expected).max() < 0.6 * heard.volts_per_count[1]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "named"),
-    [
+def test_given_a_fault_that_cannot_be_then_it_is_named():
+    for wrong, named in (
         (("mirror", "play", "lost"), "operation of the mirror is 'play'"),
         (("mirror", "park", "underflow"), "kind of mirror park is 'underflow'"),
         (("player", "wait", "lost"), "needs either at_call"),
-    ],
-)
-def test_given_a_fault_that_cannot_be_then_it_is_named(wrong, named):
-    with pytest.raises(ValueError, match=named):
-        RigFault(*wrong)
+    ):
+        with pytest.raises(ValueError, match=named):
+            RigFault(*wrong)
 
 
 def test_clock_that_is_walls_then_piece_that_comes_too_late_finds_player_dry():
-    player = VirtualRig(changed(realtime=True)).instruments.player
+    player = VirtualRig(replace(QUIET, realtime=True)).instruments.player
     player.begin_pieces([0], 48_000.0, 0.01)
     before_s = time.monotonic()
     player.add_piece(np.zeros((1, 480)))

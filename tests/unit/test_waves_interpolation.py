@@ -8,23 +8,15 @@ import pytest
 
 import wavefocus as wf
 from tests.unit.independent_plates import free_disk, lattice
+from wavefocus import Circle, GreenArray, InputError, Noise, Point, QuietPlace, Scene, Source, predict
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.foci import predicted_focus_peak
-from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.interpolation import waves as waves_module
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.interpolation.errors import choose_interpolation
-from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import finer_rows
-from wavefocus.rendering.scene.model import QuietPlace, Scene, Source
-from wavefocus.rendering.scene.paths import Circle, Point
-from wavefocus.rendering.scene.signals import Noise
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.drive_file import read_drive, write_drive
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import wave_file, write_wave_file
 
 RATE_HZ, TAPS, BAND_HZ, HZ = 2000.0, 80, (230.0, 340.0), (250.0, 330.0)
@@ -136,20 +128,17 @@ def test_auto_with_11_check_positions_judges_left_out_ones_and_states_no_bound(s
     assert "fewer than 12" in found.bound_words
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
+def test_wrong_places_methods_and_frequencies_are_refused(coarse):
+    for wrong, words in (
         ({"places_mm": [1.0, 2.0]}, "places_mm has shape"),
         ({"places_mm": [(np.nan, 0.0)]}, "places_mm holds NaN"),
         ({"places_mm": [(500.0, 0.0)], "method": "nearest"}, "nearest position"),
         ({"places_mm": [(1e200, 0.0)]}, "nearest position"),
         ({"method": "cubic"}, "interpolation is 'cubic'"),
         ({"frequency_hz": [-1.0]}, "frequency_hz is"),
-    ],
-)
-def test_wrong_places_methods_and_frequencies_are_refused(coarse, wrong, words):
-    with pytest.raises(InputError, match=words):
-        wf.interpolate(coarse, **{"places_mm": [(1.0, 2.0)], **wrong})
+    ):
+        with pytest.raises(InputError, match=words):
+            wf.interpolate(coarse, **{"places_mm": [(1.0, 2.0)], **wrong})
 
 
 def test_a_scene_with_auto_states_what_was_chosen_and_its_error(coarse):
@@ -166,31 +155,29 @@ def test_response_and_levels_are_stated_at_the_focus_not_the_nearest_position(co
     source = Source(Point(focus_mm), Noise((240.0, 330.0), 0.5, 1))
     quiet = (QuietPlace(Point(place_mm), level_db=-20.0),)
     scene = Scene("between", (source,), output=Output(interpolation="waves"), quiet=quiet)
-    write_drive(tmp_path / "drive.h5", render_with_report(scene, coarse)[0])
-    drive = read_drive(tmp_path / "drive.h5")
+    wf.write_drive(tmp_path / "drive.h5", render_with_report(scene, coarse)[0])
+    drive = wf.read_drive(tmp_path / "drive.h5")
     np.testing.assert_array_equal(drive.focus_mm, [focus_mm])
     at_focus = GreenArray(responses(np.array([focus_mm])), np.array([focus_mm]), RATE_HZ)
     largest = np.abs(predict(drive, at_focus).field).max()
     nearest = np.abs(predict(drive, coarse, drive.focus_position.tolist()).field).max()
     assert nearest < 0.85 * largest
     assert predicted_focus_peak(drive, coarse) == pytest.approx(largest, rel=0.1)
-    (level,) = quiet_levels(drive, coarse)
+    (level,) = wf.quiet_levels(drive, coarse)
     assert level.reached_db == pytest.approx(-20, abs=0.5)
 
 
-LINE_MM = np.stack([np.linspace(-30, 30, 20), np.zeros(20)], axis=1)
-
-
-@pytest.mark.parametrize(
-    ("position_mm", "unknown", "message"),
-    [(lattice(11.0, 40.0), 1, "does not say where actuator 1 is"), (LINE_MM, None, "on one line")],
-)
-def test_a_bank_that_waves_cannot_be_fitted_to_is_refused(position_mm, unknown, message):
-    actuator_mm = np.where(np.arange(2)[:, None] == unknown, np.nan, ACTUATOR_MM)
-    green = np.ones((len(position_mm), 2, TAPS))
-    bank = GreenArray(green, position_mm, RATE_HZ, actuator_mm=actuator_mm, band_hz=BAND_HZ)
-    with pytest.raises(InputError, match=message):
-        interpolation_method("waves").over(bank, POINTS_MM)
+def test_a_bank_that_waves_cannot_be_fitted_to_is_refused():
+    line_mm, unknown_mm = np.stack([np.linspace(-30, 30, 20), np.zeros(20)], axis=1), ACTUATOR_MM.copy()
+    unknown_mm[1] = np.nan
+    for position_mm, actuator_mm, message in (
+        (lattice(11.0, 40.0), unknown_mm, "does not say where actuator 1 is"),
+        (line_mm, ACTUATOR_MM, "on one line"),
+    ):
+        green = np.ones((len(position_mm), 2, TAPS))
+        bank = GreenArray(green, position_mm, RATE_HZ, actuator_mm=actuator_mm, band_hz=BAND_HZ)
+        with pytest.raises(InputError, match=message):
+            interpolation_method("waves").over(bank, POINTS_MM)
 
 
 def test_check_positions_are_not_on_the_grid_of_any_method(coarse):
@@ -212,7 +199,7 @@ def bank_file(small, tmp_path):
 
 def values_of(path):
     waves_module._models.clear()  # as in another process
-    with open_bank(path) as bank:
+    with wf.open_bank(path) as bank:
         return interpolation_method("waves").over(bank, POINTS_MM).waves.model.values(POINTS_MM[:5])
 
 
