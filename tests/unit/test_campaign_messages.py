@@ -8,11 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.lab_files import write_positions
-from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.event_wording import sentence
-from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.campaign.control import (
     CampaignControl,
     give_order,
@@ -49,8 +46,7 @@ from wavefocus.config.messages.campaign import (
     read_event,
 )
 from wavefocus.gui.campaign.model import line_of
-from wavefocus.rig.setup import open_setup
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.mocks.virtual import VirtualClock
 from wavefocus.storage.ledger.owner import Owner
 
 
@@ -67,42 +63,24 @@ def bank(tmp_path):
     return tmp_path / "plate.h5"
 
 
-@pytest.mark.parametrize(
-    ("event", "fields"),
-    [
-        (
-            PositionCommitted(1.5, 7, 1, 2, 41.0, -38.0, 30.0, 120.25, defects=("clipped",)),
-            {"event": "position_committed", "position": 7, "attempts": 2},
-        ),
-        (
-            PositionCommitted(1.5, 7, 8, 3, float("nan"), float("inf"), 0.0, 0.0),
-            {"snr_db": None, "residual_db": None},
-        ),
+def test_given_an_event_then_its_line_names_its_kind_and_fields_and_is_read_again():
+    for event, fields in (
+        (PositionCommitted(1.5, 7, 1, 2, 41.0, -38.0, 30.0, 120.25, defects=("clipped",)), {"position": 7}),
+        (PositionCommitted(1.5, 7, 8, 3, float("nan"), float("inf"), 0.0, 0.0), {"snr_db": None, "residual_db": None}),
         (SessionEnded(2.0, State.STOPPED, 3, 6, {"valid": 3}), {"state": "stopped", "counts": {"valid": 3}}),
-    ],
-    ids=["figures", "figures that are not finite", "a state"],
-)
-def test_given_an_event_then_its_line_names_its_kind_and_fields_and_is_read_again(event, fields):
-    record = json.loads(event_line(event))
-    assert record | fields == record
-    logged = read_event(event_line(event).encode())
-    assert logged is not None
-    assert event_line(logged.event).partition(", ")[2] == event_line(event).partition(", ")[2]
+    ):
+        record = json.loads(event_line(event))
+        assert record | fields | {"event": tag(event)} == record
+        logged = read_event(event_line(event).encode())
+        assert logged is not None
+        assert event_line(logged.event).partition(", ")[2] == event_line(event).partition(", ")[2]
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        b'{"at": "2026-01-01T00:00:00+00:00", "event": "prog',
-        b'{"at": "2026-01-01T00:00:00+00:00", "event": "of_a_later_version"}',
-        b'{"at": "2026-01-01T00:00:00+00:00", "event": "state_changed", "state": "dancing", "reason": ""}',
-        b'{"event": "position_kept"}',
-        b"[1, 2]",
-        b"",
-    ],
-)
+@pytest.mark.parametrize("line", ['"event": "prog', '"event": "of_a_later_version"}', '"event": "position_kept"}',
+                                  '"event": "state_changed", "state": "dancing", "reason": ""}'])  # fmt: skip
 def test_given_a_line_that_is_no_event_then_it_is_passed_over(line):
-    assert read_event(line) is None
+    for text in ('{"at": "2026-01-01T00:00:00+00:00", ' + line, "{" + line, "[1, 2]", ""):
+        assert read_event(text.encode()) is None
 
 
 @pytest.mark.parametrize(("events", "padding"), [(0, 0), (1500, 60), (5, 70_000)])
@@ -163,38 +141,18 @@ def test_given_a_closed_file_then_event_lines_end_and_say_so(tmp_path, capsys):
     assert capsys.readouterr().err.count("standard output cannot be written any more") == 1
 
 
-RUN = """
-rig = "virtual"
-[grid]
-positions_file = "positions.csv"
-[sweep]
-duration_s = 0.3
-[capture]
-averages = 1
-decay_s = 0.1
-taps = 500
-"""
-
-
-def test_a_subscriber_of_the_campaign_that_fails_then_every_position_is_measured(tmp_path, bank, caplog):
-    (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
-    write_positions(tmp_path, [(0, 0), (4, 0)])
-    blueprint = blueprint_from_files(tmp_path / "run.toml")
-    create_bank(bank, blueprint.bank_header())
+def test_a_subscriber_of_a_session_that_fails_is_reported_once_and_told_the_rest(caplog):
     heard = []
 
     def fail(event):
         heard.append(event)
         raise ValueError("I/O operation on closed file")
 
-    with (
-        BankWriter.open(bank, plan_sha256=blueprint.plan.sha256) as writer,
-        open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
-    ):
-        ended = Campaign(blueprint.plan, setup, writer, fail, StopRequest()).run()
-    assert (ended.state, ended.done) == (State.FINISHED, blueprint.plan.positions)
-    assert len(heard) > blueprint.plan.positions
-    assert len([record for record in caplog.records if "closed file" in record.message]) == 1
+    session = Session(VirtualClock(), fail, StopRequest())
+    session.enter(State.RUNNING, "2 positions to do")
+    session.enter(State.FINISHED, "done")
+    assert [event.state for event in heard] == [State.RUNNING, State.FINISHED]
+    assert ["closed file" in record.message for record in caplog.records] == [True]
 
 
 def test_given_the_table_of_states_then_the_page_about_states_has_the_same_one():
