@@ -26,14 +26,11 @@ def levels_of(track, answers):
     return [*levels, track.next_level()]
 
 
-def test_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one():
+def test_staircase_from_the_easiest_goes_down_after_two_right_and_up_after_a_wrong():
     track = UpDown(table(reversals=4), [4.0, 3.0, 2.0, 1.0])
     assert levels_of(track, "++++-++-++") == [4, 4, 3, 3, 2, 3, 3, 2, 3, 3, None]
     assert track.reversals == [2, 3, 2, 3]
     assert track.threshold == pytest.approx((math.log10(2) + math.log10(3)) / 2)
-
-
-def test_ladder_begins_at_its_easiest_level():
     assert track_of(table(), [1.0, 3.0, 2.0]).next_level() == 3.0
     assert track_of(table(factor="speed_mm_s", harder="higher"), [1.0, 3.0, 2.0]).next_level() == 1.0
 

@@ -132,7 +132,7 @@ def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fi
             file.unlink()
 
 
-def test_given_what_does_not_fit_the_rig_or_the_bank_then_it_is_refused(tmp_path, bank):
+def test_what_does_not_fit_the_rig_or_bank_or_the_stimuli_that_are_there_is_refused(tmp_path, bank):
     design = design_of(tmp_path)
     weak, few = (
         Interface(int(RATE_HZ), np.full(count, volts)) for count, volts in ((len(ACTUATOR_MM), 1e-6), (3, 5.0))
@@ -147,10 +147,7 @@ def test_given_what_does_not_fit_the_rig_or_the_bank_then_it_is_refused(tmp_path
     beyond = design_of(tmp_path, TRIALS.replace("[8, 0]", "[80, 0]"))
     with pytest.raises(InputError, match=rf"trials.toml: stimulus {NAMES[0]}: .*point"):
         prepare(beyond, bank, tmp_path / "other", limits=NO_LIMITS, interface=INTERFACE)
-
-
-def test_given_another_table_or_bank_then_its_stimuli_are_refused(tmp_path, bank):
-    prepared(design_of(tmp_path), bank)
+    prepared(design, bank)
     with pytest.raises(InputError, match=r"manifest.json: .*trials.toml"):
         prepared(design_of(tmp_path, TRIALS + "# another\n"), bank)
     write_bank(tmp_path / "other.h5", SQUARE_MM[:1])
@@ -158,7 +155,7 @@ def test_given_another_table_or_bank_then_its_stimuli_are_refused(tmp_path, bank
         prepared(design_of(tmp_path), other)
 
 
-def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path, bank):
+def test_a_damaged_or_exchanged_drive_or_a_file_of_others_is_named_and_stays(tmp_path, bank):
     design = design_of(tmp_path)
     made = prepared(design, bank)
     file = made.folder / f"{LOUDEST}.h5"
@@ -169,17 +166,13 @@ def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path, ban
     write_drive(file, read_drive(made.folder / f"{NAMES[1]}.h5"), force=True)
     with pytest.raises(InputError, match=rf"^{file}: holds another drive"):
         prepared(design, bank)
-
-
-def test_files_of_another_origin_are_named_and_none_is_written_over(tmp_path, bank):
-    design, folder = design_of(tmp_path), tmp_path / "out" / "stimuli"
-    folder.mkdir(parents=True)
-    (folder / f"{LOUDEST}.h5").write_text("mine")
+    (made.folder / "manifest.json").unlink()
+    file.write_text("mine")
     with pytest.raises(InputError, match="exists"):
         prepared(design, bank)
-    assert (folder / f"{LOUDEST}.h5").read_text() == "mine"
+    assert file.read_text() == "mine"
     for text in ("", "[]", '{"stimuli": 3}', '{"stimuli": {"a": {}}}', '{"stimuli": {"a": {"sha256": 1}}}'):
-        (folder / "manifest.json").write_text(text)
+        (made.folder / "manifest.json").write_text(text)
         with pytest.raises(InputError, match=r"manifest.json: is"):
             prepared(design, bank)
 
