@@ -148,11 +148,15 @@ def test_a_clock_that_was_set_back_then_an_old_heartbeat_is_silent_all_the_same(
 
 @pytest.mark.parametrize(
     "text", ["", "{", "[1]", '{"at": 1}', '{"at": "2026-01-01T00:00:00", "pid": 1, "host": "h"}', '{"at": "x"}',
-             '{"at": "2026-01-01T00:00:00+00:00", "pid": 1, "host": "h", "state": "dancing"}']
+             '{"at": "2026-01-01T00:00:00+00:00", "pid": 1, "host": "h", "state": "dancing"}',
+             '{"order": "explode", "number": "1"}', '{"order": "stop"}']
 )  # fmt: skip
-def test_given_a_heartbeat_that_is_none_then_there_is_none(bank, text):
-    control.heartbeat_path(bank).write_text(text, encoding="utf-8")
+def test_what_is_no_heartbeat_or_no_order_is_none_and_such_an_order_is_taken_away(bank, text):
+    for path in (control.heartbeat_path(bank), control.orders_path(bank)):
+        path.write_text(text, encoding="utf-8")
     assert control.read_heartbeat(bank) is None
+    assert control.take_order(bank) is None
+    assert not control.orders_path(bank).exists()
 
 
 def test_orders_are_taken_once_and_the_later_one_counts(bank):
@@ -164,13 +168,6 @@ def test_orders_are_taken_once_and_the_later_one_counts(bank):
     control.withdraw(bank, control.give_order(bank, "stop"))
     assert control.take_order(bank) is None
     assert list(bank.parent.iterdir()) == []
-
-
-@pytest.mark.parametrize("text", ["", "{", '{"order": "explode", "number": "1"}', '{"order": "stop"}', "[]"])
-def test_given_something_that_is_no_order_then_it_is_taken_away_and_nothing_happens(bank, text):
-    control.orders_path(bank).write_text(text, encoding="utf-8")
-    assert control.take_order(bank) is None
-    assert not control.orders_path(bank).exists()
 
 
 def test_given_orders_while_it_attends_then_they_are_obeyed_and_acknowledged(bank):
