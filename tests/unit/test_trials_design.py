@@ -82,10 +82,9 @@ def test_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_ow
 def test_given_a_trajectory_then_it_needs_no_speed_and_its_signal_may_repeat(tmp_path):
     (tmp_path / "finger.csv").write_text("time_s,x_mm,y_mm\n0,0,0\n0.2,10,0\n")
     table = '\n[[stimuli]]\npath = "left"\nsignal = "burst"\nrepeat = true\n'
-    text = TRIALS.replace(
-        'left = { kind = "line", start_mm = [60, 0], end_mm = [-60, 0] }',
-        'left = { kind = "trajectory", file = "finger.csv" }',
-    ).replace("repetitions", "most_alike = 0\nrepetitions")
+    moves = 'left = { kind = "trajectory", file = "finger.csv" }\nhere ='
+    text = TRIALS.replace("left = {", "away = {").replace("here =", moves)
+    text = text.replace("repetitions", "most_alike = 0\nrepetitions")
     (one,) = design_of(tmp_path, text + table).stimuli.values()
     (source,) = one.scene.sources
     assert (one.name, one.speed_mm_s, source.travel_s, source.repeat) == ("left-burst", None, 0.2, True)
