@@ -51,6 +51,7 @@ def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder, sign):
     assert np.mean(slopes) == pytest.approx(math.log(8.0), abs=0.35)
 
 
+TAP = '\ntap = { kind = "impulse" }'
 DESIGN = f"""
 [trials]
 question = "Which way?"
@@ -62,10 +63,7 @@ familiarise = false
 method = "up_down"
 factor = "amplitude"
 trials = 40
-
-[signal.tap]
-kind = "impulse"
-{STROKES.replace('"burst"', '["burst", "tap"]')}amplitude = [0.5, 1, 2, 4]
+{STROKES.replace('"burst"', '["burst", "tap"]').replace("[signal]", "[signal]" + TAP)}amplitude = [0.5, 1, 2, 4]
 """
 
 

@@ -177,7 +177,7 @@ def test_given_something_else_than_the_participant_began_with_then_it_is_refused
 
 def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(tmp_path):
     table = '[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\nreversals = 4\ntrials = 12\n'
-    text = TRIALS.replace("repetitions = 4\nblocks = 2\n", "").replace("[path.left]", f"{table}\n[path.left]")
+    text = TRIALS.replace("repetitions = 4\nblocks = 2\n", "").replace("[path]", f"{table}\n[path]")
     experiment = made(tmp_path, text + "amplitude = [0.25, 0.5, 1]\n")
     run(experiment, tmp_path / "whole", Program(), InMemory())
     whole = [(row.stimulus, row.track) for row in read_answers(tmp_path / "whole")]
