@@ -19,20 +19,12 @@ from wavefocus.trials.session import TrialsSession
 
 PEOPLE = 200
 STROKES = """
-[path.left]
-kind = "line"
-start_mm = [8, 0]
-end_mm = [0, 0]
+[path]
+left = { kind = "line", start_mm = [8, 0], end_mm = [0, 0] }
+right = { kind = "line", start_mm = [0, 0], end_mm = [8, 0] }
 
-[path.right]
-kind = "line"
-start_mm = [0, 0]
-end_mm = [8, 0]
-
-[signal.burst]
-kind = "sine"
-frequency_hz = 200.0
-duration_s = 0.02
+[signal]
+burst = { kind = "sine", frequency_hz = 200.0, duration_s = 0.02 }
 
 [[stimuli]]
 path = ["left", "right"]
@@ -46,15 +38,12 @@ _TRIALS = f"""
 question = "Which way?"
 answers = ["left", "right"]
 correct = "path"
-{{repetitions}}
 familiarise = false
 most_alike = 0
-{STROKES}amplitude = {{levels}}
+REPETITIONS
+{STROKES}amplitude = LEVELS
 """
-_ADAPTIVE = '\n[adaptive]\nmethod = "{method}"\nfactor = "amplitude"\ntrials = 60\n'
 CONSTANT, UP_DOWN, QUEST = "8 levels, 40 trials each", "up-down, 10 reversals", "QUEST+, 60 trials"
-
-
 REACTION_S = 0.4
 
 
@@ -132,15 +121,12 @@ def designs(folder):
     """The three designs, read from trials files in a folder."""
     constant = [round(float(one), 6) for one in np.geomspace(0.1, 1.0, 8)]
     ladder = [round(float(one), 6) for one in np.geomspace(10**-1.5, 1.0, 16)]
-    texts = {
-        CONSTANT: _TRIALS.format(repetitions="repetitions = 20", levels=constant),
-        UP_DOWN: _TRIALS.format(repetitions="", levels=ladder) + _ADAPTIVE.format(method="up_down"),
-        QUEST: _TRIALS.format(repetitions="", levels=ladder) + _ADAPTIVE.format(method="quest_plus"),
-    }
     found = {}
-    for number, (name, text) in enumerate(texts.items()):
-        file = folder / f"trials-{number}.toml"
-        file.write_text(text)
+    for name, levels, method in ((CONSTANT, constant, ""), (UP_DOWN, ladder, "up_down"), (QUEST, ladder, "quest_plus")):
+        adaptive = f'[adaptive]\nmethod = "{method}"\nfactor = "amplitude"\ntrials = 60\n' if method else ""
+        text = _TRIALS.replace("REPETITIONS", "" if method else "repetitions = 20").replace("LEVELS", str(levels))
+        file = folder / f"trials-{method or 'constant'}.toml"
+        file.write_text(text + adaptive)
         found[name] = load_trials(file)
     return found
 

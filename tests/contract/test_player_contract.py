@@ -32,17 +32,13 @@ def recorded_reference(bench, channel, volts, *, mute_after_s=None):
     return bench.undisturbed(take)
 
 
-def test_given_a_player_then_it_has_the_role_a_name_and_its_limits(bench):
-    player = bench.instruments.player
+def test_waiting_takes_the_signals_length_or_no_time_and_in_too_little_time_it_fails(bench):
+    player, clock = bench.instruments.player, bench.instruments.clock
     assert isinstance(player, Player)
     assert player.identify().strip()
     assert player.identity.product.strip()
     assert player.channels > bench.loopback_channel
     assert player.full_scale_v > 0
-
-
-def test_waiting_takes_the_signals_length_or_no_time_and_in_too_little_time_it_fails(bench):
-    player, clock = bench.instruments.player, bench.instruments.clock
 
     def take():
         before_s = clock.now_s()

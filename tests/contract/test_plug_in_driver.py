@@ -63,12 +63,15 @@ def python(*arguments, paths, cwd=ROOT):
     return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False)
 
 
+def rig_of(dialect, mirror="", keys=""):
+    wires = {"actuators": [[0.0, 0.0]], "recorder": "localhost:1", "period_frames": 4096}
+    return RIG.format(dialect=dialect, mirror=mirror, keys=keys, **wires)
+
+
 @pytest.fixture
 def rig(tmp_path):
-    text = RIG.format(
-        actuators=[[0.0, 0.0]], dialect="acme-gs", mirror="", keys=KEYS, recorder="localhost:1", period_frames=4096
-    )
-    (tmp_path / "rig.toml").write_text(text.replace('port = ""\n', ""), "utf-8")
+    text = rig_of("acme-gs", keys=KEYS).replace('port = ""\n', "")
+    (tmp_path / "rig.toml").write_text(text, "utf-8")
     (tmp_path / "run.toml").write_text('rig = "rig.toml"\n', "utf-8")
     (tmp_path / "maker").mkdir()
     (tmp_path / "maker" / "acme_mirror.py").write_text(MAKERS_PACKAGE, "utf-8")
@@ -111,43 +114,20 @@ BROKEN = {
 BUILT_IN = {"asi-tiger", "virtual"}
 ACME = """
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from wavefocus.drivers.registry import rig_key
 NUMBER = 1
 class Opens:
     def open(self, settings): ...
-@dataclass
-class Good(Opens):
-    name = "good"
-@dataclass
-class Tiger(Opens):
-    name = "asi-tiger"
-@dataclass
-class Plain(Opens):
-    name = "plain"
-    number: int = 3
-@dataclass
-class Settling(Opens):
-    name = "settling"
-    settle_s: float = rig_key("A key", "it")
-@dataclass
-class Scaled(Opens):
-    name = "scaled"
-    full_scale_mrad: str = rig_key("A key", "it")
-@dataclass
-class Unable:
-    name = "unable"
-@dataclass
-class Virtual(Opens):
-    name = "virtual"
-@dataclass
-class Threaded(Opens):
-    name = "threaded"
-    thread: threading.Thread = rig_key("A key", "it")
-@dataclass
-class Unlike(Opens):
-    name = "unlike"
-    word: str = rig_key("A key", "it", pattern=("(", "must be one"))
+def driver(name, field=(), kind=int, base=Opens, **options):
+    fields = [(field, kind, rig_key("A key", "it", **options))] if field else []
+    return make_dataclass(name.title(), fields, bases=(base,), namespace={"name": name})
+Good, Tiger, Virtual, Unable = driver("good"), driver("asi-tiger"), driver("virtual"), driver("unable", base=object)
+Plain = make_dataclass("Plain", [("number", int, 3)], bases=(Opens,), namespace={"name": "plain"})
+Settling = driver("settling", "settle_s", float)
+Scaled = driver("scaled", "full_scale_mrad", str)
+Threaded = driver("threaded", "thread", threading.Thread)
+Unlike = driver("unlike", "word", str, pattern=("(", "must be one"))
 @dataclass
 class Ends:
     name = "ends"
@@ -192,15 +172,9 @@ def test_rigs_of_drivers_that_cannot_be_used_are_refused_with_the_reason(tmp_pat
     (facts.parent / "ending.py").write_text("raise SystemExit(3)", "utf-8")
     (facts.parent / "escaping.py").write_text("raise GeneratorExit", "utf-8")
     (facts.parent / "acme.py").write_text(ACME, "utf-8")
-    rigs = []
-    for name in (*BROKEN, "fails", "good", "ends"):
-        rigs.append(tmp_path / f"{name}.toml")
-        rigs[-1].write_text(
-            RIG.format(
-                actuators=[[0.0, 0.0]], dialect=name, mirror="COM3", keys="", recorder="localhost:1", period_frames=4096
-            ),
-            "utf-8",
-        )
+    rigs = [tmp_path / f"{name}.toml" for name in (*BROKEN, "fails", "good", "ends")]
+    for rig in rigs:
+        rig.write_text(rig_of(rig.stem, mirror="COM3"), "utf-8")
     done = python("-c", READ, *rigs, paths=(facts.parent,))
     assert done.returncode == 0, done.stderr
     failures, told, causes = json.loads(done.stdout)

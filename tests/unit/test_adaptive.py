@@ -7,6 +7,7 @@ import random
 import numpy as np
 import pytest
 
+from tests.simulated_people import STROKES
 from wavefocus.config.trials import AdaptiveTable
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import QuestPlus, Trial, UpDown, order_of, share_right, track_of
@@ -26,14 +27,11 @@ def levels_of(track, answers):
     return [*levels, track.next_level()]
 
 
-def test_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one():
+def test_staircase_from_the_easiest_goes_down_after_two_right_and_up_after_a_wrong():
     track = UpDown(table(reversals=4), [4.0, 3.0, 2.0, 1.0])
     assert levels_of(track, "++++-++-++") == [4, 4, 3, 3, 2, 3, 3, 2, 3, 3, None]
     assert track.reversals == [2, 3, 2, 3]
     assert track.threshold == pytest.approx((math.log10(2) + math.log10(3)) / 2)
-
-
-def test_ladder_begins_at_its_easiest_level():
     assert track_of(table(), [1.0, 3.0, 2.0]).next_level() == 3.0
     assert track_of(table(factor="speed_mm_s", harder="higher"), [1.0, 3.0, 2.0]).next_level() == 1.0
 
@@ -53,39 +51,26 @@ def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder, sign):
     assert np.mean(slopes) == pytest.approx(math.log(8.0), abs=0.35)
 
 
-DESIGN = """
+TAP = '\ntap = { kind = "impulse" }'
+DESIGN = f"""
 [trials]
 question = "Which way?"
 answers = ["left", "right"]
 correct = "path"
 familiarise = false
 
-[path]
-right = { kind = "line", start_mm = [-8, 0], end_mm = [8, 0] }
-left = { kind = "line", start_mm = [8, 0], end_mm = [-8, 0] }
-
-[signal]
-burst = { kind = "impulse" }
-tone = { kind = "sine", frequency_hz = 200, duration_s = 0.05 }
-
-[[stimuli]]
-path = ["left", "right"]
-signal = ["burst", "tone"]
-speed_mm_s = 100
-step_mm = 4
-amplitude = [0.5, 1, 2, 4]
-
 [adaptive]
 method = "up_down"
 factor = "amplitude"
 trials = 40
+{STROKES.replace('"burst"', '["burst", "tap"]').replace("[signal]", "[signal]" + TAP)}amplitude = [0.5, 1, 2, 4]
 """
 
 
 def test_tracks_take_random_turns_and_resume_from_the_answers_alone(tmp_path):
     (tmp_path / "trials.toml").write_text(DESIGN)
     design = load_trials(tmp_path / "trials.toml")
-    assert (design.tracks, design.trials) == (("100mm_s-burst", "100mm_s-tone"), None)
+    assert (design.tracks, design.trials) == (("200mm_s-burst", "200mm_s-tap"), None)
     order, chance = order_of(design, "P1"), random.Random(1)
     trials: list[Trial] = []
     answers: list[str] = []

@@ -1,6 +1,7 @@
 """How processes learn of one another's campaign: events, their log and sentences, heartbeat, orders and status."""
 
 import json
+import math
 import threading
 import time
 from datetime import UTC, datetime, timedelta
@@ -8,49 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.lab_files import write_positions
-from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.event_wording import sentence
-from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.campaign.control import (
-    CampaignControl,
-    give_order,
-    heartbeat_path,
-    orders_path,
-    read_heartbeat,
-    take_order,
-    withdraw,
-)
+from wavefocus.campaign import control
 from wavefocus.campaign.sidecar_files import EventLines, last_events, log_path
 from wavefocus.campaign.status import CampaignView, Heartbeat, Recovering, campaign_status
+from wavefocus.config.messages import campaign as told
 from wavefocus.config.messages import tag
-from wavefocus.config.messages.campaign import (
-    ConditionsSeen,
-    CrosstalkMeasured,
-    Drift,
-    Event,
-    Fault,
-    Logged,
-    PassStarted,
-    PositionCommitted,
-    PositionKept,
-    PositionRepeated,
-    PositionStarted,
-    Progress,
-    ReconnectTried,
-    RecordTaken,
-    ScheduleSettled,
-    SessionEnded,
-    SessionStarted,
-    State,
-    StateChanged,
-    event_line,
-    read_event,
-)
+from wavefocus.config.messages.campaign import State
 from wavefocus.gui.campaign.model import line_of
-from wavefocus.rig.setup import open_setup
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.mocks.virtual import VirtualClock
 from wavefocus.storage.ledger.owner import Owner
 
 
@@ -67,86 +35,68 @@ def bank(tmp_path):
     return tmp_path / "plate.h5"
 
 
-@pytest.mark.parametrize(
-    ("event", "fields"),
-    [
-        (
-            PositionCommitted(1.5, 7, 1, 2, 41.0, -38.0, 30.0, 120.25, defects=("clipped",)),
-            {"event": "position_committed", "position": 7, "attempts": 2},
-        ),
-        (
-            PositionCommitted(1.5, 7, 8, 3, float("nan"), float("inf"), 0.0, 0.0),
-            {"snr_db": None, "residual_db": None},
-        ),
-        (SessionEnded(2.0, State.STOPPED, 3, 6, {"valid": 3}), {"state": "stopped", "counts": {"valid": 3}}),
-    ],
-    ids=["figures", "figures that are not finite", "a state"],
-)
-def test_given_an_event_then_its_line_names_its_kind_and_fields_and_is_read_again(event, fields):
-    record = json.loads(event_line(event))
-    assert record | fields == record
-    logged = read_event(event_line(event).encode())
-    assert logged is not None
-    assert event_line(logged.event).partition(", ")[2] == event_line(event).partition(", ")[2]
+def test_given_an_event_then_its_line_names_its_kind_and_fields_and_is_read_again():
+    for event, fields in (
+        (told.PositionCommitted(1.5, 7, 1, 2, 41.0, -38.0, 30.0, 120.25, defects=("clipped",)), {"position": 7}),
+        (told.PositionCommitted(1.5, 7, 8, 3, math.nan, math.inf, 0.0, 0.0), {"snr_db": None, "residual_db": None}),
+        (told.SessionEnded(2.0, State.STOPPED, 3, 6, {"valid": 3}), {"state": "stopped", "counts": {"valid": 3}}),
+    ):
+        record = json.loads(told.event_line(event))
+        assert record | fields | {"event": tag(event)} == record
+        logged = told.read_event(told.event_line(event).encode())
+        assert logged is not None
+        assert told.event_line(logged.event).partition(", ")[2] == told.event_line(event).partition(", ")[2]
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        b'{"at": "2026-01-01T00:00:00+00:00", "event": "prog',
-        b'{"at": "2026-01-01T00:00:00+00:00", "event": "of_a_later_version"}',
-        b'{"at": "2026-01-01T00:00:00+00:00", "event": "state_changed", "state": "dancing", "reason": ""}',
-        b'{"event": "position_kept"}',
-        b"[1, 2]",
-        b"",
-    ],
-)
+@pytest.mark.parametrize("line", ['"event": "prog', '"event": "of_a_later_version"}', '"event": "position_kept"}',
+                                  '"event": "state_changed", "state": "dancing", "reason": ""}'])  # fmt: skip
 def test_given_a_line_that_is_no_event_then_it_is_passed_over(line):
-    assert read_event(line) is None
+    for text in ('{"at": "2026-01-01T00:00:00+00:00", ' + line, "{" + line, "[1, 2]", ""):
+        assert told.read_event(text.encode()) is None
 
 
 @pytest.mark.parametrize(("events", "padding"), [(0, 0), (1500, 60), (5, 70_000)])
 def test_given_a_log_then_its_events_come_newest_first_and_none_is_missing(bank, events, padding):
-    kept = [PositionKept(0.0, number, 1, "x" * padding) for number in range(events)]
+    kept = [told.PositionKept(0.0, number, 1, "x" * padding) for number in range(events)]
     if kept:
         torn = '[1, 2]\n\n{"event": "prog'
-        log_path(bank).write_text("".join(map(event_line, kept)) + torn, encoding="utf-8")
+        log_path(bank).write_text("".join(map(told.event_line, kept)) + torn, encoding="utf-8")
     assert [logged.event for logged in last_events(bank)] == kept[::-1]
 
 
 # Events that a person at the terminal sees, and those that only the window lists.
-AT_THE_TERMINAL: tuple[Event, ...] = (
-    SessionStarted(0.0, "plate.h5", 6, 3, 2, 4, 60.0, ()),
-    StateChanged(0.0, State.PAUSED, "as asked"),
-    PositionCommitted(0.0, 7, 4, 2, 12.0, -9.0, 0.0, 0.0, reason="it differs", defects=("neighbour level",)),
-    PositionRepeated(0.0, 7, 1, "a burst", (), 2.0, (0.3, 0.4)),
-    PositionKept(0.0, 7, 2, "no better"),
-    PassStarted(0.0, (3, 4, 5)),
-    Fault(0.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True),
-    ReconnectTried(0.0, "mirror", "mirror", 2, False, "no answer", 5.0, 60.0),
-    CrosstalkMeasured(0.0, -30.0, 0.0, 0.03, 9.0, True, (), (1, 2), "a cable leaks"),
-    Drift(0.0, 0, -0.7, 0.1, 0.99, "warn", "run", "the level changed", ()),
-    ConditionsSeen(0.0, {"temperature": 30.0}, False, "temperature is 30"),
-    SessionEnded(0.0, State.FINISHED, 6, 6, {"valid": 6}),
+AT_THE_TERMINAL: tuple[told.Event, ...] = (
+    told.SessionStarted(0.0, "plate.h5", 6, 3, 2, 4, 60.0, ()),
+    told.StateChanged(0.0, State.PAUSED, "as asked"),
+    told.PositionCommitted(0.0, 7, 4, 2, 12.0, -9.0, 0.0, 0.0, reason="it differs", defects=("neighbour level",)),
+    told.PositionRepeated(0.0, 7, 1, "a burst", (), 2.0, (0.3, 0.4)),
+    told.PositionKept(0.0, 7, 2, "no better"),
+    told.PassStarted(0.0, (3, 4, 5)),
+    told.Fault(0.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True),
+    told.ReconnectTried(0.0, "mirror", "mirror", 2, False, "no answer", 5.0, 60.0),
+    told.CrosstalkMeasured(0.0, -30.0, 0.0, 0.03, 9.0, True, (), (1, 2), "a cable leaks"),
+    told.Drift(0.0, 0, -0.7, 0.1, 0.99, "warn", "run", "the level changed", ()),
+    told.ConditionsSeen(0.0, {"temperature": 30.0}, False, "temperature is 30"),
+    told.SessionEnded(0.0, State.FINISHED, 6, 6, {"valid": 6}),
 )
-IN_THE_WINDOW: tuple[Event, ...] = (
-    ScheduleSettled(0.0, 3, "staggered", "it is quicker", 2.0, ()),
-    PositionStarted(0.0, 7, 2, 4.0, 0.0),
-    PositionCommitted(0.0, 7, 1, 1, 41.25, float("nan"), 0.0, 0.0),
-    CrosstalkMeasured(0.0, -90.0, 0.0, 0.0, 1.0, False),
-    ConditionsSeen(0.0, {}, True, "all is back"),
+IN_THE_WINDOW: tuple[told.Event, ...] = (
+    told.ScheduleSettled(0.0, 3, "staggered", "it is quicker", 2.0, ()),
+    told.PositionStarted(0.0, 7, 2, 4.0, 0.0),
+    told.PositionCommitted(0.0, 7, 1, 1, 41.25, math.nan, 0.0, 0.0),
+    told.CrosstalkMeasured(0.0, -90.0, 0.0, 0.0, 1.0, False),
+    told.ConditionsSeen(0.0, {}, True, "all is back"),
 )
-SHOWN_OTHERWISE = {Progress, RecordTaken}
+SHOWN_OTHERWISE = {told.Progress, told.RecordTaken}
 
 
 def test_each_kind_of_event_has_a_sentence_that_terminal_and_window_show(capsys):
     kinds = {type(event) for event in (*AT_THE_TERMINAL, *IN_THE_WINDOW)} | SHOWN_OTHERWISE
-    assert set(Event.__subclasses__()) == kinds
+    assert set(told.Event.__subclasses__()) == kinds
     for event in (*AT_THE_TERMINAL, *IN_THE_WINDOW):
         text = sentence(event)
         assert text != tag(event)
         assert "nan" not in text
-        line = line_of(Logged(datetime.now(UTC), event))
+        line = line_of(told.Logged(datetime.now(UTC), event))
         assert line is not None
         assert line.text == text
         CampaignView(lambda done, total, note="": None)(event)
@@ -158,43 +108,23 @@ def test_given_a_closed_file_then_event_lines_end_and_say_so(tmp_path, capsys):
     with (tmp_path / "lines").open("w", encoding="utf-8") as file:
         pass
     lines = EventLines(file.write, "standard output")
-    lines(Event(0.0))
-    lines(Event(1.0))
+    lines(told.Event(0.0))
+    lines(told.Event(1.0))
     assert capsys.readouterr().err.count("standard output cannot be written any more") == 1
 
 
-RUN = """
-rig = "virtual"
-[grid]
-positions_file = "positions.csv"
-[sweep]
-duration_s = 0.3
-[capture]
-averages = 1
-decay_s = 0.1
-taps = 500
-"""
-
-
-def test_a_subscriber_of_the_campaign_that_fails_then_every_position_is_measured(tmp_path, bank, caplog):
-    (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
-    write_positions(tmp_path, [(0, 0), (4, 0)])
-    blueprint = blueprint_from_files(tmp_path / "run.toml")
-    create_bank(bank, blueprint.bank_header())
+def test_a_subscriber_of_a_session_that_fails_is_reported_once_and_told_the_rest(caplog):
     heard = []
 
     def fail(event):
         heard.append(event)
         raise ValueError("I/O operation on closed file")
 
-    with (
-        BankWriter.open(bank, plan_sha256=blueprint.plan.sha256) as writer,
-        open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
-    ):
-        ended = Campaign(blueprint.plan, setup, writer, fail, StopRequest()).run()
-    assert (ended.state, ended.done) == (State.FINISHED, blueprint.plan.positions)
-    assert len(heard) > blueprint.plan.positions
-    assert len([record for record in caplog.records if "closed file" in record.message]) == 1
+    session = Session(VirtualClock(), fail, StopRequest())
+    session.enter(State.RUNNING, "2 positions to do")
+    session.enter(State.FINISHED, "done")
+    assert [event.state for event in heard] == [State.RUNNING, State.FINISHED]
+    assert ["closed file" in record.message for record in caplog.records] == [True]
 
 
 def test_given_the_table_of_states_then_the_page_about_states_has_the_same_one():
@@ -218,54 +148,51 @@ def test_a_clock_that_was_set_back_then_an_old_heartbeat_is_silent_all_the_same(
 
 @pytest.mark.parametrize(
     "text", ["", "{", "[1]", '{"at": 1}', '{"at": "2026-01-01T00:00:00", "pid": 1, "host": "h"}', '{"at": "x"}',
-             '{"at": "2026-01-01T00:00:00+00:00", "pid": 1, "host": "h", "state": "dancing"}']
+             '{"at": "2026-01-01T00:00:00+00:00", "pid": 1, "host": "h", "state": "dancing"}',
+             '{"order": "explode", "number": "1"}', '{"order": "stop"}']
 )  # fmt: skip
-def test_given_a_heartbeat_that_is_none_then_there_is_none(bank, text):
-    heartbeat_path(bank).write_text(text, encoding="utf-8")
-    assert read_heartbeat(bank) is None
+def test_what_is_no_heartbeat_or_no_order_is_none_and_such_an_order_is_taken_away(bank, text):
+    for path in (control.heartbeat_path(bank), control.orders_path(bank)):
+        path.write_text(text, encoding="utf-8")
+    assert control.read_heartbeat(bank) is None
+    assert control.take_order(bank) is None
+    assert not control.orders_path(bank).exists()
 
 
 def test_orders_are_taken_once_and_the_later_one_counts(bank):
-    assert take_order(bank) is None
-    first, second = give_order(bank, "pause"), give_order(bank, "stop")
-    withdraw(bank, first)  # the later one stays
-    assert take_order(bank) == second
-    assert take_order(bank) is None
-    withdraw(bank, give_order(bank, "stop"))
-    assert take_order(bank) is None
+    assert control.take_order(bank) is None
+    first, second = control.give_order(bank, "pause"), control.give_order(bank, "stop")
+    control.withdraw(bank, first)  # the later one stays
+    assert control.take_order(bank) == second
+    assert control.take_order(bank) is None
+    control.withdraw(bank, control.give_order(bank, "stop"))
+    assert control.take_order(bank) is None
     assert list(bank.parent.iterdir()) == []
-
-
-@pytest.mark.parametrize("text", ["", "{", '{"order": "explode", "number": "1"}', '{"order": "stop"}', "[]"])
-def test_given_something_that_is_no_order_then_it_is_taken_away_and_nothing_happens(bank, text):
-    orders_path(bank).write_text(text, encoding="utf-8")
-    assert take_order(bank) is None
-    assert not orders_path(bank).exists()
 
 
 def test_given_orders_while_it_attends_then_they_are_obeyed_and_acknowledged(bank):
     stop = StopRequest()
-    give_order(bank, "stop")  # left over from a session long ago
-    with CampaignControl(bank, stop):
+    control.give_order(bank, "stop")  # left over from a session long ago
+    with control.CampaignControl(bank, stop):
         for word, obeyed in (
             ("pause", lambda: stop.pause_requested),
             ("go-on", lambda: not stop.pause_requested),
             ("stop", lambda: stop.requested),
         ):
-            order = give_order(bank, word)
-            _until(lambda order=order: (beat := read_heartbeat(bank)) is not None and beat.order == order.number)
+            order = control.give_order(bank, word)
+            _until(lambda order=order: (beat := control.read_heartbeat(bank)) and beat.order == order.number)
             assert obeyed()
-    assert not orders_path(bank).exists()
+    assert not control.orders_path(bank).exists()
 
 
 def test_a_heartbeat_that_cannot_be_written_is_told_once_and_orders_work(bank, capsys):
     stop = StopRequest()
-    heartbeat_path(bank).mkdir()
-    with CampaignControl(bank, stop) as control:
+    control.heartbeat_path(bank).mkdir()
+    with control.CampaignControl(bank, stop) as attending:
         for number in range(5):
-            control(StateChanged(float(number), State.RUNNING, "again"))
+            attending(told.StateChanged(float(number), State.RUNNING, "again"))
             time.sleep(0.02)
-        give_order(bank, "stop")
+        control.give_order(bank, "stop")
         _until(lambda: stop.requested)
     assert capsys.readouterr().err.count("heartbeat of") == 1
 
@@ -273,30 +200,30 @@ def test_a_heartbeat_that_cannot_be_written_is_told_once_and_orders_work(bank, c
 def test_given_an_order_laid_while_another_is_taken_then_it_is_not_lost(bank):
     for _ in range(50):
         taken = []
-        taker = threading.Thread(target=lambda taken=taken: taken.append(take_order(bank)))
-        give_order(bank, "pause")
+        taker = threading.Thread(target=lambda taken=taken: taken.append(control.take_order(bank)))
+        control.give_order(bank, "pause")
         taker.start()
-        last = give_order(bank, "stop")
+        last = control.give_order(bank, "stop")
         taker.join()
-        taken.append(take_order(bank))
+        taken.append(control.take_order(bank))
         assert last in taken
         assert list(bank.parent.iterdir()) == []
 
 
 OWNER = Owner("here", 7)
-STARTED = SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ())
-RUNNING = StateChanged(0.0, State.RUNNING, "7 positions to do")
-FAULT = Fault(1.0, "virtual mirror", "moving", "it is gone", "plug it in", 5, 1, True)
-LOST = StateChanged(1.0, State.RECOVERING, "virtual mirror: it is gone")
-TRIED = ReconnectTried(2.0, "mirror", "virtual mirror", 3, False, "no answer", 5.0, 60.0)
+STARTED = told.SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ())
+RUNNING = told.StateChanged(0.0, State.RUNNING, "7 positions to do")
+FAULT = told.Fault(1.0, "virtual mirror", "moving", "it is gone", "plug it in", 5, 1, True)
+LOST = told.StateChanged(1.0, State.RECOVERING, "virtual mirror: it is gone")
+TRIED = told.ReconnectTried(2.0, "mirror", "virtual mirror", 3, False, "no answer", 5.0, 60.0)
 WAITS = Recovering("virtual mirror", 3, "no answer", 5.0, 60.0)
-PROGRESS = Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0)
-RECORD = RecordTaken(2.0, 5, 1, 2, 3)
-KEPT = PositionKept(2.0, 4, 1, "no better")
+PROGRESS = told.Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0)
+RECORD = told.RecordTaken(2.0, 5, 1, 2, 3)
+KEPT = told.PositionKept(2.0, 4, 1, "no better")
 
 
 def after(bank, *events, owner=OWNER, beat=None):
-    log_path(bank).write_text("".join(map(event_line, events)), encoding="utf-8")
+    log_path(bank).write_text("".join(map(told.event_line, events)), encoding="utf-8")
     return campaign_status(bank, owner, beat)
 
 
@@ -310,8 +237,8 @@ def after(bank, *events, owner=OWNER, beat=None):
         ([STARTED, RUNNING, LOST], State.RECOVERING, Recovering()),
         ([STARTED, RUNNING, FAULT, LOST, TRIED], State.RECOVERING, WAITS),
         ([STARTED, RUNNING, FAULT, LOST, TRIED, RUNNING], State.RUNNING, None),
-        ([STARTED, RUNNING, StateChanged(3.0, State.FINISHED, "done")], State.IDLE, None),
-        ([STARTED, RUNNING, SessionEnded(3.0, State.FINISHED, 9, 9, {})], State.IDLE, None),
+        ([STARTED, RUNNING, told.StateChanged(3.0, State.FINISHED, "done")], State.IDLE, None),
+        ([STARTED, RUNNING, told.SessionEnded(3.0, State.FINISHED, 9, 9, {})], State.IDLE, None),
         ([STARTED, RUNNING, STARTED], State.IDLE, None),
     ],
 )
@@ -322,10 +249,10 @@ def test_given_events_then_the_state_is_that_of_the_latest_session(bank, events,
 
 
 def test_given_a_session_under_way_then_progress_record_and_what_is_kept_are_known(bank):
-    status = after(bank, STARTED, RUNNING, KEPT, PROGRESS, PositionStarted(2.0, 5, 1, 0.0, 0.0), RECORD)
+    status = after(bank, STARTED, RUNNING, KEPT, PROGRESS, told.PositionStarted(2.0, 5, 1, 0.0, 0.0), RECORD)
     assert (status.progress, status.record, status.kept) == (PROGRESS, RECORD, {4: "no better"})
     assert status.planned_s == 70.0
-    assert after(bank, STARTED, RECORD, PositionStarted(3.0, 6, 1, 0.0, 0.0)).record is None
+    assert after(bank, STARTED, RECORD, told.PositionStarted(3.0, 6, 1, 0.0, 0.0)).record is None
     fresh = after(bank, STARTED, KEPT, PROGRESS, RECORD, STARTED)
     assert (fresh.progress, fresh.record, fresh.kept) == (None, None, {})
     ownerless = after(bank, STARTED, RUNNING, KEPT, PROGRESS, owner=None)

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 
@@ -14,61 +15,48 @@ from wavefocus import cli
 from wavefocus.campaign.status import CampaignView
 from wavefocus.commands.calibrate import TerminalOperator
 from wavefocus.config.messages.campaign import Progress, State, StateChanged
-from wavefocus.console import progress
+from wavefocus.console import progress, spinner
 from wavefocus.mocks.virtual import PatchBay
 from wavefocus.rig.calibration_session import Cables
 
-pty = pytest.importorskip("pty") if sys.platform != "win32" else None
-posix = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal is POSIX")
-
-PROGRESS = """
-from wavefocus.console import progress
-with progress("capture", 1500, timed={timed}) as report:
-    report(700, 1500, "position 700: record 3 of 20; about 2 h 05 min left, finished at Thu 26 Nov 23:11")
+SHOWN = """
+import os
+from wavefocus.console import people, progress, say, spinner
+for columns, timed in ((60, True), (80, False), (120, True)):
+    os.environ["COLUMNS"] = str(columns)
+    people.cache_clear()
+    say(f"columns: {columns}")
+    with progress("capture", 1500, timed=timed) as report:
+        report(700, 1500, "position 700: record 3 of 20; about 2 h 05 min left, finished at Thu 26 Nov 23:11")
+say("columns: none")
+with spinner("verifying the rows"):
+    pass
 """
 
 
-def on_a_terminal(code, columns=80):
-    """What a Python program writes to standard error on a terminal of so many columns, without its control codes."""
-    assert pty is not None
-    own, its = pty.openpty()
-    env = {**os.environ, "COLUMNS": str(columns), "TERM": "xterm"}
-    with subprocess.Popen([sys.executable, "-c", code], stdin=its, stdout=its, stderr=its, env=env) as child:
+@pytest.mark.may_skip("a pseudo-terminal is POSIX")
+@pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal is POSIX")
+def test_a_terminal_of_any_width_shows_count_and_bar_or_the_step_and_a_pipe_nothing(capsys):
+    own, its = pytest.importorskip("pty").openpty()
+    env, said = {**os.environ, "TERM": "xterm"}, b""
+    with subprocess.Popen([sys.executable, "-c", SHOWN], stdin=its, stdout=its, stderr=its, env=env):
         os.close(its)
-        said = b""
-        while True:
-            try:
-                block = os.read(own, 4096)
-            except OSError:  # Linux, when the other end is closed
-                break
-            if not block:
-                break
-            said += block
-        child.wait()
+        with suppress(OSError):  # Linux, when the other end is closed
+            while block := os.read(own, 4096):
+                said += block
     os.close(own)
-    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said.decode())
-
-
-@pytest.mark.may_skip("a pseudo-terminal is POSIX")
-@posix
-@pytest.mark.parametrize(("columns", "bar", "timed"), [(60, 4, True), (80, 8, False), (120, 8, True)])
-def test_given_a_narrow_terminal_then_the_progress_line_keeps_count_and_bar(columns, bar, timed):
-    lines = re.split(r"[\r\n]+", on_a_terminal(PROGRESS.format(timed=timed), columns))
-    lines = [line for line in lines if "capture" in line and "700" in line]
-    assert lines
-    for line in lines:
-        assert len(line) <= columns
-        assert "700/1500" in line
-        assert line.count("\u2501") + line.count("\u2578") + line.count("\u257a") >= bar
-
-
-@pytest.mark.may_skip("a pseudo-terminal is POSIX")
-@posix
-def test_given_a_step_of_unknown_length_then_a_terminal_names_it_and_a_pipe_does_not():
-    code = "from wavefocus.console import spinner\nwith spinner('verifying the rows'): pass"
-    assert "verifying the rows ..." in on_a_terminal(code)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("", "")
+    _, *parts, step = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said.decode()).split("columns: ")
+    for part, columns, bar in zip(parts, (60, 80, 120), (4, 8, 8), strict=True):
+        lines = [line for line in re.split(r"[\r\n]+", part) if "capture" in line and "700" in line]
+        assert lines
+        for line in lines:
+            assert len(line) <= columns
+            assert "700/1500" in line
+            assert len(re.findall("[\u2501\u2578\u257a]", line)) >= bar
+    assert "verifying the rows ..." in step
+    with spinner("verifying the rows"):
+        pass
+    assert capsys.readouterr() == ("", "")
 
 
 def test_time_left_is_that_of_the_items_and_not_of_what_prepared_them(capsys, monkeypatch):

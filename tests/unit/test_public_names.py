@@ -29,11 +29,8 @@ def test_every_name_that_a_package_s_first_page_gives_is_there(package):
         assert all(hasattr(own, name) for name in names), (module, names)
 
 
-def test_the_package_says_that_it_is_typed():
+def test_the_package_is_typed_and_its_reference_has_every_public_name():
     assert (files("wavefocus") / "py.typed").is_file()
-
-
-def test_the_reference_has_every_public_name():
     entries = python_reference.entries()
     assert not [name for name in wavefocus.__all__ if f"### `{name}`" not in entries]
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
 from tools import key_tables
 from wavefocus.benchmarks.rig_bank import true_bank
 from wavefocus.commands.init import write_templates
@@ -64,29 +65,21 @@ def test_every_key_of_a_template_is_explained_and_every_line_commented_out_is_a_
             assert key[1] in models[table].model_fields, line
 
 
-def test_template_scene_moves_along_positions_for_about_two_seconds(tmp_path):
+def test_template_scene_runs_on_positions_for_2_s_clean_with_noise_beyond_the_band(tmp_path):
     write_templates(tmp_path, "virtual")
-    (source,) = load_scene(tmp_path / "scene.toml").sources
+    scene = load_scene(tmp_path / "scene.toml")
+    (source,) = scene.sources
     field_s = source.path.length_mm / source.speed_mm_s + 2 * 0.2  # and a response before and after
     assert 1.5 < field_s < 2.5
     position_mm = load_run(tmp_path / "run.toml").position_mm
     for point_mm in source.path.point_at(np.arange(0.0, source.path.length_mm + 1.0, source.step_mm)):
         assert np.hypot(*(position_mm - point_mm).T).min() < 1e-9
-
-
-def test_the_template_scene_renders_clean_on_a_bank_with_noise_beyond_its_band(tmp_path):
-    write_templates(tmp_path, "virtual")
-    position_mm = load_run(tmp_path / "run.toml").position_mm
     near = position_mm[(np.abs(position_mm) < (80.0, 6.0)).all(axis=1)]
     bank = true_bank(VirtualRig(), near, None)
-    rng = np.random.default_rng(1)
     size = np.sqrt(np.square(bank.values).mean(axis=(1, 2), keepdims=True))
-    noisy = bank.values + 0.05 * size * rng.standard_normal(bank.values.shape)
-    drive, report = render_with_report(
-        load_scene(tmp_path / "scene.toml"), GreenArray(noisy, near, bank.sample_rate_hz, band_hz=bank.band_hz)
-    )
-    assert report.warnings == ()
-    assert drive.scale == 1.0
+    noisy = bank.values + 0.05 * size * np.random.default_rng(1).standard_normal(bank.values.shape)
+    drive, report = render_with_report(scene, GreenArray(noisy, near, bank.sample_rate_hz, band_hz=bank.band_hz))
+    assert (drive.scale, report.warnings) == (1.0, ())
 
 
 def test_template_of_trials_is_the_papers_experiment(tmp_path):
@@ -109,17 +102,19 @@ def test_template_of_trials_is_the_papers_experiment(tmp_path):
     assert design.config.masking.output not in (*player.channels, player.loopback_channel)
 
 
-def test_template_of_fingers_keeps_the_others_quiet(tmp_path):
+def test_template_of_fingers_keeps_the_others_quiet_each_at_its_level(tmp_path):
     write_templates(tmp_path, "virtual")
+    change_text(tmp_path / "fingers.toml", "[10, 0], radius_mm = 0.0, level_db = -30", "[10, 0], level_db = -20")
     design = load_trials(tmp_path / "fingers.toml")
     position_mm = load_run(tmp_path / "run.toml").position_mm
     assert {stimulus.correct for stimulus in design.stimuli.values()} == set(design.config.trials.answers)
-    places = {tuple(stimulus.scene.sources[0].path.point_at(np.zeros(1))[0]) for stimulus in design.stimuli.values()}
+    scenes = [stimulus.scene for stimulus in design.stimuli.values()]
+    places = {scene.sources[0].path.at_mm for scene in scenes}
     assert all(np.hypot(*(position_mm - place).T).min() == 0.0 for place in places)
-    for stimulus in design.stimuli.values():
-        own = tuple(stimulus.scene.sources[0].path.point_at(np.zeros(1))[0])
-        quiet = {tuple(place.path.point_at(np.zeros(1))[0]) for place in stimulus.scene.quiet}
-        assert quiet == places - {own}
+    for scene in scenes:
+        quiet = {place.path.at_mm: place.level_db for place in scene.quiet}
+        others = places - {scene.sources[0].path.at_mm}
+        assert quiet == {place: -20.0 if place == (10.0, 0.0) else -30.0 for place in others}
 
 
 def test_file_that_is_there_is_never_overwritten(tmp_path):
@@ -127,8 +122,7 @@ def test_file_that_is_there_is_never_overwritten(tmp_path):
         (tmp_path / name).write_text("mine")
         with pytest.raises(InputError, match=rf"{name}: is there already"):
             write_templates(tmp_path, "virtual")
-        assert [path.name for path in tmp_path.iterdir()] == [name]
-        assert (tmp_path / name).read_text() == "mine"
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "mine"}
         (tmp_path / name).unlink()
 
 

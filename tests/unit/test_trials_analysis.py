@@ -56,13 +56,8 @@ def paper():
 
 def test_given_published_shares_then_wilson_s_intervals_are_theirs():
     # Newcombe, Stat. Med. 17 (1998), 857, table I, method 3.
-    published = {
-        (81, 263): (0.2553, 0.3662),
-        (15, 148): (0.0624, 0.1605),
-        (0, 20): (0.0, 0.1611),
-        (1, 29): (0.0061, 0.1718),
-    }
-    for (count, total), interval in published.items():
+    published = (81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)
+    for count, total, *interval in published:
         rows = [row(number, correct=number < count) for number in range(total)]
         assert shares_of(table_of(rows))[0].interval == pytest.approx(interval, abs=5e-5)
     assert shares_of(table_of(rows[:1]))[0].interval[1] == 1.0
@@ -89,9 +84,7 @@ def test_given_hits_and_false_alarms_then_d_prime_and_criterion_follow_the_text_
     assert high - low < 0.01
     # All right: finite by the log-linear correction, z(10.5 / 11) - z(0.5 / 11).
     assert d_prime(10, 10, 0, 10)[0] == pytest.approx(2 * 1.6906, abs=1e-4)
-
-
-def test_many_sets_of_answers_then_the_interval_of_d_prime_holds_the_truth_in_most():
+    # Of many sets of answers the interval holds the truth in most.
     rng = np.random.default_rng(1)
     hits, alarms = rng.binomial(60, 0.8413447, 400), rng.binomial(60, 0.5, 400)
     intervals = [d_prime(int(h), 60, int(f), 60)[1] for h, f in zip(hits, alarms, strict=True)]
@@ -101,21 +94,18 @@ def test_many_sets_of_answers_then_the_interval_of_d_prime_holds_the_truth_in_mo
 
 def test_given_catch_trials_then_every_amplitude_is_held_against_them():
     rows = [
-        *(row(n, answer="yes" if n < 12 else "no", correct=n < 12, amplitude=1.0) for n in range(20)),
-        *(row(n, answer="yes" if n < 6 else "no", correct=n < 6, amplitude=0.5) for n in range(20)),
-        *(row(n, answer="yes" if n < 3 else "no", correct=n >= 3, amplitude=0.0) for n in range(20)),
+        row(n, answer="yes" if n < yes else "no", correct=(n < yes) == (amplitude > 0), amplitude=amplitude)
+        for amplitude, yes in ((1.0, 12), (0.5, 6), (0.0, 3))
+        for n in range(20)
     ]
-    found = {
-        one.factors.get("amplitude", "all"): one
-        for one in sensitivities_of(table_of(rows), ("no", "yes"))
-        if not one.participant
-    }
+    ours = [one for one in sensitivities_of(table_of(rows), ("no", "yes")) if not one.participant]
+    found = {one.factors.get("amplitude", "all"): one for one in ours}
     assert set(found) == {"all", "0.5", "1"}
     assert (found["1"].signal, found["1"].hits, found["1"].of_signal) == ("yes", 12, 20)
     assert (found["0.5"].false_alarms, found["0.5"].of_noise) == (3, 20)
 
 
-def test_answers_at_levels_then_the_fit_is_the_maximum_of_the_penalised_likelihood():
+def test_answers_at_levels_rising_or_falling_have_the_fit_of_penalised_likelihood():
     levels, of = np.geomspace(0.1, 1.0, 8), np.full(8, 40)
     right = np.array([21, 19, 24, 28, 33, 38, 39, 39])
 
@@ -142,9 +132,7 @@ def test_answers_at_levels_then_the_fit_is_the_maximum_of_the_penalised_likeliho
         there = minimize(lambda rest, x=x: loss((x, *rest)), best.x[1:], method="L-BFGS-B", bounds=bounds[1:])
         assert there.fun - best.fun == pytest.approx(1.92, abs=0.06)
     assert 0.0 < fit.deviance_p <= 1.0
-
-
-def test_share_that_falls_with_level_then_fit_mirrors_that_of_one_that_rises():
+    # Where the share falls with the level, the fit mirrors that of one that rises.
     levels, right, of = [0.1, 0.2, 0.4, 0.8], [11, 13, 18, 20], [20] * 4
     rising = fit_psychometric(levels, right, of, guess=0.5)
     falling = fit_psychometric([1 / one for one in levels], right, of, guess=0.5, falling=True)
@@ -163,12 +151,8 @@ def test_answers_without_a_maximum_likelihood_have_finite_estimates(right):
 
 def test_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals():
     up_down = AdaptiveTable(method="up_down", factor="amplitude")
-    levels = [(level, above) for level in (1.0, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25, 0.5) for above in (False, True)]
-    rows = [
-        row(trial, correct=level > 0.25, amplitude=level, track="t")
-        for trial, (level, above) in enumerate(levels, 1)
-        if level > 0.25 or not above
-    ]
+    levels = (1.0, 1.0, *(0.5, 0.5, 0.25) * 3, 0.5, 0.5)
+    rows = [row(trial, correct=level > 0.25, amplitude=level, track="t") for trial, level in enumerate(levels, 1)]
     (found,) = psychometric_of(table_of(rows), ANSWERS, up_down)
     assert (found.track, found.factor, found.fit.guess) == ("t", "amplitude", 0.5)
     assert 0.25 <= found.reversals_threshold <= 0.5

@@ -63,8 +63,8 @@ def test_one_cell_that_is_not_experiment_s_then_its_line_is_left_out_and_no_othe
         assert column.split("_")[0] in found[1]
 
 
-def test_rows_judged_otherwise_or_double_are_left_out_and_others_stay(experiment):
-    rows = experiment[2]
+def test_rows_judged_otherwise_double_or_exchanged_are_left_out_and_others_stay(experiment):
+    design, facts, rows = experiment
     for instead, lines in (
         ([replace(rows[5], correct=not rows[5].correct)], [7]),
         ([replace(rows[5], correct=None)], [7]),
@@ -72,20 +72,14 @@ def test_rows_judged_otherwise_or_double_are_left_out_and_others_stay(experiment
         ([], []),
     ):
         assert [line for line, _ in named(experiment, [*rows[:5], *instead, *rows[6:]])] == lines
-
-
-def test_two_answers_exchanged_in_a_fixed_order_are_both_left_out(experiment):
-    design, _, rows = experiment
+    # Two answers exchanged in a fixed order are both left out.
     if design.config.adaptive is None:
         other = next(number for number in range(6, 40) if rows[number].stimulus != rows[5].stimulus)
         changed = list(rows)
         for here, there in ((5, other), (other, 5)):
             changed[here] = replace(rows[there], trial=rows[here].trial)
         assert [line for line, _ in named(experiment, changed)] == [7, other + 2]
-
-
-def test_facts_of_early_version_without_stimuli_then_rest_is_held_against_design(experiment):
-    _, facts, rows = experiment
+    # Where an early version's facts have no stimuli, the rest is held against the design.
     design = stored_design({key: value for key, value in facts.items() if key != "stimuli"}, Path("trials.json"))
     changed = [*rows[:5], replace(rows[5], answer="up"), *rows[6:]]
     assert [one.line for one in unfit_rows(changed, design, facts)] == [7]

@@ -82,64 +82,59 @@ def test_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_ow
 def test_given_a_trajectory_then_it_needs_no_speed_and_its_signal_may_repeat(tmp_path):
     (tmp_path / "finger.csv").write_text("time_s,x_mm,y_mm\n0,0,0\n0.2,10,0\n")
     table = '\n[[stimuli]]\npath = "left"\nsignal = "burst"\nrepeat = true\n'
-    text = TRIALS.replace(
-        'left = { kind = "line", start_mm = [60, 0], end_mm = [-60, 0] }',
-        'left = { kind = "trajectory", file = "finger.csv" }',
-    ).replace("repetitions", "most_alike = 0\nrepetitions")
+    moves = 'left = { kind = "trajectory", file = "finger.csv" }\nhere ='
+    text = TRIALS.replace("left = {", "away = {").replace("here =", moves)
+    text = text.replace("repetitions", "most_alike = 0\nrepetitions")
     (one,) = design_of(tmp_path, text + table).stimuli.values()
     (source,) = one.scene.sources
     assert (one.name, one.speed_mm_s, source.travel_s, source.repeat) == ("left-burst", None, 0.2, True)
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "key"),
-    [
-        ('answers = ["left", "right"]', 'answers = ["left", "left"]', "trials.answers"),
-        ("repetitions", 'keys = ["F", "f"]\nrepetitions', "trials.keys"),
-        ("repetitions", 'keys = ["Esc", "F"]\nrepetitions', "trials.keys[0]"),
-        ("blocks = 2", "blocks = 4", "trials.repetitions"),
-        ("repetitions = 6", "repetitions = 5000", "trials.repetitions"),
-        ("repetitions", 'correct_levels = { up = "left" }\nrepetitions', "trials.correct_levels"),
-        ('"left", "right"]\ncorrect', '"left", "up"]\ncorrect', "trials.correct"),
-        ('correct = "path"', 'correct = "wind"', "trials.correct"),
-        ("repetitions", 'alike = "signal"\nrepetitions', "trials.most_alike"),
-        ('path = ["left", "right"]', 'path = ["left", "away"]', "stimuli[0].path"),
-        ('path = ["left", "right"]', 'path = ["left", "here"]', "stimuli[0].speed_mm_s"),
-        ('path = ["left", "right"]', 'path = ["left", "left"]', "stimuli[0]"),
-        ("speed_mm_s = [40, 100]", "speed_mm_s = []", "stimuli[0].speed_mm_s"),
-        ("step_mm = 24", "", "stimuli[0].step_mm"),
-        ("plays = 2", "plays = 0", "stimuli[0].plays"),
-        ("plays = 2", "play = 2", "stimuli[0].play"),
-        ("here =", '"../here" =', "path.../here"),
-        ('tap = { kind = "impulse" }', 'tap = { kind = "file", path = "none.wav" }', "signal.tap.path"),
-        ("plays = 2", f"plays = 2\n{ADAPTIVE}", "trials.repetitions"),
-        ("plays = 2", "plays = 2\n[masking]\noutput = 21\nrms_v = 0", "masking.rms_v"),
-    ],
-)
-def test_given_a_mistake_then_the_sentence_names_file_and_key(tmp_path, before, after, key):
-    text = TRIALS + STIMULI
-    assert text.count(before) >= 1
-    with pytest.raises(InputError) as raised:
-        design_of(tmp_path, text.replace(before, after, 1))
-    assert str(raised.value).startswith(f"{tmp_path / 'trials.toml'}: {key}")
-    assert "\n" not in str(raised.value)
+MISTAKES = [
+    ('answers = ["left", "right"]', 'answers = ["left", "left"]', "trials.answers"),
+    ("repetitions", 'keys = ["F", "f"]\nrepetitions', "trials.keys"),
+    ("repetitions", 'keys = ["Esc", "F"]\nrepetitions', "trials.keys[0]"),
+    ("blocks = 2", "blocks = 4", "trials.repetitions"),
+    ("repetitions = 6", "repetitions = 5000", "trials.repetitions"),
+    ("repetitions", 'correct_levels = { up = "left" }\nrepetitions', "trials.correct_levels"),
+    ('"left", "right"]\ncorrect', '"left", "up"]\ncorrect', "trials.correct"),
+    ('correct = "path"', 'correct = "wind"', "trials.correct"),
+    ("repetitions", 'alike = "signal"\nrepetitions', "trials.most_alike"),
+    ('path = ["left", "right"]', 'path = ["left", "away"]', "stimuli[0].path"),
+    ('path = ["left", "right"]', 'path = ["left", "here"]', "stimuli[0].speed_mm_s"),
+    ('path = ["left", "right"]', 'path = ["left", "left"]', "stimuli[0]"),
+    ("speed_mm_s = [40, 100]", "speed_mm_s = []", "stimuli[0].speed_mm_s"),
+    ("step_mm = 24", "", "stimuli[0].step_mm"),
+    ("plays = 2", "plays = 0", "stimuli[0].plays"),
+    ("plays = 2", "play = 2", "stimuli[0].play"),
+    ("here =", '"../here" =', "path.../here"),
+    ('tap = { kind = "impulse" }', 'tap = { kind = "file", path = "none.wav" }', "signal.tap.path"),
+    ("plays = 2", f"plays = 2\n{ADAPTIVE}", "trials.repetitions"),
+    ("plays = 2", "plays = 2\n[masking]\noutput = 21\nrms_v = 0", "masking.rms_v"),
+]
+NO_LADDERS = [
+    (ONE, "", "adaptive.factor"),
+    (ONE + "amplitude = [0, 1]", "", "adaptive.factor"),
+    (ONE + "amplitude = [1, 2]" + ONE.replace('"left", ', "") + "amplitude = 3", "", "adaptive.factor"),
+    (ONE.replace('"left", ', "") + "amplitude = [1, 2]", "", "trials.most_alike"),
+    (ONE + "amplitude = [1, 2]", "trials = 9999", "adaptive.trials"),
+    (ONE + "amplitude = [1, 2]", "guess_rate = 0.98", "adaptive.guess_rate"),
+]
 
 
-@pytest.mark.parametrize(
-    ("stimuli", "more", "key"),
-    [
-        (ONE, "", "adaptive.factor"),
-        (ONE + "amplitude = [0, 1]", "", "adaptive.factor"),
-        (ONE + "amplitude = [1, 2]" + ONE.replace('"left", ', "") + "amplitude = 3", "", "adaptive.factor"),
-        (ONE.replace('"left", ', "") + "amplitude = [1, 2]", "", "trials.most_alike"),
-        (ONE + "amplitude = [1, 2]", "trials = 9999", "adaptive.trials"),
-        (ONE + "amplitude = [1, 2]", "guess_rate = 0.98", "adaptive.guess_rate"),
-    ],
-)
-def test_given_no_ladder_then_an_adaptive_design_is_refused(tmp_path, stimuli, more, key):
-    text = TRIALS.replace("repetitions = 6\nblocks = 2\n", "") + stimuli + stimuli.replace('"tap"', '"burst"')
-    with pytest.raises(InputError, match=rf"trials.toml: {key}"):
-        design_of(tmp_path, text + ADAPTIVE + more)
+def test_a_mistake_or_no_ladder_is_one_sentence_with_file_and_key(tmp_path):
+    texts = []
+    for before, after, key in MISTAKES:
+        assert before in TRIALS + STIMULI
+        texts.append(((TRIALS + STIMULI).replace(before, after, 1), key))
+    adaptive = TRIALS.replace("repetitions = 6\nblocks = 2\n", "")
+    for stimuli, more, key in NO_LADDERS:
+        texts.append((adaptive + stimuli + stimuli.replace('"tap"', '"burst"') + ADAPTIVE + more, key))
+    for text, key in texts:
+        with pytest.raises(InputError) as raised:
+            design_of(tmp_path, text)
+        assert str(raised.value).startswith(f"{tmp_path / 'trials.toml'}: {key}")
+        assert "\n" not in str(raised.value)
 
 
 @settings(max_examples=50)

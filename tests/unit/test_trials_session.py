@@ -6,7 +6,7 @@ import time
 import pytest
 
 from tests.simulated_people import STROKES
-from wavefocus.config.messages import Message, Refused
+from wavefocus.config.messages import Refused
 from wavefocus.config.messages.trials import Answer, AnswerStored, EndTrials, GoOn, Replay, TrialsState, Welcome
 from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.storage.errors import InputError
@@ -32,8 +32,7 @@ class InMemory:
     """Presents nothing; each onset lies so long before its end."""
 
     def __init__(self, attempts=(1,), lost=0):
-        self.presented: list[tuple[str, int]] = []
-        self.muted = 0
+        self.presented, self.muted = [], 0
         self._attempts, self._lost = itertools.cycle(attempts), lost
 
     def present(self, stimulus, trial, note):
@@ -50,18 +49,14 @@ class Program:
     """Goes on and answers as the states ask for; `instead` gives other orders for some states of some trials."""
 
     def __init__(self, instead=None):
-        self.events: list[Message] = []
+        self.events = []
         self._instead = instead or {}
-        self._state: TrialsState | None = None
 
     def __call__(self, event):
         self.events.append(event)
-        if isinstance(event, TrialsState):
-            self._state = event
 
     def next(self, timeout_s):
-        state = self._state
-        assert state is not None
+        state = self.those(TrialsState)[-1]
         trial = state.trial if state.phase in ("trial", "break") else 0
         if orders := self._instead.get((trial, state.waiting)):
             return orders.pop(0)
@@ -70,7 +65,7 @@ class Program:
         return GoOn() if state.waiting == "go_on" else Answer("right", time.monotonic(), "keyboard")
 
     def states(self):
-        return [(one.phase, one.waiting) for one in self.events if isinstance(one, TrialsState)]
+        return [(one.phase, one.waiting) for one in self.those(TrialsState)]
 
     def those(self, kind):
         return [one for one in self.events if isinstance(one, kind)]
@@ -110,16 +105,14 @@ def test_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is_answe
     assert [row.attempts for row in rows] == [1, 3, 1, 1, 1, 3, 1, 1]
     assert [row.correct for row in rows] == [row.path == "right" for row in rows]
     assert all(1.0 <= row.reaction_s < 30.0 and row.onset_error_ms == 0.25 for row in rows)
-    stored = [one.trial for one in program.those(AnswerStored) if isinstance(one, AnswerStored)]
-    assert stored == [row.trial for row in rows] == list(range(1, 9))
-    welcome = program.events[0]
-    assert isinstance(welcome, Welcome)
+    assert [one.trial for one in program.those(AnswerStored)] == [row.trial for row in rows] == list(range(1, 9))
+    (welcome,) = program.those(Welcome)
     assert welcome.answers == {"left": "Left", "right": "Right"}
     assert "P1" in welcome.stored[0]
     assert str(tmp_path / "out" / "trials.csv") in welcome.stored[2]
 
 
-def test_end_at_any_order_then_session_goes_on_in_same_order_and_loses_nothing(experiment, tmp_path):
+def test_an_end_at_any_order_or_a_lost_player_loses_no_answer_and_it_goes_on_alike(experiment, tmp_path):
     whole = InMemory()
     run(experiment, tmp_path / "whole", Program(), whole)
     expected = [row.stimulus for row in read_answers(tmp_path / "whole")]
@@ -135,13 +128,17 @@ def test_end_at_any_order_then_session_goes_on_in_same_order_and_loses_nothing(e
             complete, session = run(experiment, folder, following, InMemory())
             assert session.done == trial
             if trial > 1:
-                assert isinstance(state := following.those(TrialsState)[0], TrialsState)
-                assert state.note == f"resumes at trial {trial} of 8"
+                assert following.those(TrialsState)[0].note == f"resumes at trial {trial} of 8"
                 assert ("familiarisation", "playing") not in following.states()
         assert [row.stimulus for row in read_answers(folder)] == expected
         assert [row.trial for row in read_answers(folder)] == list(range(1, 9))
         with pytest.raises(InputError, match="complete"):
             run(experiment, folder, Program(), InMemory())
+    # An instrument that is lost for good.
+    presenter = InMemory(lost=5)
+    with pytest.raises(InstrumentLostError):
+        run(experiment, tmp_path / "lost", Program(), presenter)
+    assert (len(read_answers(tmp_path / "lost")), presenter.muted) == (2, 1)
 
 
 def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_counts(experiment, tmp_path):
@@ -157,14 +154,6 @@ def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_count
     (row,) = read_answers(tmp_path)
     assert (row.answer, row.replays, row.attempts, row.by) == ("left", 1, 3, "program")
     assert [number for _, number in presenter.presented] == [0, 0, 1, 1, 2]
-
-
-def test_an_instrument_lost_for_good_keeps_the_answers_and_mutes_the_outputs(experiment, tmp_path):
-    presenter = InMemory(lost=5)
-    with pytest.raises(InstrumentLostError):
-        run(experiment, tmp_path, Program(), presenter)
-    assert len(read_answers(tmp_path)) == 2
-    assert presenter.muted == 1
 
 
 def test_given_something_else_than_the_participant_began_with_then_it_is_refused(experiment, tmp_path):
@@ -188,7 +177,7 @@ def test_given_something_else_than_the_participant_began_with_then_it_is_refused
 
 def test_adaptive_levels_follow_the_answers_and_go_on_alike_when_resumed(tmp_path):
     table = '[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\nreversals = 4\ntrials = 12\n'
-    text = TRIALS.replace("repetitions = 4\nblocks = 2\n", "").replace("[path.left]", f"{table}\n[path.left]")
+    text = TRIALS.replace("repetitions = 4\nblocks = 2\n", "").replace("[path]", f"{table}\n[path]")
     experiment = made(tmp_path, text + "amplitude = [0.25, 0.5, 1]\n")
     run(experiment, tmp_path / "whole", Program(), InMemory())
     whole = [(row.stimulus, row.track) for row in read_answers(tmp_path / "whole")]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import wavefocus as wf
+from tests.lab_files import write_bank
 
 RNG = np.random.default_rng(3)
 PLACES_MM = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]])
@@ -159,7 +160,7 @@ NOT_ROWS = [[1.9], [1.0], ["1"], [None], "1", 1.5, [3], [-1], [True, False], [[0
 @pytest.mark.parametrize("positions", NOT_ROWS, ids=repr)
 def test_given_something_else_than_rows_then_it_is_refused_everywhere(positions, tmp_path):
     bank = tmp_path / "bank.h5"
-    _write_bank(bank)
+    write_bank(bank, BANK.values, PLACES_MM)
     for call in (
         lambda: wf.predict(DRIVE, BANK, positions),
         lambda: wf.export_bank(bank, tmp_path / "out.mat", "mat", positions=positions),
@@ -179,7 +180,7 @@ def test_given_something_else_than_rows_then_it_is_refused_everywhere(positions,
     ids=repr,
 )  # fmt: skip
 def test_given_rows_or_a_mask_then_those_are_taken(positions, tmp_path):
-    _write_bank(tmp_path / "bank.h5")
+    write_bank(tmp_path / "bank.h5", BANK.values, PLACES_MM)
     wanted = sorted([2, 0])
     assert sorted(wf.predict(DRIVE, BANK, positions).position_index) == wanted
     wf.export_bank(tmp_path / "bank.h5", tmp_path / "out.npz", "npz", positions=positions)
@@ -192,11 +193,3 @@ def test_given_lists_and_arrays_in_place_of_tuples_then_they_are_the_same():
     assert wf.Polyline(np.array([[0, 0], [4, 0]])) == wf.Polyline([(0.0, 0.0), (4.0, 0.0)])
     assert wf.Noise([50, 450], 0.1) == wf.Noise((50.0, 450.0), 0.1)
     assert all(is_dataclass(one) for one in (SCENE, SOURCE))
-
-
-def _write_bank(path):
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        file["green"], file["position_mm"] = BANK.values, PLACES_MM
-        file.attrs["sample_rate_hz"] = 1000.0
