@@ -51,14 +51,15 @@ test-all: ## Run the tests that `make test` leaves out: whole commands, kills, c
 	@tools/set-up.sh test-all
 	$(PY) -m pytest --dist loadfile -m "(whole or long) and not nightly" $(ARGS)
 
-test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new cases, coverage, soak; two hours
+test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new cases, coverage, soak; 75 minutes
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/system-packages.sh --no-install-recommends $(OCTAVE)
 	@tools/set-up.sh test-all
 	@tools/set-up.sh bench
 	COVERAGE_CORE=$$($(PY) -c 'import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")') \
-		$(PY) -m pytest -m "not nightly" --hypothesis-profile nightly --cov --cov-report=term $(ARGS)
-	$(PY) -m pytest -m nightly $(ARGS)
+		$(PY) -m pytest -m "not long and not whole and not nightly" --hypothesis-profile nightly --cov --cov-report=term \
+		$(QUICK) $(ARGS)
+	$(PY) -m pytest -m nightly --dist worksteal $(ARGS)
 
 constraints: ## Renew constraints.txt with the newest versions of what wavefocus and its tests need, and run the tests
 	: >constraints.txt
@@ -90,10 +91,10 @@ stiff-cases: ## Run the stiff and extreme cases and write their page in docs/
 	@tools/set-up.sh test
 	$(PY) tools/stiff_cases.py
 
-soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; an hour on 2 idle cores
+soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; 40 minutes on 2 idle cores
 	@tools/system-packages.sh $(COMPILER)
 	@tools/set-up.sh test
-	$(PY) -m pytest -m nightly -rP tests/system/test_soak.py $(ARGS)
+	$(PY) -m pytest -m nightly --dist worksteal -rP tests/system/test_soak.py $(ARGS)
 
 screenshots: ## Take pictures of the window; writes docs/pictures/window-*.png
 	@tools/system-packages.sh $(WINDOW_PACKAGES) $(X_PACKAGES)

@@ -224,6 +224,11 @@ def test_a_plate_of_glass_measured_at_few_frequencies_gets_waves_of_the_plate_s_
     assert 2 * np.pi / np.abs(model.wavenumber).max() < 24 * np.hypot(*SIZE_MM)
 
 
+def at_those_shown(numbers, do):
+    """Factors of the frequencies that are looked at, which do not depend on those of others."""
+    return [do(number) if number in SHOWN else (1.0, 1.0, 1.0) for number in numbers]
+
+
 def cells(plate, spacing_mm, noise_db):
     """Error, expected error and coverage at three frequencies, means of 20 draws of 24 check positions."""
     response, law, half_mm = PLATES[plate]
@@ -247,7 +252,7 @@ def cells(plate, spacing_mm, noise_db):
     coverage, expected, rng = np.zeros((DRAWS, 3)), np.zeros((DRAWS, 3)), np.random.default_rng(5)
     for draw in range(DRAWS):
         some = check.start + rng.permutation(10 * CHECKS)[:CHECKS]
-        stated = judged(model, places_mm[some], seen[:, some], noise[some], 5.0, lambda all_, do: [do(n) for n in all_])
+        stated = judged(model, places_mm[some], seen[:, some], noise[some], 5.0, at_those_shown)
         coverage[draw] = (missed <= stated["bound_scale"][SHOWN, None, None] * deviations).mean(axis=(1, 2))
         wrong = np.linalg.norm(stated["error_scale"][SHOWN, None, None] * deviations, axis=2)
         expected[draw] = np.median(wrong / size, axis=1)

@@ -1,8 +1,9 @@
 /* Sees every call by which a process changes files under one folder, and does to the process what was ordered.
 
    Loaded by LD_PRELOAD into an interpreter that runs the program as it is: h5py's own writes are seen as well. A call
-   is numbered from 1; at number `at` the process is killed before it, after it or in the midst of a write, stopped, or
-   the call fails from then on. Calls may be logged, with what they wrote, for the replay of power cuts. */
+   is numbered from 1; at number `at` the process is killed before it, or in the midst of a write and after what is no
+   write, or stopped, or the call fails, once or from then on. Calls may be logged, with what they wrote, for the replay
+   of power cuts. */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -18,7 +19,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
-enum { WATCH, KILL_BEFORE, KILL_AFTER, KILL_WITHIN, STOP_BEFORE, FAIL_ONCE, FAIL_ON };
+enum { WATCH, KILL_BEFORE, KILL_WITHIN, STOP_BEFORE, FAIL_ONCE, FAIL_ON };
 enum { WRITE = 1, SYNC, RESIZE, RESERVE, LINK, RENAME, UNLINK, MKDIR, RMDIR, CREATE };
 
 struct entry { /* of the log; then the path, the second path and what was written */
@@ -93,7 +94,6 @@ static void note(int kind, int fd, const char *path, const char *other, uint64_t
     if (fd >= 0) fstat(fd, &found);
     else lstat(other ? other : path, &found);
     struct entry entry = {kind, strlen(path), other ? strlen(other) : 0, data ? size : 0, offset, found.st_ino};
-    if (!data) entry.offset = offset;
     put(&entry, sizeof entry);
     put(path, entry.path_bytes);
     if (other) put(other, entry.other_bytes);
@@ -117,7 +117,7 @@ static int begin(int kind)
 
 static void end(void)
 {
-    if (calls == at && (mode == KILL_AFTER || mode == KILL_WITHIN)) die();
+    if (calls == at && mode == KILL_WITHIN) die();
 }
 
 #define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
@@ -139,31 +139,22 @@ static void end(void)
     errno = told;                                 \
     return result
 
+/* Where it lands is noted, also in a file opened to append. */
+static ssize_t store(int fd, const void *data, size_t size, off_t *offset, int positioned)
+{
+    if (calls == at && mode == KILL_WITHIN && (size_t)part < size) size = (size_t)part;
+    if (positioned) return syscall(SYS_pwrite64, fd, data, size, *offset);
+    struct stat found;
+    fstat(fd, &found);
+    *offset = fcntl(fd, F_GETFL) & O_APPEND ? found.st_size : syscall(SYS_lseek, fd, 0, SEEK_CUR);
+    return syscall(SYS_write, fd, data, size);
+}
+
 static ssize_t written(int fd, const void *data, size_t size, off_t offset, int positioned)
 {
     char path[4096];
-    if (!path_of(fd, path, sizeof path))
-        return positioned ? syscall(SYS_pwrite64, fd, data, size, offset) : syscall(SYS_write, fd, data, size);
-    pthread_mutex_lock(&turn);
-    if (begin(WRITE)) {
-        int told = errno;
-        pthread_mutex_unlock(&turn);
-        errno = told;
-        return -1;
-    }
-    if (calls == at && mode == KILL_WITHIN) size = (size_t)part < size ? (size_t)part : size;
-    if (!positioned) { /* where it lands, also in a file opened to append */
-        struct stat found;
-        fstat(fd, &found);
-        offset = fcntl(fd, F_GETFL) & O_APPEND ? found.st_size : syscall(SYS_lseek, fd, 0, SEEK_CUR);
-    }
-    ssize_t count = positioned ? syscall(SYS_pwrite64, fd, data, size, offset) : syscall(SYS_write, fd, data, size);
-    int told = errno;
-    if (count > 0) note(WRITE, fd, path, NULL, offset, data, count);
-    end();
-    pthread_mutex_unlock(&turn);
-    errno = told;
-    return count;
+    GUARDED(path_of(fd, path, sizeof path), WRITE, store(fd, data, size, &offset, positioned),
+            note(WRITE, fd, path, NULL, offset, data, result));
 }
 
 ssize_t write(int fd, const void *data, size_t size) { return written(fd, data, size, 0, 0); }

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.system.crash.campaign import acknowledged
-from tests.system.crash.power_cuts import Disk, Kind, evenly, images, read_log
+from tests.system.crash.power_cuts import Disk, Kind, Share, images, read_log
 from tests.system.crash.processes import How, Order
 
 # Random subsets of what was not synced, for each call: as few as give the cuts that are wanted.
@@ -13,13 +13,13 @@ FEW = 10
 PER_STATE = 40
 
 
-def in_capture(campaign, chance, count):
+def in_capture(campaign, chance, share):
     """Cut the power in a capture, from the making of the bank on."""
     campaign.clear()
-    yield from _cut(campaign, campaign.capture, chance, set(), count)
+    yield from _cut(campaign, campaign.capture, chance, set(), share)
 
 
-def in_repair(campaign, chance, count):
+def in_repair(campaign, chance, share):
     """Cut the power in a resume, after a kill within any commit."""
     calls = campaign.calls
     while True:
@@ -27,17 +27,17 @@ def in_repair(campaign, chance, count):
         order = Order(How.KILL_WITHIN, chance.randrange(calls // 4, calls), chance.choice((512, 1000, 4608)))
         ended = campaign.processes.run(*campaign.capture, order=order)
         if campaign.bank.exists():
-            yield from _cut(campaign, campaign.resume, chance, acknowledged(ended.out), PER_STATE)
+            yield from _cut(campaign, campaign.resume, chance, acknowledged(ended.out), Share(PER_STATE))
 
 
-def in_remeasure(campaign, chance, count):
+def in_remeasure(campaign, chance, share):
     """Cut the power while a position is replaced."""
     campaign.put(campaign.captured)
     everything = set(range(len(campaign.rows)))
-    yield from _cut(campaign, campaign.remeasure, chance, everything, count, remeasure=True)
+    yield from _cut(campaign, campaign.remeasure, chance, everything, share, remeasure=True)
 
 
-def _cut(campaign, command, chance, promised, count, *, remeasure=False):
+def _cut(campaign, command, chance, promised, share, *, remeasure=False):
     log_path = campaign.folder / "calls.log"
     before = {path: path.read_bytes() if path.is_file() else None for path in campaign.lying_there()}
     inodes = {path: path.stat().st_ino for path in before}
@@ -57,13 +57,13 @@ def _cut(campaign, command, chance, promised, count, *, remeasure=False):
     def found(subsets, some=None):
         return images(Disk(before, inodes), log, np.random.default_rng(seed), subsets, named, some)
 
-    chosen = found(0, count)
-    if count > FEW:  # evenly among those that differ
+    chosen = found(0, share.count)
+    if share.count > FEW:  # evenly among those that differ
         for subsets in SUBSETS:
             total = sum(1 for _ in found(subsets))
-            if total >= count:
+            if total >= share.count:
                 break
-        chosen = evenly(found(subsets), total, count)
+        chosen = share.of(found(subsets), total)
     for image in chosen:
         campaign.put(image.files, image.folders)
         so_far = promised.union(*(positions for step, positions in told if step <= image.step))

@@ -4,14 +4,13 @@ import itertools
 import time
 
 from tests.system.crash.campaign import acknowledged, badly_told
-from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import How, Order
 
 # Of a resume's calls these are repair; then it measures as any capture does.
 REPAIR_CALLS, SECONDS = 14, 5
 
 
-def at_random(campaign, chance, count):
+def at_random(campaign, chance, share):
     """Kill a capture at any moment; one in three resumes is killed as well."""
     campaign.clear()
     start_s = time.monotonic()
@@ -28,28 +27,28 @@ def at_random(campaign, chance, count):
             yield killed, badly_told(ended, {0}) + campaign.outcome(promised)
 
 
-def at_calls(campaign, chance, count):
+def at_calls(campaign, chance, share):
     """Kill a capture before and within each of its calls, from the bank's creation on."""
-    yield from _at_each_call(campaign, campaign.capture, campaign.calls, {}, set(), chance, count)
+    yield from _at_each_call(campaign, campaign.capture, campaign.calls, {}, set(), chance, share)
 
 
-def in_remeasure(campaign, chance, count):
+def in_remeasure(campaign, chance, share):
     """Kill the replacement of a position, before and within each call."""
     everything = set(range(len(campaign.rows)))
     of_all = campaign.remeasure_calls, campaign.captured, everything
-    yield from _at_each_call(campaign, campaign.remeasure, *of_all, chance, count)
+    yield from _at_each_call(campaign, campaign.remeasure, *of_all, chance, share)
 
 
-def _at_each_call(campaign, command, calls, before, promised, chance, count):
+def _at_each_call(campaign, command, calls, before, promised, chance, share):
     places = itertools.product(range(1, calls + 1), (How.KILL_BEFORE, How.KILL_WITHIN))
-    for call, how in evenly(places, 2 * calls, count):
+    for call, how in share.of(places, 2 * calls):
         campaign.put(before)
         ended = campaign.processes.run(*command, order=Order(how, call, _part(chance)))
         notes = campaign.outcome(promised | acknowledged(ended.out), remeasure=bool(before))
         yield int(ended.killed), badly_told(ended, {0}) + notes
 
 
-def in_repair(campaign, chance, count):
+def in_repair(campaign, chance, share):
     """Kill a capture at some call and then, at each of the first calls of the resume, that too."""
     calls = campaign.calls
     while True:

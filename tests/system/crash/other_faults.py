@@ -1,6 +1,5 @@
 """Disks that fill or fail, bytes that flip, and second processes."""
 
-import errno
 import os
 import signal
 import time
@@ -9,37 +8,22 @@ from pathlib import Path
 import numpy as np
 
 from tests.system.crash.campaign import acknowledged, badly_told
-from tests.system.crash.power_cuts import evenly
 from tests.system.crash.processes import How, HungError, Order, Processes
 from tests.unit.mutations import stored_bytes
 
 WRONG_INPUT, FAILED, BUSY = 2, 3, 75
 
 
-def full_disk(campaign, chance, count):
-    """Let each call, and all after it that need space, find the disk full; then there is space again."""
-    yield from _failing(campaign, How.FAIL_ON, errno.ENOSPC, count)
-
-
-def failing_disk(campaign, chance, count):
-    """Let each call fail once."""
-    yield from _failing(campaign, How.FAIL_ONCE, errno.EIO, count)
-
-
-def dead_disk(campaign, chance, count):
-    """Let each call, and all after it, fail."""
-    yield from _failing(campaign, How.FAIL_ON, errno.EIO, count)
-
-
-def _failing(campaign, how, error, count):
+def failing_disk(how, error, campaign, chance, share):
+    """Let each call fail once, or with all after it; a full disk lets names go, and has space again afterwards."""
     calls = campaign.calls
-    for call in evenly(range(1, calls + 1), calls, count):
+    for call in share.of(range(1, calls + 1), calls):
         campaign.clear()
         ended = campaign.processes.run(*campaign.capture, order=Order(how, call, error=error))
         yield 1, badly_told(ended, {0, WRONG_INPUT, FAILED}) + campaign.outcome(acknowledged(ended.out))
 
 
-def flipped_bytes(campaign, chance, count):
+def flipped_bytes(campaign, chance, share):
     """Flip bits of a byte anywhere in a bank: it is harmless, repaired or named, and no more is lost."""
     campaign.clear()
     assert campaign.processes.run(*campaign.capture, order=Order(How.KILL_BEFORE, campaign.calls * 3 // 5)).killed
@@ -91,7 +75,7 @@ def _places(campaign):
     return {"values": values, "metadata": [(int(at), 1) for at in np.flatnonzero(content)]}
 
 
-def second_process(campaign, chance, count):
+def second_process(campaign, chance, share):
     """Start a second process while the first is stopped at a call; then let that go on, or kill it meanwhile."""
     rivals_folder = campaign.folder / "rival"
     rivals_folder.mkdir(exist_ok=True)

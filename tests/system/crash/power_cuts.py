@@ -187,6 +187,18 @@ def evenly(found, total, count):
             yield one
 
 
+class Share(NamedTuple):
+    """A part, counted from 0, of so many faults of a kind."""
+
+    count: int
+    part: int = 0
+    parts: int = 1
+
+    def of(self, found, total):
+        """Choose this part of about `count` of `total` things, evenly from the first to the last."""
+        return itertools.islice(evenly(found, total, self.count), self.part, None, self.parts)
+
+
 def _tear(content, call, torn, chance):
     kept = -torn - 1 if torn < 0 else torn
     _put(content, call.offset, call.data[:kept])
