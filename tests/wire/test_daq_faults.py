@@ -197,7 +197,7 @@ def test_a_silent_server_costs_one_deadline_and_what_it_keeps_reserved_is_taken_
             recorder.start(ask())
             recorder.abort()
         else:
-            with pytest.raises(LOST, match="does not answer .StopTask got no answer within 2 s"):
+            with pytest.raises(LOST, match=r"does not answer .StopTask got no answer within 2 s"):
                 take_one(recorder)
         assert bench.calls("ClearTask") == cleared
         with pytest.raises(InstrumentError, match="another program has reserved it"):
