@@ -1,7 +1,6 @@
 """Players on emulated interfaces, closed whatever happens."""
 
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -28,21 +27,6 @@ needs_audio_server = [
 ]
 
 
-class AlsaFile:
-    """An ALSA device that writes what is played into a file: what opening refuses needs no audio server."""
-
-    host_api, device = "ALSA", "filed"
-
-    def __init__(self, folder):
-        description = folder / "asound.conf"
-        description.write_text(
-            f'pcm.{self.device} {{ type file file "{folder / "frames.raw"}" format "raw" slave.pcm "null" }}\n',
-            encoding="utf-8",
-        )
-        # Without ALSA's own description PortAudio aborts when it lists devices.
-        self.environment = {"ALSA_CONFIG_PATH": f"/usr/share/alsa/alsa.conf:{description}"}
-
-
 class AudioBench:
     """An emulated interface and the players on it.
 
@@ -58,17 +42,11 @@ class AudioBench:
         return self._stack.enter_context(JackServer(**{"period_frames": self._period_frames, **settings}))
 
     def player(self, interface, **settings):
-        opened = StreamPlayer(
-            settings.pop("host_api", interface.host_api),
-            settings.pop("device", interface.device),
-            channels=settings.pop("channels", CHANNELS),
-            **{
-                "channel_full_scale_v": FULL_SCALE_V,
-                "interface_rate_hz": RATE_HZ,
-                "environment": interface.environment,
-                **settings,
-            },
-        )
+        usual = {
+            "device": interface.device, "channels": CHANNELS, "channel_full_scale_v": FULL_SCALE_V,
+            "interface_rate_hz": RATE_HZ, "environment": interface.environment,
+        }  # fmt: skip
+        opened = StreamPlayer(interface.host_api, **(usual | settings))
         self._stack.callback(opened.close)
         return opened
 
@@ -144,16 +122,3 @@ def alive(process_id):
         return False
     state = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0]
     return state != "Z"
-
-
-def run_python(code, environment, timeout_s=60.0, executable=sys.executable):
-    """Output of a program of its own; that it ends at all is half of what is tested."""
-    done = subprocess.run(
-        [executable, "-W", "error", "-c", code],
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
