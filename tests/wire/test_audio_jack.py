@@ -6,24 +6,19 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import wavefocus
 from tests.wire.audio_bench import (
+    CHANNELS,
     FULL_SCALE_V,
     RATE_HZ,
-    ROOT,
     AudioBench,
-    alive,
-    as_played,
-    assert_ends_with,
-    heard_of,
     needs_audio_server,
-    noise,
-    played_between,
     sounding,
-    undisturbed,
     wait_until,
 )
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
@@ -58,8 +53,67 @@ def player(opened):
     opened.mute()
 
 
-def start_playing(player, seconds=60, volts=0.5):
-    player.play({0: np.full(seconds * RATE_HZ, volts)}, RATE_HZ)
+def undisturbed(player, take):
+    """Do it again, as the engine does, where the machine was too busy to keep the sound going."""
+    for _ in range(20):
+        try:
+            return take()
+        except TransientInstrumentError as error:
+            if "underflow" not in error.cause:
+                raise
+            player.mute()
+    return take()
+
+
+def played_between(server, asked_ns):
+    """What left the outputs since an instant."""
+    first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, time.monotonic_ns()))
+    return server.played.read(first, stop)
+
+
+def heard_of(server, player, signals_v, sample_rate_hz=RATE_HZ):
+    """What leaves the outputs between the call of play and the end of wait, nothing disturbing it."""
+
+    def take():
+        asked_ns = time.monotonic_ns()
+        player.play(signals_v, sample_rate_hz)
+        player.wait(30)
+        return played_between(server, asked_ns)
+
+    return undisturbed(player, take)
+
+
+def assert_ends_with(frames, signals_v):
+    """The last that sounds is these signals; what was cut short before may just be leaving."""
+    meant = as_played(signals_v)
+    np.testing.assert_array_equal(sounding(frames)[:, -meant.shape[1] :], meant)
+
+
+def noise(samples, channels=range(CHANNELS)):
+    """Different noise for each channel, no sample of it zero."""
+    generator = np.random.default_rng(5)
+    return {channel: generator.uniform(0.1, 0.9, samples) * generator.choice([-1, 1], samples) for channel in channels}
+
+
+def as_played(signals_v, channels=24):
+    """What is heard of signals at the interface's own rate, in parts of full scale."""
+    heard = np.zeros((channels, len(next(iter(signals_v.values())))), dtype=np.float32)
+    for channel, volts in signals_v.items():
+        heard[channel] = (volts / FULL_SCALE_V[channel]).astype(np.float32)
+    return heard
+
+
+def alive(process_id):
+    try:
+        os.kill(process_id, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0]
+    return state != "Z"
+
+
+def start_playing(player):
+    player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
     time.sleep(0.3)
 
 
@@ -100,7 +154,9 @@ def test_a_play_that_cannot_be_begun_is_refused_with_the_way_out(player):
 
 def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(server, player):
     def take():
-        start_playing(player, seconds=5)
+        begun_ns = time.monotonic_ns()
+        player.play({0: np.full(5 * RATE_HZ, 0.5)}, RATE_HZ)
+        wait_until(lambda: np.any(played_between(server, begun_ns)[0]), "sound")
         asked_ns = time.monotonic_ns()
         player.mute()
         returned_ns = time.monotonic_ns()
@@ -116,7 +172,7 @@ def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(serve
 
 
 def test_server_that_stood_still_then_waiting_says_underflow_and_next_play_is_good(server, player):
-    start_playing(player, seconds=20)
+    start_playing(player)
     server.underflow()
     with pytest.raises(TransientInstrumentError, match=r"underflow.*void.*repeat it") as caught:
         player.wait(30)
@@ -204,7 +260,7 @@ def slow():
 
 def program_of(text, server):
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    environment = {**os.environ, **server.environment, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, **server.environment, "PYTHONPATH": str(Path(wavefocus.__file__).parents[1])}
     return subprocess.Popen([sys.executable, "-W", "error", "-c", text], env=environment, text=True, **pipes)
 
 
