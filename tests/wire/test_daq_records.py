@@ -116,20 +116,17 @@ def test_a_record_that_the_product_cannot_make_then_the_refusal_names_what_it_ca
         check_tone(take_one(recorder, rate_hz=7000.0, range_v=(10.0, 10.0)))
 
 
-@pytest.mark.parametrize(
-    ("changes", "cause", "remedy"),
-    [
-        ({"device": "Dev7"}, "opening: there is no device", "Dev1"),
-        ({"reference_input": "ai16"}, "no input 'ai16'", "ai0, ai1, .*ai14 or ai15 into reference_input"),
-        ({"terminal": "pseudodifferential"}, "cannot be a pseudodifferential", "differential, rse or nrse"),
-        ({"response_input": "ai9"}, "ai9 of USB-6211 cannot be a differential", "rse or nrse into terminal"),
-        ({"trigger": "PFI4"}, "no digital input 'PFI4'", "PFI0, PFI1, PFI2 or PFI3 into trigger"),
-    ],
-)
-def test_given_wiring_that_the_device_has_not_then_opening_names_what_it_has(bench, changes, cause, remedy):
-    with pytest.raises(InstrumentError, match=f"{cause}.*; .*{remedy}") as caught:
-        bench.recorder(**changes)
-    assert type(caught.value) is InstrumentError
+def test_given_wiring_that_the_device_has_not_then_opening_names_what_it_has(bench):
+    for changes, told in (
+        ({"device": "Dev7"}, "opening: there is no device.*; .*Dev1"),
+        ({"reference_input": "ai16"}, "no input 'ai16'.*; .*ai0, ai1, .*ai14 or ai15 into reference_input"),
+        ({"terminal": "pseudodifferential"}, "cannot be a pseudodifferential.*; .*differential, rse or nrse"),
+        ({"response_input": "ai9"}, "ai9 of USB-6211 cannot be a differential.*; .*rse or nrse into terminal"),
+        ({"trigger": "PFI4"}, "no digital input 'PFI4'.*; .*PFI0, PFI1, PFI2 or PFI3 into trigger"),
+    ):
+        with pytest.raises(InstrumentError, match=told) as caught:
+            bench.recorder(**changes)
+        assert type(caught.value) is InstrumentError
 
 
 @pytest.mark.parametrize(
