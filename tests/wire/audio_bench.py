@@ -1,20 +1,14 @@
 """Players on emulated interfaces, closed whatever happens."""
 
-import os
-import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import wavefocus
 from wavefocus.drivers.audio.stream.player import StreamPlayer
-from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.mocks.wire.jack_server import JackServer
 
-ROOT = Path(wavefocus.__file__).parents[1]
 CHANNELS = 21
 RATE_HZ = 48_000
 # Powers of two: what is divided by them is exact.
@@ -26,21 +20,6 @@ needs_audio_server = [
     pytest.mark.may_skip("an audio server's dummy driver runs on Linux"),
     pytest.mark.skipif(sys.platform != "linux", reason="needs jackd"),
 ]
-
-
-class AlsaFile:
-    """An ALSA device that writes what is played into a file: what opening refuses needs no audio server."""
-
-    host_api, device = "ALSA", "filed"
-
-    def __init__(self, folder):
-        description = folder / "asound.conf"
-        description.write_text(
-            f'pcm.{self.device} {{ type file file "{folder / "frames.raw"}" format "raw" slave.pcm "null" }}\n',
-            encoding="utf-8",
-        )
-        # Without ALSA's own description PortAudio aborts when it lists devices.
-        self.environment = {"ALSA_CONFIG_PATH": f"/usr/share/alsa/alsa.conf:{description}"}
 
 
 class AudioBench:
@@ -58,49 +37,13 @@ class AudioBench:
         return self._stack.enter_context(JackServer(**{"period_frames": self._period_frames, **settings}))
 
     def player(self, interface, **settings):
-        opened = StreamPlayer(
-            settings.pop("host_api", interface.host_api),
-            settings.pop("device", interface.device),
-            channels=settings.pop("channels", CHANNELS),
-            **{
-                "channel_full_scale_v": FULL_SCALE_V,
-                "interface_rate_hz": RATE_HZ,
-                "environment": interface.environment,
-                **settings,
-            },
-        )
+        usual = {
+            "device": interface.device, "channels": CHANNELS, "channel_full_scale_v": FULL_SCALE_V,
+            "interface_rate_hz": RATE_HZ, "environment": interface.environment,
+        }  # fmt: skip
+        opened = StreamPlayer(interface.host_api, **(usual | settings))
         self._stack.callback(opened.close)
         return opened
-
-
-def undisturbed(player, take):
-    """Do it again, as the engine does, where the machine was too busy to keep the sound going."""
-    for _ in range(20):
-        try:
-            return take()
-        except TransientInstrumentError as error:
-            if "underflow" not in error.cause:
-                raise
-            player.mute()
-    return take()
-
-
-def played_between(server, asked_ns):
-    """What left the outputs since an instant."""
-    first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, time.monotonic_ns()))
-    return server.played.read(first, stop)
-
-
-def heard_of(server, player, signals_v, sample_rate_hz=RATE_HZ):
-    """What leaves the outputs between the call of play and the end of wait, nothing disturbing it."""
-
-    def take():
-        asked_ns = time.monotonic_ns()
-        player.play(signals_v, sample_rate_hz)
-        player.wait(30)
-        return played_between(server, asked_ns)
-
-    return undisturbed(player, take)
 
 
 def sounding(frames):
@@ -109,51 +52,9 @@ def sounding(frames):
     return frames[:, at[0] : at[-1] + 1] if at.size else frames[:, :0]
 
 
-def assert_ends_with(frames, signals_v):
-    """The last that sounds is these signals; what was cut short before may just be leaving."""
-    meant = as_played(signals_v)
-    np.testing.assert_array_equal(sounding(frames)[:, -meant.shape[1] :], meant)
-
-
-def noise(samples, channels=range(CHANNELS)):
-    """Different noise for each channel, no sample of it zero."""
-    generator = np.random.default_rng(5)
-    return {channel: generator.uniform(0.1, 0.9, samples) * generator.choice([-1, 1], samples) for channel in channels}
-
-
-def as_played(signals_v, channels=24):
-    """What is heard of signals at the interface's own rate, in parts of full scale."""
-    heard = np.zeros((channels, len(next(iter(signals_v.values())))), dtype=np.float32)
-    for channel, volts in signals_v.items():
-        heard[channel] = (volts / FULL_SCALE_V[channel]).astype(np.float32)
-    return heard
-
-
 def wait_until(happened, what, timeout_s=30.0):
     """Come back when it happened; a bound, not a measurement."""
     latest_s = time.monotonic() + timeout_s
     while not happened():
         assert time.monotonic() < latest_s, f"{what}: not within {timeout_s} s"
         time.sleep(0.01)
-
-
-def alive(process_id):
-    try:
-        os.kill(process_id, 0)
-    except ProcessLookupError:
-        return False
-    state = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0]
-    return state != "Z"
-
-
-def run_python(code, environment, timeout_s=60.0, executable=sys.executable):
-    """Output of a program of its own; that it ends at all is half of what is tested."""
-    done = subprocess.run(
-        [executable, "-W", "error", "-c", code],
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr

@@ -39,15 +39,8 @@ class DaqBench:
         self._opened = opened
 
     def recorder(self, device="Dev1", **changes):
-        wiring = {
-            "address": self.server.address,
-            "reference_input": "ai0",
-            "response_input": "ai1",
-            "terminal": "differential",
-            "trigger": None,
-            **changes,
-        }
-        recorder = NiRecorder(device, **wiring)
+        wiring = {"reference_input": "ai0", "response_input": "ai1", "terminal": "differential", "trigger": None}
+        recorder = NiRecorder(device, **({"address": self.server.address} | wiring | changes))
         self._opened.callback(recorder.close)
         return recorder
 

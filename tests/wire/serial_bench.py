@@ -36,9 +36,6 @@ DIALECTS = {
 # Pseudo-terminals are a matter of POSIX; elsewhere the same tests run over TCP alone.
 LOCAL = "pty" if os.name == "posix" else "tcp"
 WIRES = tuple(dict.fromkeys((LOCAL, "tcp")))
-# All faults meet the first; the others some of them. Few go over TCP, which pyserial takes 0.3 s to close.
-EACH = tuple(f"{dialect}/{LOCAL}" for dialect in DIALECTS)
-FIRST, OVER_TCP = EACH[0], "generic/tcp"
 LIMIT_MRAD = 250.0
 PARK_MRAD = (-200.0, -200.0)
 # Rounding in the coarsest dialect: 1e-4 of the tangent of 50 degrees.

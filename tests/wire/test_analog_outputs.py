@@ -11,6 +11,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
 from tests.wire.audio_bench import wait_until
 from tests.wire.daq_bench import Tone, check_tone, take_one
 from tests.wire.emulated import analog_rig
@@ -19,9 +20,7 @@ from wavefocus.commands.doctor import shutter_findings
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
-from wavefocus.drivers.protocols import Instruments, Shutter, WallClock
-from wavefocus.drivers.registry import MirrorSettings
+from wavefocus.drivers.protocols import Instruments, Shutter
 from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
 from wavefocus.drivers.timeouts import bounded
@@ -60,12 +59,6 @@ class Box:
         self._opened.callback(instrument.close)
         return instrument
 
-    def mirror(self, **keys):
-        driver = AnalogMirrorDriver(device="Dev1", address=self.server.address, **keys)
-        return self.closed(
-            driver.open(MirrorSettings(settle_s=0.0, limit_mrad=200.0, park_mrad=PARK_MRAD, clock=WallClock()))
-        )
-
     def shutter(self, **keys):
         return self.closed(NiShutterDriver(device="Dev1", address=self.server.address, **keys).open())
 
@@ -80,14 +73,9 @@ class Box:
 
 
 @pytest.fixture
-def opened():
+def box(request):
     with ExitStack() as stack:
-        yield stack
-
-
-@pytest.fixture
-def box(opened):
-    return Box(opened)
+        yield Box(stack, *getattr(request, "param", ()))
 
 
 def arrives(mirror, x_mrad, y_mrad):
@@ -109,7 +97,6 @@ def rig(tmp_path_factory):
 
 def test_the_mirror_follows_the_makers_scale_no_faster_than_it_may_and_ends_parked(rig):
     box, mirror, recorder = rig
-    first = len(box.written)
     # 4 mm at a distance of 1 m: 4 mrad of the beam, 2 mrad or 0.1146 degrees of the mirror, 92 mV at 0.8 V per degree.
     mirror.move_to(4.0, -4.0)
     assert (box.level("ao0"), box.level("ao1")) == pytest.approx((0.09167, -0.09167), abs=1e-4)
@@ -122,7 +109,7 @@ def test_the_mirror_follows_the_makers_scale_no_faster_than_it_may_and_ends_park
     assert box.points_at(0.0, 174.533)
     assert "ResetDevice" not in box.server.log
     mirror.park()
-    steps = np.abs(np.diff([(0.0, 0.0), *box.written[first:]], axis=0))
+    steps = np.abs(np.diff([(0.0, 0.0), *box.written], axis=0))
     assert len(steps) > 20
     assert steps.max() <= 0.2 + 1e-9
     assert box.written[-1] == pytest.approx(np.array(PARK_MRAD) * math.degrees(1e-3) / 2 * 0.8)
@@ -173,16 +160,20 @@ def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(r
 
 
 @pytest.mark.parametrize(
-    ("keys", "words"),
+    ("keys", "error", "words"),
     [
-        ({"volts_per_degree": 2.0}, "limit_v"),
-        ({"limit_v": 3.0}, "limit_v"),
-        ({"x_output": "ao7"}, r"has no output 'ao7'.*there is ao0, ao1"),
+        ('device = "Dev1"\nvolts_per_degree = 2.0', InstrumentError, "limit_v"),
+        ('device = "Dev1"\nlimit_v = 3.0', InstrumentError, "limit_v"),
+        ('device = "Dev1"\nx_output = "ao7"', InstrumentError, r"has no output 'ao7'.*there is ao0, ao1"),
+        ('device = "Dev1"\ny_output = "ao0"', InputError, r"mirror\.y_output"),
+        ("", InputError, r"mirror\.device"),
     ],
 )
-def test_given_a_rig_beyond_the_outputs_then_it_is_refused(box, keys, words):
-    with pytest.raises(InstrumentError, match=words):
-        box.mirror(**keys)
+def test_given_a_rig_beyond_the_outputs_then_it_is_refused(box, tmp_path, keys, error, words):
+    box.rig(tmp_path)
+    change_text(tmp_path / "rig.toml", 'driver = "analog"\ndevice = "Dev1"', f'driver = "analog"\n{keys}')
+    with pytest.raises(error, match=words):
+        openers_of(load_rig(tmp_path / "rig.toml")).mirror()
     assert box.written == []
 
 
@@ -190,7 +181,7 @@ def test_given_a_rig_beyond_the_outputs_then_it_is_refused(box, keys, words):
 def test_a_computer_on_which_programs_start_slowly_is_waited_for(box, tmp_path, monkeypatch):
     (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(7)\n", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    assert "ao0 and ao1" in box.mirror().identify()
+    assert "ao0 and ao1" in box.closed(openers_of(box.rig(tmp_path)).mirror()).identify()
 
 
 # -- the shutter ---------------------------------------------------------------------------------------
@@ -219,23 +210,25 @@ def test_a_shutter_that_opens_at_a_low_level_is_moved_on_its_own_box_alone(box):
         shutter.open_beam()
 
 
-def test_given_another_instrument_fails_then_silence_closes_the_shutter(opened):
+def test_given_another_instrument_fails_then_silence_closes_the_shutter(box):
     virtual, shutter = VirtualRig().instruments, VirtualShutter()
     mirror = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
     shuttered = Instruments(mirror, virtual.recorder, virtual.player, virtual.clock)
     for plain in (shuttered, VirtualRig().instruments):
         instruments = bounded(plain, 20.0)
         for instrument in (instruments.mirror, instruments.recorder, instruments.player):
-            opened.callback(instrument.close)
+            box.closed(instrument)
         arrives(instruments.mirror, 1.0, 1.0)
         assert shutter.is_open is (plain is shuttered)
         assert silence(instruments) == []
         assert not shutter.is_open
 
 
-def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(opened):
-    # The third write to the line, the one that closes it, and all after it are refused.
-    box = Box(opened, WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=2))
+# The third write to the line, the one that closes it, and the one after it are refused.
+@pytest.mark.parametrize(
+    "box", [[WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=2)]], indirect=True
+)
+def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(box):
     virtual = VirtualRig().instruments
     mirror = box.closed(ShutteredMirror(virtual.mirror, box.shutter(), 0.0, virtual.clock))
     arrives(mirror, 10.0, 10.0)
@@ -264,28 +257,13 @@ def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(box, tmp_p
     assert list(shutter_findings(RigConfig.model_validate({}))) == []
 
 
-# -- the rig file, and a program that ends -------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("wrong", "key"),
-    [
-        ('[mirror]\ndriver = "analog"\ndevice = "Dev1"\ny_output = "ao0"\n', r"mirror\.y_output"),
-        ('[mirror]\ndriver = "analog"\n', r"mirror\.device"),
-        ('[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\n', r"shutter\.driver"),  # a real one in a virtual rig
-    ],
-)
-def test_given_wrong_keys_then_the_rig_file_is_refused(tmp_path, wrong, key):
-    (tmp_path / "rig.toml").write_text(wrong, encoding="utf-8")
-    with pytest.raises(InputError, match=key):
-        load_rig(tmp_path / "rig.toml")
-
-
-def test_a_virtual_shutter_is_part_of_the_virtual_mirror(opened, tmp_path):
-    (tmp_path / "rig.toml").write_text('[shutter]\ndriver = "virtual"\n', encoding="utf-8")
-    mirror = openers_of(load_rig(tmp_path / "rig.toml")).mirror()
-    opened.callback(mirror.close)
-    assert "shutter" in mirror.identify()
+def test_a_virtual_rig_has_a_virtual_shutter_in_its_mirror_and_no_real_one(box, tmp_path):
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text('[shutter]\ndriver = "virtual"\n', encoding="utf-8")
+    assert "shutter" in box.closed(openers_of(load_rig(rig_file)).mirror()).identify()
+    rig_file.write_text('[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r"shutter\.driver"):
+        load_rig(rig_file)
 
 
 HOLD = """

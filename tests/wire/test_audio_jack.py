@@ -1,26 +1,28 @@
-"""Pacing, ends, mutes and underflows, by an audio server that keeps time."""
+"""Pacing, ends, mutes, underflows and losses, by an audio server that keeps time."""
 
+import os
+import signal
+import subprocess
+import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import wavefocus
 from tests.wire.audio_bench import (
+    CHANNELS,
     FULL_SCALE_V,
     RATE_HZ,
     AudioBench,
-    as_played,
-    assert_ends_with,
-    heard_of,
     needs_audio_server,
-    noise,
-    played_between,
     sounding,
-    undisturbed,
+    wait_until,
 )
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
-from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 
 pytestmark = needs_audio_server
 # Opening and closing take a period for each channel.
@@ -51,6 +53,70 @@ def player(opened):
     opened.mute()
 
 
+def undisturbed(player, take):
+    """Do it again, as the engine does, where the machine was too busy to keep the sound going."""
+    for _ in range(20):
+        try:
+            return take()
+        except TransientInstrumentError as error:
+            if "underflow" not in error.cause:
+                raise
+            player.mute()
+    return take()
+
+
+def played_between(server, asked_ns):
+    """What left the outputs since an instant."""
+    first, stop = (int(server.played.frame_at(instant_ns)) for instant_ns in (asked_ns, time.monotonic_ns()))
+    return server.played.read(first, stop)
+
+
+def heard_of(server, player, signals_v, sample_rate_hz=RATE_HZ):
+    """What leaves the outputs between the call of play and the end of wait, nothing disturbing it."""
+
+    def take():
+        asked_ns = time.monotonic_ns()
+        player.play(signals_v, sample_rate_hz)
+        player.wait(30)
+        return played_between(server, asked_ns)
+
+    return undisturbed(player, take)
+
+
+def assert_ends_with(frames, signals_v):
+    """The last that sounds is these signals; what was cut short before may just be leaving."""
+    meant = as_played(signals_v)
+    np.testing.assert_array_equal(sounding(frames)[:, -meant.shape[1] :], meant)
+
+
+def noise(samples, channels=range(CHANNELS)):
+    """Different noise for each channel, no sample of it zero."""
+    generator = np.random.default_rng(5)
+    return {channel: generator.uniform(0.1, 0.9, samples) * generator.choice([-1, 1], samples) for channel in channels}
+
+
+def as_played(signals_v, channels=24):
+    """What is heard of signals at the interface's own rate, in parts of full scale."""
+    heard = np.zeros((channels, len(next(iter(signals_v.values())))), dtype=np.float32)
+    for channel, volts in signals_v.items():
+        heard[channel] = (volts / FULL_SCALE_V[channel]).astype(np.float32)
+    return heard
+
+
+def alive(process_id):
+    try:
+        os.kill(process_id, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0]
+    return state != "Z"
+
+
+def start_playing(player):
+    player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
+    time.sleep(0.3)
+
+
 def test_a_signal_for_every_channel_then_it_has_left_to_the_sample_when_waiting_ends(server, player):
     signals = noise(9600)
     np.testing.assert_array_equal(sounding(heard_of(server, player, signals)), as_played(signals))
@@ -58,25 +124,20 @@ def test_a_signal_for_every_channel_then_it_has_left_to_the_sample_when_waiting_
 
 def test_given_a_bank_at_another_rate_then_what_is_heard_is_the_band_limited_signal(server, player):
     time_s = np.arange(3000) / 10_000
-    signal = np.hanning(3000) * np.sin(2 * np.pi * (50 + 1200 * time_s) * time_s)
-    frames = sounding(heard_of(server, player, {2: signal, 20: 0.5 * signal}, 10_000))
+    signal_v = np.hanning(3000) * np.sin(2 * np.pi * (50 + 1200 * time_s) * time_s)
+    frames = sounding(heard_of(server, player, {2: signal_v, 20: 0.5 * signal_v}, 10_000))
     ratio = rate_ratio(10_000, RATE_HZ)
-    meant = converted(signal, ratio)[lead_samples(ratio) :] / 4.0
+    meant = converted(signal_v, ratio)[lead_samples(ratio) :] / 4.0
     np.testing.assert_allclose(frames[2], meant[: frames.shape[1]], atol=2e-7)
     assert np.flatnonzero(frames.any(axis=1)).tolist() == [2, 20]
-
-
-def test_an_overshooting_signal_is_refused_and_a_sweep_is_heard_where_it_is_played(server, player):
-    sweep = np.hanning(1000) * np.sin(np.arange(1000) / 9)
-    first = sounding(heard_of(server, player, {0: sweep, 12: sweep}, 10_000))
-    overshooting = np.sign(np.sin(np.pi / 2 * np.arange(480) + np.pi / 4)) * np.hanning(480)
-    with pytest.raises(InstrumentError, match=r"between its samples the signal of channel 4 reaches 1\.4"):
-        player.play({0: np.hanning(480), 4: overshooting}, 10_000)
-    frames = sounding(heard_of(server, player, {8: sweep.copy(), 12: sweep}, 10_000))  # of the same full scale
-    np.testing.assert_array_equal(frames[[8, 12]], first[[0, 12]])
+    again = sounding(heard_of(server, player, {10: signal_v.copy(), 2: signal_v}, 10_000))  # of the same full scale
+    np.testing.assert_array_equal(again[[10, 2]], frames[[2, 2]])
 
 
 def test_a_play_that_cannot_be_begun_is_refused_with_the_way_out(player):
+    overshooting = np.sign(np.sin(np.pi / 2 * np.arange(480) + np.pi / 4)) * np.hanning(480)
+    with pytest.raises(InstrumentError, match=r"between its samples the signal of channel 4 reaches 1\.4"):
+        player.play({0: np.hanning(480), 4: overshooting}, 10_000)
     player.play({0: np.full(RATE_HZ, 0.1)}, RATE_HZ)
     with pytest.raises(InstrumentError, match="still playing"):
         player.play({0: np.full(100, 0.1)}, RATE_HZ)
@@ -92,10 +153,10 @@ def test_a_play_that_cannot_be_begun_is_refused_with_the_way_out(player):
 
 
 def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(server, player):
-
     def take():
+        begun_ns = time.monotonic_ns()
         player.play({0: np.full(5 * RATE_HZ, 0.5)}, RATE_HZ)
-        time.sleep(0.3)
+        wait_until(lambda: np.any(played_between(server, begun_ns)[0]), "sound")
         asked_ns = time.monotonic_ns()
         player.mute()
         returned_ns = time.monotonic_ns()
@@ -111,8 +172,7 @@ def test_given_a_mute_then_silence_follows_within_two_periods_and_no_click(serve
 
 
 def test_server_that_stood_still_then_waiting_says_underflow_and_next_play_is_good(server, player):
-    player.play({0: np.full(20 * RATE_HZ, 0.25)}, RATE_HZ)
-    time.sleep(0.2)
+    start_playing(player)
     server.underflow()
     with pytest.raises(TransientInstrumentError, match=r"underflow.*void.*repeat it") as caught:
         player.wait(30)
@@ -126,8 +186,7 @@ def test_server_that_stood_still_then_waiting_says_underflow_and_next_play_is_go
 
 def test_given_a_closed_player_then_the_outputs_are_silent_and_free_for_the_next(bench, server):
     player = bench.player(server, **SMALL)
-    player.play({0: np.full(60 * RATE_HZ, 0.5)}, RATE_HZ)
-    time.sleep(0.3)
+    start_playing(player)
     player.close()
     for refused in (player.identify, player.reconnect, lambda: player.wait(1)):
         with pytest.raises(InstrumentError, match="it is closed"):
@@ -160,3 +219,161 @@ def test_a_signal_in_pieces_leaves_to_the_sample_and_one_too_late_is_told(server
     player.begin_pieces([0], RATE_HZ, 0.02)
     player.mute()
     player.wait(1)
+
+
+# -- losses: every call comes back, every process ends, every output is silent --------------------------
+
+
+PLAYING = """
+import sys, time
+import numpy as np
+from wavefocus.drivers.audio.stream.player import StreamPlayer
+from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
+player = StreamPlayer("JACK Audio Connection Kit", "wavefocus interface", channels=21,
+                      channel_full_scale_v=[1.0] * 21, interface_rate_hz=48_000)
+player.play({0: np.full(60 * 48_000, 0.5)}, 48_000)
+print(player.process_id, flush=True)
+sys.stdin.readline()
+"""
+# A program that nobody tidies up: it meets the loss, prints it and ends.
+MEETING_THE_LOSS = """
+for call in (lambda: player.wait(90), lambda: time.sleep(1), lambda: player.play({0: np.ones(9)}, 48_000),
+             lambda: player.wait(90), player.reconnect):
+    try:
+        call()
+    except TransientInstrumentError:
+        pass
+    except InstrumentLostError as error:
+        print(error.cause, flush=True)
+player.mute()
+player.close()
+print("closed", flush=True)
+"""
+
+
+@pytest.fixture
+def slow():
+    """Interfaces and players of long periods."""
+    with ExitStack() as stack:
+        yield AudioBench(stack, period_frames=4096)
+
+
+def program_of(text, server):
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    environment = {**os.environ, **server.environment, "PYTHONPATH": str(Path(wavefocus.__file__).parents[1])}
+    return subprocess.Popen([sys.executable, "-W", "error", "-c", text], env=environment, text=True, **pipes)
+
+
+def loss_of(player):
+    """The error of a player that is about to be lost, underflows of a busy machine apart."""
+    while True:
+        try:
+            player.wait(90)
+            start_playing(player)
+        except InstrumentLostError as lost:
+            return lost
+        except TransientInstrumentError as underflow:
+            if "underflow" not in underflow.cause:
+                raise
+            player.mute()
+            with suppress(InstrumentLostError):
+                start_playing(player)
+
+
+@pytest.mark.nightly
+def test_device_is_away_then_reconnecting_says_so_until_it_is_back_and_then_it_plays(slow):
+    server = slow.serve()
+    player = slow.player(server)
+    start_playing(player)
+    server.kill()
+    lost = loss_of(player)
+    assert "unplugged, switched off, or its server ended" in lost.cause
+    assert "then reconnect" in lost.remedy
+    assert (lost.instrument, lost.operation) == ("player wavefocus interface", "playing on channels [0]")
+    player.mute()
+    for refused in (lambda: start_playing(player), player.identify):
+        with pytest.raises(InstrumentLostError, match="its server ended"):
+            refused()
+    for _ in range(2):
+        with pytest.raises(InstrumentLostError, match="there is no host API 'JACK Audio Connection Kit'"):
+            player.reconnect()
+        with pytest.raises(InstrumentLostError):
+            start_playing(player)
+    server.restart(channels=4)
+    with pytest.raises(InstrumentError, match=r"needs 21 channels, 'wavefocus interface' .* 4 channels") as refused:
+        player.reconnect()
+    assert not isinstance(refused.value, InstrumentLostError)
+    server.kill()
+    server.restart()
+    player.reconnect()
+    signals = noise(4800)
+    assert_ends_with(heard_of(server, player, signals), signals)
+    server.kill()  # while nothing plays
+    wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
+    with pytest.raises(InstrumentLostError):
+        heard_of(server, player, signals)
+
+
+@pytest.mark.nightly
+def test_ctrl_c_leaves_a_stream_alone_and_reconnecting_mutes_it_and_opens_it_anew(slow):
+    player = slow.player(slow.serve())
+    start_playing(player)
+    before = player.process_id
+    assert os.getpgid(before) != os.getpgid(0)
+    os.kill(before, signal.SIGINT)
+    player.mute()
+    player.wait(1)
+    assert player.process_id == before
+    assert alive(before)
+    start_playing(player)
+    player.reconnect()
+    player.wait(1)
+    assert player.process_id != before
+    assert not alive(before)
+    assert "wavefocus interface" in player.identify()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("number", "cause"), [(signal.SIGKILL, "ended with code -9"), (signal.SIGSTOP, "and was killed")]
+)
+def test_a_stream_process_that_is_killed_or_hangs_then_a_mute_silences_it(slow, number, cause):
+    player = slow.player(slow.serve())
+    start_playing(player)
+    os.kill(player.process_id, number)
+    player.mute()
+    wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
+    assert cause in loss_of(player).cause
+
+
+@pytest.mark.nightly
+def test_given_a_server_that_freezes_then_a_program_gets_its_errors_closes_and_exits(slow):
+    server = slow.serve()
+    with program_of(PLAYING + MEETING_THE_LOSS, server) as program:
+        stream_process = int(program.stdout.readline())
+        server.freeze()
+        output, errors = program.communicate("go\n", timeout=90)
+    assert (program.returncode, errors) == (0, "")
+    *told, last = output.strip().splitlines()
+    assert all("frozen: it asked for nothing more for" in line for line in told[:-1])
+    assert len(told) >= 3
+    assert last == "closed"
+    assert not alive(stream_process)
+
+
+@pytest.mark.nightly
+def test_parent_that_is_killed_in_play_then_stream_ends_and_outputs_are_silent(slow):
+    server = slow.serve()
+    with program_of(PLAYING, server) as program:
+        stream_process = int(program.stdout.readline())
+
+        def latest():
+            now = int(server.played.frame_at(time.monotonic_ns()))
+            return server.played.read(now - 2048, now)
+
+        wait_until(lambda: latest().any(), "sound")
+        program.kill()
+        program.wait(60)
+        wait_until(lambda: not latest().any(), "silence")
+        wait_until(lambda: not alive(stream_process), "the end of the stream's process")
+    assert not latest().any()

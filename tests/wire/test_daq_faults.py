@@ -16,8 +16,8 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, Trans
 from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
 
-# No test waits long for an answer that does not come.
-ANSWER_S = 0.5
+# Only where an answer does not come: as long as a busy machine may take for one that does.
+ANSWER_S = 2.0
 PASSING, LOST, FOR_GOOD = TransientInstrumentError, InstrumentLostError, InstrumentError
 UNKNOWN = UnknownFaultError
 
@@ -50,11 +50,8 @@ REFUSED = "could not serve the call this time"
         ("unplugged", "ReadAnalogF64", 2, LOST, "cannot be accessed: unplugged.*-201003"),
         ("in_use", "StartTask", 2, LOST, "reserved, .*-50103"),
         ("unknown_code", "ReadAnalogF64", 2, UNKNOWN, "NI-DAQmx says: .*-229771"),
-        ("unknown_code", "StartTask", 2, UNKNOWN, "NI-DAQmx says: .*-229771"),
-        ("silent", "StartTask", 2, LOST, "does not answer .StartTask got no answer within 0.5 s"),
         ("server_dead", "WaitUntilTaskDone", 2, LOST, "cannot be reached, or went away"),
         ("exhausted", "StartTask", 2, PASSING, REFUSED),
-        ("internal", "StartTask", 2, PASSING, REFUSED),
         # While the device opens or makes a task.
         ("wrong_name", "GetDeviceAttributeString", 1, FOR_GOOD, "no device of this name"),
         ("silent", "GetSystemInfoAttributeUInt32", 1, LOST, "does not answer"),
@@ -70,7 +67,7 @@ def test_a_fault_in_the_first_or_second_record_is_told_and_the_next_is_good(kind
     with daq_bench(faults=fault(kind, operation, at_call, seconds=seconds)) as bench:
         recorder = None
         if at_call == 2:
-            recorder = bench.recorder(answer_s=ANSWER_S)
+            recorder = bench.recorder()
             check_tone(take_one(recorder))
         with pytest.raises(InstrumentError, match=cause) as caught:
             take_one(recorder or bench.recorder(answer_s=ANSWER_S), timeout_s=1.0)
@@ -96,17 +93,13 @@ def test_a_fault_in_the_first_or_second_record_is_told_and_the_next_is_good(kind
     ("code", "known", "owned", "error", "cause"),
     [
         (-88705, False, False, LOST, "not present .NI-DAQmx -88705"),
-        (-50405, False, False, LOST, "USB transfer was aborted .NI-DAQmx -50405"),
         (-50400, True, False, LOST, "USB transfer was aborted .NI-DAQmx -50400"),
         (-201190, False, False, LOST, "cannot be accessed: unplugged"),
         (-201252, False, False, LOST, "network connection to it is lost"),
         (-200361, False, False, PASSING, "overwritten before they could be read .NI-DAQmx -200361"),
         (-200220, True, False, LOST, "not there any more .NI-DAQmx -200220"),
         (-200220, False, False, FOR_GOOD, "no device of this name"),
-        (-50103, True, True, LOST, "reserved"),
-        (-50103, True, False, FOR_GOOD, "another program has reserved it"),
         (-200022, True, False, FOR_GOOD, "another program has reserved it"),
-        (-229771, True, True, UNKNOWN, "NI-DAQmx says"),
         (-229771, True, False, FOR_GOOD, "NI-DAQmx says"),
         (-229771, False, False, FOR_GOOD, "NI-DAQmx says"),
     ],
@@ -123,6 +116,8 @@ def test_any_code_and_no_code_at_all_are_tried_again_on_a_device_that_has_record
     found = [explain(DaqError("", code.value), "recorder Dev1", "recording", known=True, owned=True)
              for code in DAQmxErrors]  # fmt: skip
     assert {type(one) for one in found} == {PASSING, LOST, UNKNOWN}
+    internal = explain(RpcError(grpc.StatusCode.INTERNAL, ""), "recorder Dev1", "recording", known=True, owned=True)
+    assert type(internal) is PASSING
     rpc = RpcError(grpc.StatusCode.DATA_LOSS, "data loss")
     gone = explain(RpcError(grpc.StatusCode.UNAVAILABLE, ""), "mirror Dev1", "opening", role="mirror")
     assert "the recorder needs tls_root, and no mirror or shutter can be on it" in gone.remedy
@@ -135,7 +130,7 @@ def test_any_code_and_no_code_at_all_are_tried_again_on_a_device_that_has_record
 @pytest.mark.parametrize(("kind", "more"), [("over_range", {"at_call": 1}), ("silent", {"seconds": 0.2})])
 def test_an_overload_or_a_late_answer_within_its_deadline_is_no_fault(kind, more):
     with daq_bench(faults=fault(kind, "ReadAnalogF64", **more)) as bench:
-        recorder = bench.recorder(answer_s=30.0)
+        recorder = bench.recorder()
         first = take_one(recorder)
         assert first.over_range == (False, kind == "over_range")
         assert abs(first.volts[1]).max() <= RANGE_V[1] * (1 + 1e-6)
@@ -192,14 +187,19 @@ def test_a_stopped_server_is_named_and_reconnecting_takes_the_same_device_alone(
 
 
 @pytest.mark.parametrize("wiring", [{}, {"resets": False, "task_name": "wavefocus_here"}], ids=["reset", "by name"])
-def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back(wiring):
-    # The server stays silent while the first recorder clears up, so that its task stays there, committed.
-    silence = fault("silent", "StopTask", at_call=2)
-    with daq_bench(faults=silence) as bench:
+def test_a_silent_server_costs_one_deadline_and_what_it_keeps_reserved_is_taken_back(wiring):
+    # Silent while the recorder clears up, so that its task stays there, committed.
+    with daq_bench(faults=fault("silent", "StopTask")) as bench:
         recorder = bench.recorder(answer_s=ANSWER_S, **wiring)
         check_tone(take_one(recorder))
-        with pytest.raises(LOST, match="does not answer"):
-            take_one(recorder)
+        cleared = bench.calls("ClearTask")
+        if wiring:
+            recorder.start(ask())
+            recorder.abort()
+        else:
+            with pytest.raises(LOST, match=r"does not answer .StopTask got no answer within 2 s"):
+                take_one(recorder)
+        assert bench.calls("ClearTask") == cleared
         with pytest.raises(InstrumentError, match="another program has reserved it"):
             bench.recorder().start(ask())
         recorder.reconnect()
@@ -232,22 +232,9 @@ def test_given_a_failure_when_clearing_up_then_the_first_error_carries_it_as_a_n
         assert any("could not be cleared" in note and "-50405" in note for note in caught.value.__notes__)
 
 
-def test_given_a_silent_server_then_clearing_up_waits_for_no_second_deadline():
-    with daq_bench(faults=fault("silent", "StartTask", count=1000)) as bench:
-        recorder = bench.recorder(answer_s=ANSWER_S)
-        check_tone(take_one(recorder))
-        with pytest.raises(LOST, match="does not answer"):
-            take_one(recorder)
-        silent = len(bench.server.log) + len(bench.server.under_way)
-        recorder.abort()
-        recorder.close()
-        assert len(bench.server.log) + len(bench.server.under_way) == silent
-
-
-@pytest.mark.parametrize(("operation", "kind"), [("StopTask", "silent"), ("ClearTask", "server_dead")])
-def test_given_a_fault_on_the_way_out_then_closing_is_harmless(operation, kind):
-    with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
-        recorder = bench.recorder(answer_s=ANSWER_S)
+def test_given_a_server_that_dies_on_the_way_out_then_closing_is_harmless():
+    with daq_bench(faults=fault("server_dead", "ClearTask", at_call=1)) as bench:
+        recorder = bench.recorder()
         recorder.start(ask())
         for way_out in (recorder.abort, recorder.close, recorder.close):
             way_out()

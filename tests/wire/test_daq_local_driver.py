@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import ABSENT_RIG, change_text
+
 ROOT = Path(__file__).parents[2]
 pytestmark = [
     pytest.mark.may_skip("a stand-in for the driver's library can be put on the loader's path on Linux alone"),
@@ -139,18 +141,6 @@ with pytest.raises(InstrumentError, match="it is closed"):
     recorder.start(request())
 """
 
-RIG = """
-[mirror]
-driver = "generic"
-port = "/nowhere"
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-[player]
-driver = "sounddevice"
-device = "none"
-"""
-
 
 def test_the_local_driver_takes_records_and_works_again_after_each_fault(tmp_path):
     """`SESSION`, whose assertions are the test's, runs in a process whose loader finds the stand-in."""
@@ -158,7 +148,8 @@ def test_the_local_driver_takes_records_and_works_again_after_each_fault(tmp_pat
     command = ["gcc", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wl,-soname,libnidaqmx.so"]
     source = Path(__file__).with_name("libnidaqmx.c")
     subprocess.run([*command, "-o", tmp_path / "libnidaqmx.so", source, "-lm"], check=True)
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(ABSENT_RIG.format(folder=tmp_path), encoding="utf-8")
+    change_text(tmp_path / "rig.toml", 'address = "localhost:1"\n', "")
     names = {"LD_LIBRARY_PATH": "", "RIG_FILE": "rig.toml", "SHIM_UNPLUGGED": "unplugged", "SHIM_HANGS": "hangs"}
     done = subprocess.run(
         [sys.executable, "-c", SESSION],

@@ -12,7 +12,6 @@ import pytest
 from asitiger.errors import Errors
 from asitiger.tigercontroller import TigerController as AsiTigerClient
 
-from tests.lab_files import change_text
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
@@ -28,38 +27,28 @@ from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 
 @pytest.mark.parametrize(
-    ("options", "sentence"), [([], "--rig emulated"), (["--rig", "template"], "wavefocus init DIR --rig emulated")]
+    ("kind", "old", "new", "named"),
+    [
+        ("virtual", "", "", "--rig emulated"),
+        ("template", "", "", "wavefocus init DIR --rig emulated"),
+        ("", "", "", "mirror.port"),  # where a file is
+        ("", 'port = "{folder}/mirror"', 'port = "serial-number:ABC"', "mirror.port"),
+        ("", 'port = "{folder}/mirror"', 'port = "no/such/folder/mirror"', "mirror.port"),
+        ("", 'address = "localhost:1"', "", "recorder.address"),
+    ],
 )
-def test_a_rig_of_init_that_cannot_be_emulated_then_it_names_the_one_that_can(tmp_path, capsys, options, sentence):
-    assert run(["init", *options, str(tmp_path / "lab")]) == 0
-    refused(capsys, tmp_path / "lab" / "rig.toml", sentence)
-
-
-def refused(capsys, rig_file, sentence):
-    """Expect exit code 2, and one line that says it."""
+def test_a_rig_that_cannot_be_emulated_is_refused_in_one_line(tmp_path, capsys, kind, old, new, named):
+    rig_file, port = tmp_path / "lab" / "rig.toml", tmp_path / "mirror"
+    assert run(["init", "--rig", kind or "emulated", str(rig_file.parent)]) == 0
+    port.write_text("precious", encoding="utf-8")
+    if not kind:
+        rig_file.write_text(rig_text(tmp_path, "localhost:1").replace(old.format(folder=tmp_path), new))
     capsys.readouterr()
     assert run(["emulate", str(rig_file)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert sentence in error
-
-
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        (None, "mirror.port"),  # where a file is
-        (('port = "{folder}/mirror"', 'port = "serial-number:ABC"'), "mirror.port"),
-        (('port = "{folder}/mirror"', 'port = "no/such/folder/mirror"'), "mirror.port"),
-        (('address = "localhost:1"', ""), "recorder.address"),
-    ],
-)
-def test_given_nowhere_to_put_an_instrument_then_its_key_is_named(tmp_path, capsys, change, key):
-    (tmp_path / "mirror").write_text("precious", encoding="utf-8")
-    (tmp_path / "rig.toml").write_text(rig_text(tmp_path, "localhost:1"), encoding="utf-8")
-    if change is not None:
-        change_text(tmp_path / "rig.toml", *(text.format(folder=tmp_path) for text in change))
-    refused(capsys, tmp_path / "rig.toml", key)
-    assert (tmp_path / "mirror").read_text(encoding="utf-8") == "precious"
+    assert named in error
+    assert port.read_text(encoding="utf-8") == "precious"
 
 
 def test_given_a_keyboard_then_the_spot_the_patch_bay_and_mistakes_are_answered(tmp_path):
@@ -123,7 +112,10 @@ def test_given_the_reference_page_then_the_device_holds_the_conversation_in_it()
         assert [ask("BUSY?")[:5], ask("BUSY?")] == ["ERR 5", "0\r\n"]
 
 
-def test_given_polytec_then_it_answers_as_public_programs_expect():
+def test_given_polytec_or_a_tiger_then_it_answers_as_public_programs_expect():
+    # Micro-Manager's adapter.
+    for command, answer in (("0 V", ":A v3.30"), ("0 CD", "Mar 01 2019:15:42:05"), ("0 BU", "TIGER_COMM")):
+        assert AsiTigerDevice(motion()).answer(command).split("\r")[0].strip() == answer
     device = PolytecDevice()
     with terminal(device) as ask:
         assert ask("GetDevInfo,Controller,0,Name") == "OFV-5000 Vibrometer Controller\n"
@@ -168,11 +160,3 @@ def test_given_asitiger_then_its_axes_moves_and_errors_are_those_of_a_tiger(tmp_
         with pytest.raises(Errors.InvalidCardAddressException):
             client.build(card_address=7)
         client.connection.disconnect()
-
-
-@pytest.mark.parametrize(
-    ("command", "answer"), [("0 V", ":A v3.30"), ("0 CD", "Mar 01 2019:15:42:05"), ("0 BU", "TIGER_COMM")]
-)
-def test_line_of_micro_managers_adapter_then_answer_is_in_form_that_it_reads(command, answer):
-    device = AsiTigerDevice(motion())
-    assert device.answer(command).split("\r")[0].strip() == answer

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 
-from tests.lab_files import write_bank
+from tests.lab_files import ABSENT_RIG, change_text, write_bank
 from tests.system.lines import Lines
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
 from wavefocus.drivers.process import SILENT_S
@@ -20,23 +20,7 @@ from wavefocus.storage.drive_file import Drive, write_drive
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300), *needs_audio_server]
 
 RATE_HZ = 48_000
-# The mirror and the recorder of this rig are nowhere: play needs neither.
-RIG = """
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
-
-[mirror]
-driver = "asi-tiger"
-port = "/nowhere"
-
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-address = "localhost:1"
-
-[player]
-driver = "sounddevice"
-host_api = "JACK Audio Connection Kit"
+PLAYER = """host_api = "JACK Audio Connection Kit"
 device = "wavefocus interface"
 channels = [2, 0, 1]
 full_scale_v = 4.0
@@ -52,16 +36,16 @@ def server():
 
 @pytest.fixture
 def lab(tmp_path):
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    """The folder of a rig whose mirror and recorder are nowhere: play needs neither."""
+    (tmp_path / "rig.toml").write_text(ABSENT_RIG.format(folder=tmp_path), encoding="utf-8")
+    change_text(tmp_path / "rig.toml", 'device = "no such interface"\n', PLAYER)
     return tmp_path
 
 
-def write(lab, drive_v):
+def playing(lab, drive_v, *options):
+    """The command that plays a drive."""
     none = np.zeros(0, np.int64)
     write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none))
-
-
-def playing(lab, *options):
     command = [sys.executable, "-m", "wavefocus", "play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml")]
     return [*command, *options]
 
@@ -71,24 +55,12 @@ def cut_short(code, told):
     return code == 3 and "underflow" in told
 
 
-def play_whole(server, command):
-    """Play to the end, again where it was cut short; the frame before it began, and what was put out."""
-    environment = {**os.environ, **server.environment}
-    for _ in range(10):
-        begun = int(server.played.frame_at(time.monotonic_ns()))
-        child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
-        if not cut_short(child.returncode, child.stderr):
-            break
-    assert child.returncode == 0, child.stderr
-    return begun, child.stdout
-
-
 @contextmanager
-def sounding_play(lab, server):
+def sounding_play(command, server):
     """A play under way, begun again where it was cut short before it sounded."""
     environment = {**os.environ, **server.environment}
     for _ in range(10):
-        with subprocess.Popen(playing(lab), env=environment, stderr=subprocess.PIPE, text=True) as child:
+        with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as child:
             wait_until(lambda child=child: child.poll() is not None or heard_now(server).any(), "the drive sounds")
             if child.poll() is None:
                 yield child
@@ -105,33 +77,33 @@ def heard_now(server, seconds=0.1):
 
 def test_given_a_loop_then_every_sample_leaves_its_output_twice_without_a_gap(lab, server):
     drive_v = np.random.default_rng(1).uniform(0.5, 2.0, (3, RATE_HZ // 2))
-    write(lab, drive_v)
+    command, environment = playing(lab, drive_v, "--loop", "2"), {**os.environ, **server.environment}
     meant = np.tile(drive_v[[1, 2, 0]] / 4.0, (1, 2)).astype(np.float32)
-    begun, _ = play_whole(server, playing(lab, "--loop", "2"))
+    for _ in range(10):
+        begun = int(server.played.frame_at(time.monotonic_ns()))
+        child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+        if not cut_short(child.returncode, child.stderr):
+            break
+    assert child.returncode == 0, child.stderr
     heard = sounding(server.played.read(begun, int(server.played.frame_at(time.monotonic_ns()))))
     np.testing.assert_array_equal(heard[:3], meant)
     assert not heard[3:].any()
 
 
-def test_a_terminal_that_closes_then_the_outputs_fall_silent_and_it_ends_in_130(lab, server):
-    write(lab, np.full((3, 60 * RATE_HZ), 1.0))
-    with sounding_play(lab, server) as child:
-        child.send_signal(signal.SIGHUP)
+@pytest.mark.parametrize(
+    ("lost", "code", "last"), [(False, 130, "stopped by the user; the outputs are muted"), (True, 3, "reconnect")]
+)
+def test_a_terminal_that_closes_or_a_lost_interface_ends_it_silent_and_said(lab, server, lost, code, last):
+    with sounding_play(playing(lab, np.full((3, 60 * RATE_HZ), 1.0)), server) as child:
+        if lost:
+            server.kill()
+        else:
+            child.send_signal(signal.SIGHUP)
         told = child.communicate(timeout=60)[1]
-    assert child.returncode == 130, told
+    assert child.returncode == code, told
     assert "Traceback" not in told
-    assert told.splitlines()[-1] == "stopped by the user; the outputs are muted"
-    assert not heard_now(server).any()
-
-
-def test_given_an_interface_that_is_lost_then_it_ends_in_3_and_says_what_to_do(lab, server):
-    write(lab, np.full((3, 60 * RATE_HZ), 1.0))
-    with sounding_play(lab, server) as child:
-        server.kill()
-        told = child.communicate(timeout=60)[1]
-    assert child.returncode == 3, told
-    assert "Traceback" not in told
-    assert "reconnect" in told.splitlines()[-1]
+    assert last in told.splitlines()[-1]
+    assert lost or not heard_now(server).any()
 
 
 def test_an_interface_that_takes_seven_seconds_to_open_is_waited_for():

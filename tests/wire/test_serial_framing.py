@@ -1,11 +1,10 @@
 """Whatever comes over a line, a position is right or it is an error; arbitrary bytes are never one."""
 
 import itertools
-import math
 import socket
 import time
-from collections.abc import Callable
-from contextlib import closing, contextmanager
+from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -17,31 +16,33 @@ from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.drivers.serial_line import LineSettings, NoAnswerError, SerialLine
 from wavefocus.mocks.wire import WireFault
 
-Bytes = Callable[[bytes], bytes]
 TARGET_MRAD = (40.0, -25.0)
 ALWAYS = tuple(
     WireFault("mirror", "garbled", operation, at_call=1, count=10**9) for operation in ("where", "busy", "move")
 )
 
 
-class Garbler:
-    """Passes answers on until it is given something else to do with them."""
+def garbled_mirror(dialect):
+    """A mirror at `TARGET_MRAD`, and what changes its answers."""
 
-    def __init__(self):
-        self.change: Bytes = lambda answer: answer
+    @pytest.fixture(scope="module")
+    def garbled(tmp_path_factory):
+        garbler = SimpleNamespace(change=bytes)
 
-    def __call__(self, answer):
-        return self.change(answer)
+        def change(answer):
+            return garbler.change(answer)
+
+        with mirror_bench(
+            dialect, LOCAL, tmp_path_factory.mktemp("port"), *ALWAYS, garbler=change, settle_s=0.0
+        ) as bench:
+            mirror = bench.mirror(answer_s=0.05, settle_s=0.0)
+            mirror.move_to(*TARGET_MRAD)
+            yield bench, mirror, garbler
+
+    return garbled
 
 
-@contextmanager
-def garbled_mirror(dialect, folder):
-    """A mirror at `TARGET_MRAD`, and what garbles its answers."""
-    garbler = Garbler()
-    with mirror_bench(dialect, LOCAL, folder, *ALWAYS, garbler=garbler, settle_s=0.0, slew_mrad_s=math.inf) as bench:
-        mirror = bench.mirror(answer_s=0.05, settle_s=0.0)
-        mirror.move_to(*TARGET_MRAD)
-        yield bench, mirror, garbler
+garbled, checked = garbled_mirror("asi-tiger"), garbled_mirror("generic")
 
 
 def where(mirror):
@@ -63,23 +64,11 @@ def disturbed(bench, change, act):
     except InstrumentError:
         return None
     finally:
-        garbler.change = lambda answer: answer
+        garbler.change = bytes
 
 
 def replaced(answer, at, to):
     return answer[: at % len(answer)] + bytes([to]) + answer[at % len(answer) + 1 :]
-
-
-@pytest.fixture(scope="module")
-def garbled(tmp_path_factory):
-    with garbled_mirror("asi-tiger", tmp_path_factory.mktemp("port")) as all_:
-        yield all_
-
-
-@pytest.fixture(scope="module")
-def checked(tmp_path_factory):
-    with garbled_mirror("generic", tmp_path_factory.mktemp("port")) as all_:
-        yield all_
 
 
 @given(garbage=st.binary(max_size=40), place=st.sampled_from(["instead", "before", "behind"]))

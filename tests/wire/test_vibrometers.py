@@ -2,6 +2,7 @@
 
 import math
 from contextlib import contextmanager
+from itertools import cycle
 
 import pytest
 from hypothesis import example, given
@@ -48,12 +49,13 @@ def fault(kind, operation="range", count=1, **more):
     return WireFault("vibrometer", kind, operation, at_call=1, count=count, **more)
 
 
-def answering_to(device_class, operation, answer, **settings):
-    """A device that gives this answer to an operation."""
+def odd(device_class, answer, **settings):
+    """A device whose answer to an operation and command is given, None for its own."""
 
     class Odd(device_class):  # type: ignore[misc, valid-type]
         def answer(self, command):
-            return f"{answer}\n" if self.operation(command) == operation else super().answer(command)
+            text = answer(self.operation(command), command)
+            return super().answer(command) if text is None else text
 
     return Odd(**settings)
 
@@ -93,10 +95,13 @@ def test_given_one_lost_garbled_or_broken_off_answer_then_the_range_is_still_rig
     assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
 
 
-def test_a_controller_that_stops_answering_then_it_is_an_error_and_never_a_range(driver, tmp_path):
+def test_what_is_always_garbled_or_another_device_is_an_error_and_never_a_range(driver, tmp_path):
     garbled = fault("garbled", count=100_000)
     with pytest.raises((TransientInstrumentError, InstrumentLostError)):
         read_alone(driver, DEVICES[driver](echo=True), tmp_path, garbled, clock=HurriedClock)
+    another = GenericMirrorDevice(MirrorMotion((0.0, 0.0), 0.0, math.inf, 250.0))  # answers ERR 1 unknown command
+    with pytest.raises(InstrumentLostError, match=r"asking who it is: .*driver and baud in the rig file"):
+        read_alone(driver, another, tmp_path, clock=HurriedClock, answer_s=0.1)
 
 
 def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back(driver, tmp_path):
@@ -106,12 +111,6 @@ def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back
                 read(driver, emulated)
         emulated.plug()
         assert read(driver, emulated).sensitivity_m_s_per_v == pytest.approx(0.125)
-
-
-def test_another_device_at_the_port_is_not_taken_for_a_vibrometer(driver, tmp_path):
-    another = GenericMirrorDevice(MirrorMotion((0.0, 0.0), 0.0, math.inf, 250.0))  # answers ERR 1 unknown command
-    with pytest.raises(InstrumentLostError, match=r"asking who it is: .*driver and baud in the rig file"):
-        read_alone(driver, another, tmp_path, clock=HurriedClock, answer_s=0.1)
 
 
 # -- OFV-5000 ------------------------------------------------------------------------------------------
@@ -152,25 +151,21 @@ def test_a_range_that_cannot_be_read_is_no_sensitivity(tmp_path_factory, text):
     assert text.lower() in ("", "off") or "cannot be read" in caught.value.cause
 
 
-def test_a_missing_decoder_has_its_number_asked_for_and_is_read_with_it(tmp_path):
+def test_a_decoder_of_another_number_or_switched_off_is_named_and_no_cable_blamed(tmp_path):
     with controller(PolytecDevice(decoder=0), tmp_path) as emulated:
         assert read(NEWER, emulated, decoder=0).range_text == "125mm/s/V"
         with pytest.raises(InstrumentError, match=r"Not Available.*decoder's number in the rig file"):
             read(NEWER, emulated)
-
-
-def test_a_decoder_that_is_switched_off_then_that_is_said_and_not_the_cable_blamed(tmp_path):
-    with pytest.raises(InstrumentError) as caught:
+    with pytest.raises(InstrumentError, match=r"off.*; .*range at the controller") as caught:
         read_alone(NEWER, PolytecDevice(range_text="off"), tmp_path)
     assert type(caught.value) is InstrumentError
-    assert "off" in caught.value.cause
-    assert "range at the controller" in caught.value.remedy
 
 
 @pytest.mark.parametrize("operation", ["name", "delay", "level"])
 @pytest.mark.parametrize("answer", ["\xb5\xe9 \xff", "", "see display", None])
 def test_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_without_it(operation, answer, tmp_path):
-    device = PolytecDevice() if answer is None else answering_to(PolytecDevice, operation, answer)
+    text = None if answer is None else f"{answer}\n"
+    device = odd(PolytecDevice, lambda asked, _: text if asked == operation else None)
     refused = [fault("refused", operation)] if answer is None else []
     reading, _ = read_alone(NEWER, device, tmp_path, *refused, answer_s=0.1)
     assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
@@ -182,13 +177,10 @@ def test_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_without
 @pytest.mark.parametrize("silent", ["Get,Controller", "GetDevInfo,Controller"])
 @pytest.mark.parametrize("name", ["OFV-5000", "OFV-5000Xtra", "OFV-5000 Vibrometer Controller"])
 def test_a_controller_is_asked_the_question_for_its_name_that_it_knows(silent, name, tmp_path):
-    class KnowsOne(PolytecDevice):
-        def answer(self, command):
-            if self.operation(command) != "identify":
-                return super().answer(command)
-            return "" if command.startswith(silent) else f"{name}\n"
+    def answer(operation, command):
+        return None if operation != "identify" else "" if command.startswith(silent) else f"{name}\n"
 
-    reading, _ = read_alone(NEWER, KnowsOne(), tmp_path, answer_s=0.1)
+    reading, _ = read_alone(NEWER, odd(PolytecDevice, answer), tmp_path, answer_s=0.1)
     assert reading.identity == f"{name}, VD-09"
 
 
@@ -228,26 +220,19 @@ def test_given_a_range_number_then_decoder_and_sensitivity_are_those_of_the_manu
 
 @pytest.mark.parametrize("level", ["41", "", "x", "LEV-1"])
 def test_under_local_control_remote_is_switched_on_and_an_odd_level_is_unknown(level, tmp_path):
-    device = answering_to(Ofv3001Device, "level", level, needs_remote=True)
+    device = odd(Ofv3001Device, lambda asked, _: f"{level}\n" if asked == "level" else None, needs_remote=True)
     reading, commands = read_alone(OLDER, device, tmp_path)
     assert "REN" in commands
     assert reading.signal_level is None
     assert reading.range_text == "125mm/s/V"
 
 
-@pytest.mark.parametrize("answers", [["3", "4"], ["0"], ["10"], ["VELO"], ["OFV-5000"], ["3.0"], [None]])
+@pytest.mark.parametrize("answers", [["3\n", "4\n"], ["0\n"], ["10\n"], ["VELO\n"], ["OFV-5000\n"], ["3.0\n"], [""]])
 def test_answers_that_differ_are_no_range_or_do_not_come_then_there_is_no_reading(answers, tmp_path):
-    class Odd(Ofv3001Device):
-        asked = 0
-
-        def answer(self, command):
-            self.asked += 1
-            answer = answers[self.asked % len(answers)]
-            return "" if answer is None else f"{answer}\n"
-
+    given = cycle(answers)
     with pytest.raises(InstrumentError) as caught:
-        read_alone(OLDER, Odd(), tmp_path, clock=HurriedClock, answer_s=0.1)
-    if answers == [None]:
+        read_alone(OLDER, odd(Ofv3001Device, lambda *_: next(given)), tmp_path, clock=HurriedClock, answer_s=0.1)
+    if answers == [""]:
         assert type(caught.value) is InstrumentLostError
         assert "baud" in caught.value.remedy
 

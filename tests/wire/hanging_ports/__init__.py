@@ -1,1 +1,0 @@
-"""Handlers of pyserial for ports whose driver hangs, see `serial.protocol_handler_packages`."""
