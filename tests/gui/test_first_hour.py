@@ -12,6 +12,7 @@ from tests.gui.conftest import (
     campaign_of,
     edit,
     kept_window,
+    line_scene,
     menus,
     pages_of,
     shown_tab,
@@ -20,22 +21,12 @@ from tests.gui.conftest import (
     write_lab,
 )
 from tests.lab_files import change_text
-from wavefocus.config.scene import LineTable
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.document import new_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window
-
-
-def draw(window: Window, *, end_mm: float = 4.5) -> SceneTab:
-    """Draw a line in the Scene tab."""
-    tab = tab_of(window, SceneTab)
-    source = new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)))
-    edit(tab.document, tab.document.draft.model_copy(update={"source": (source,)}), chosen=0)
-    return tab
 
 
 def type_path(field: PathField, path: Path | str) -> None:
@@ -111,7 +102,7 @@ def test_given_a_run_rig_bank_or_scene_in_one_tab_then_all_tabs_have_it(qtbot, o
         for chosen in (copy, finished):
             type_path(field, chosen)
             assert {scene.document.bank, verification.form.bank.path, campaign.bank_field.path} == {chosen}
-    draw(window)
+    edit(scene.document, line_scene())
     assert verification.form.missing() == "choose a scene file"  # what is not in a file cannot be verified
     scene.document.save(saved := lab / "mine.toml")
     assert (verification.form.scene.path, verification.form.missing()) == (saved, "")
@@ -163,25 +154,21 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
 
 
 def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(tmp_path):
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    place = str(tmp_path / "file" / "memory.ini")
+    (blocked := tmp_path / "file").write_text("", encoding="utf-8")
+    place = str(blocked / "memory.ini")
     with kept_window(Settings(QSettings(place, QSettings.Format.IniFormat))) as window:
-        draw(window)
-        close_where_nothing_can_be_saved(window, tmp_path)
+        edit(tab_of(window, SceneTab).document, line_scene())
+        window.close()
+        words = [button.text() for button in window.messages.buttons]
+        assert words == ["Save and close", "Close without saving", "Do not close"]
+        assert str(blocked) in window.messages.sentence
+        assert window.isVisible()
+        blocked.unlink()
+        answer(window, "Do not close")
+        window.close()
+        answer(window, "Close and keep for next time")
+        assert not window.isVisible()
     assert "[[source]]" in QSettings(place, QSettings.Format.IniFormat).value("scene/unsaved")
-
-
-def close_where_nothing_can_be_saved(window: Window, folder: Path) -> None:
-    window.close()
-    words = [button.text() for button in window.messages.buttons]
-    assert words == ["Save and close", "Close without saving", "Do not close"]
-    assert str(folder / "file") in window.messages.sentence
-    assert window.isVisible()
-    (folder / "file").unlink()
-    answer(window, "Do not close")
-    window.close()
-    answer(window, "Close and keep for next time")
-    assert not window.isVisible()
 
 
 def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, shared_window):
