@@ -211,6 +211,5 @@ def line_scene(end_mm: float = 4.5, amplitude: float = 1.0, **output: Any) -> Sc
         signal=SineTable(frequency_hz=150.0, duration_s=0.2),
         speed_mm_s=30.0, step_mm=1.5, amplitude=amplitude, emission="continuous",
     )  # fmt: skip
-    return SceneConfig(
-        scene=SceneTable(name="line"), source=(source,), output=Output(**{"interpolation": "nearest", **output})
-    )
+    limits = Output(**{"interpolation": "nearest", **output})
+    return SceneConfig(scene=SceneTable(name="line"), source=(source,), output=limits)
