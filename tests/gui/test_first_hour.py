@@ -34,21 +34,20 @@ def type_path(field: PathField, path: Path | str) -> None:
     field.line.editingFinished.emit()
 
 
-@pytest.mark.parametrize(("word", "table"), [("Virtual rig", "[virtual]"), ("Own instruments", "[mirror]")])
-def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, open_window, tmp_path, word, table):
-    window, lab = open_window(), tmp_path / "new lab"
-    make_lab(window, lab, word)
-    wait(qtbot, lambda: tab_of(window, RigTab).rig_field.path == lab / "rig.toml")
-    wait(qtbot, lambda: campaign_of(window).run_field.path == lab / "run.toml")
-    assert tab_of(window, SceneTab).document.path == lab / "scene.toml"
-    files = {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()}
-    assert set(files) == {"rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"}
-    assert table in files["rig.toml"] + files["run.toml"]
-    if word == "Virtual rig":
-        wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
-        make_lab(window, lab, word)  # nothing in it is touched
-        wait(qtbot, lambda: str(lab) in window.messages.sentence and "the lab is in" not in window.messages.sentence)
-        assert {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()} == files
+def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, open_window, tmp_path):
+    window, names = open_window(), {"rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"}
+    for word, table in (("Own instruments", "[mirror]"), ("Virtual rig", "[virtual]")):
+        make_lab(window, lab := tmp_path / word, word)
+        wait(qtbot, lambda lab=lab: tab_of(window, RigTab).rig_field.path == lab / "rig.toml")
+        wait(qtbot, lambda lab=lab: campaign_of(window).run_field.path == lab / "run.toml")
+        assert tab_of(window, SceneTab).document.path == lab / "scene.toml"
+        files = {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()}
+        assert set(files) == names
+        assert table in files["rig.toml"] + files["run.toml"]
+    wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
+    make_lab(window, lab, word)  # nothing in it is touched
+    wait(qtbot, lambda: str(lab) in window.messages.sentence and "the lab is in" not in window.messages.sentence)
+    assert {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()} == files
 
 
 def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_bank(qtbot, open_window, tmp_path):
@@ -172,9 +171,7 @@ def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_s
 
 
 def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, shared_window):
-    window = shared_window
-    shown_tab(window, SceneTab)
-    bars = window.findChildren(ColourBar)
+    bars = shown_tab(shared_window, SceneTab).window().findChildren(ColourBar)
     assert len(bars) >= 3
     for bar in bars:
         bar.show_range("Focus instant", "s", (0.0, 1.5))

@@ -30,16 +30,6 @@ def close_dialogs(window: Window) -> int:
     return len(dialogs)
 
 
-class Opened(QObject):
-    """Stands for the desktop's program for files."""
-
-    files: tuple[Path, ...] = ()
-
-    @pyqtSlot(QUrl)
-    def open(self, url: QUrl) -> None:
-        self.files = (*self.files, Path(url.toLocalFile()))
-
-
 @pytest.fixture
 def lab(finished):
     """Its run, rig and scene file, and its bank."""
@@ -84,10 +74,9 @@ def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
 
 
 def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(shared_window):
-    window = shared_window
-    bar = window.menuBar()
+    bar = shared_window.menuBar()
     assert bar is not None
-    for tab, page in each_page(window):
+    for tab, page in each_page(shared_window):
         QtWidgets.QApplication.processEvents()
         parts = [one for one in tab.findChildren((QtWidgets.QAbstractButton, QtWidgets.QLabel)) if one.isVisible()]
         texts = [one.text() for one in (*bar.actions(), *parts)]
@@ -96,15 +85,22 @@ def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(shared_w
 
 
 def test_given_help_then_the_documentation_beside_the_program_is_opened(shared_window):
-    window, opened = shared_window, Opened()
-    QDesktopServices.setUrlHandler("file", opened.open)
+    opened: list[str] = []
+
+    class Desktop(QObject):
+        @pyqtSlot(QUrl)
+        def open(self, url: QUrl) -> None:
+            opened.append(url.toLocalFile())
+
+    desktop = Desktop()  # Qt holds no reference
+    QDesktopServices.setUrlHandler("file", desktop.open)
     try:
-        (documentation,) = actions(menus(window)["Help"])
+        (documentation,) = actions(menus(shared_window)["Help"])
         assert documentation.shortcut().toString() == "F1"
         documentation.trigger()
     finally:
         QDesktopServices.unsetUrlHandler("file")
-    (page,) = opened.files
+    (page,) = map(Path, opened)
     assert page.is_file()
     assert page.name in ("index.html", "README.md")
 
