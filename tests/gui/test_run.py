@@ -200,12 +200,10 @@ def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
     wait(qtbot, tab.controls.buttons["start"].isEnabled)
 
 
-WITHOUT = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
-
-
 def refused_at_start(*words: str, **environment: str) -> None:
     """The window's command ends with exit 2 and one sentence that has some words."""
-    kept = {key: value for key, value in os.environ.items() if key not in WITHOUT} | environment
+    without = "DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"
+    kept = {key: value for key, value in os.environ.items() if key not in without} | environment
     command = [sys.executable, "-m", "wavefocus", "gui"]
     done = subprocess.run(command, env=kept, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2, done.stderr
