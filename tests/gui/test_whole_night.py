@@ -57,7 +57,7 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 @pytest.mark.timeout(600)
 @pytest.mark.long
 def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone(qtbot, open_window, memory, tmp_path):
-    run_file = write_lab(tmp_path / "lab", 12, 8)
+    run_file = write_lab(tmp_path / "lab", 10, 6)
     lab = run_file.parent
     run_file.write_text(run_file.read_text(encoding="utf-8") + f"fault_plan = [{FAULT}]\n", encoding="utf-8")
     for ending in (".toml", ".h5"):
@@ -80,7 +80,7 @@ def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone
     assert "ended unexpectedly" in window.messages.sentence
     press(qtbot, buttons["resume"])
     wait(qtbot, lambda: tab.progress.state.text() == "finished")
-    assert tab.campaign.measured == 96
+    assert tab.campaign.measured == 60
     assert _not_valid(bank) == [DARK]
     press(qtbot, buttons["poor"])
     wait(qtbot, lambda: tab.run.own is None and DARK in tab.campaign.session.kept)  # no better: the bank's row stays
