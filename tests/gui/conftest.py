@@ -20,7 +20,7 @@ from PyQt5.QtWidgets import QAction, QApplication, QMenu, QTabWidget, QToolButto
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
-from tests.lab_files import RIG, RUN, write_positions
+from tests.lab_files import RIG, RUN, change_text, write_positions
 from wavefocus.__main__ import run
 from wavefocus.config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 from wavefocus.gui.campaign.tab import CampaignTab
@@ -37,13 +37,11 @@ LEFT, NO_KEY = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 SOON_MS = 90_000
 
 
-def write_lab(folder: Path, columns: int, rows: int, *, raw: bool = False) -> Path:
+def write_lab(folder: Path, columns: int, rows: int) -> Path:
     """Write the files of a campaign on a grid of 1.5 mm; return the run file."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    (folder / "run.toml").write_text(
-        RUN.replace("[capture]", f"[capture]\nkeep_raw = {str(raw).lower()}"), encoding="utf-8"
-    )
+    (folder / "run.toml").write_text(RUN, encoding="utf-8")
     write_positions(folder, [(1.5 * column, 1.5 * row) for row in range(rows) for column in range(columns)])
     return folder / "run.toml"
 
@@ -51,7 +49,8 @@ def write_lab(folder: Path, columns: int, rows: int, *, raw: bool = False) -> Pa
 @pytest.fixture(scope="session")
 def measured(tmp_path_factory):
     """A folder with a finished campaign of 4 x 3 positions whose recordings were kept; to be copied."""
-    run_file = write_lab(tmp_path_factory.mktemp("measured"), 4, 3, raw=True)
+    run_file = write_lab(tmp_path_factory.mktemp("measured"), 4, 3)
+    change_text(run_file, "[capture]", "[capture]\nkeep_raw = true")
     assert run(["capture", str(run_file), "--bank", str(run_file.with_name("plate.h5"))]) == 0
     return run_file.parent
 
@@ -59,8 +58,7 @@ def measured(tmp_path_factory):
 @pytest.fixture
 def finished(measured, tmp_path):
     """The bank of a finished campaign, with all that lies beside it."""
-    shutil.copytree(measured, tmp_path / "lab")
-    return tmp_path / "lab" / "plate.h5"
+    return shutil.copytree(measured, tmp_path / "lab") / "plate.h5"
 
 
 @pytest.fixture
@@ -72,11 +70,7 @@ def long_run(tmp_path):
 @pytest.fixture
 def memory(tmp_path):
     """What the windows of a test remember."""
-    return remembered_in(tmp_path)
-
-
-def remembered_in(folder: Path) -> Settings:
-    return Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
+    return Settings(QSettings(str(tmp_path / "memory.ini"), QSettings.Format.IniFormat))
 
 
 @pytest.fixture
@@ -96,7 +90,8 @@ def open_window(qtbot, memory):
 @pytest.fixture(scope="module")
 def shared_window(qapp, tmp_path_factory):
     """One window for the tests of a module that neither close nor crash it."""
-    memory = remembered_in(folder := tmp_path_factory.mktemp("window"))
+    folder = tmp_path_factory.mktemp("window")
+    memory = Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
     memory.keep("folder/.toml", str(folder))
     with kept_window(memory) as window:
         yield window
@@ -209,18 +204,12 @@ def drag(qtbot: QtBot, shown: SurfaceView, points: list[QPoint], keys: Qt.Keyboa
     mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
 
 
-def line_scene(
-    end_mm: float = 4.5, amplitude: float = 1.0, step_mm: float = 1.5, emission: str = "continuous", **output: Any
-) -> SceneConfig:
+def line_scene(end_mm: float = 4.5, amplitude: float = 1.0, **output: Any) -> SceneConfig:
     """A sine of 150 Hz that moves along the first row of the measured bank."""
     source = SourceTable(
         path=LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)),
         signal=SineTable(frequency_hz=150.0, duration_s=0.2),
-        speed_mm_s=30.0,
-        step_mm=step_mm,
-        amplitude=amplitude,
-        emission=emission,
-    )
-    return SceneConfig(
-        scene=SceneTable(name="line"), source=(source,), output=Output(**{"interpolation": "nearest", **output})
-    )
+        speed_mm_s=30.0, step_mm=1.5, amplitude=amplitude, emission="continuous",
+    )  # fmt: skip
+    limits = Output(**{"interpolation": "nearest", **output})
+    return SceneConfig(scene=SceneTable(name="line"), source=(source,), output=limits)

@@ -23,7 +23,6 @@ from wavefocus.gui.campaign.follower import Follower, LogTail
 from wavefocus.gui.campaign.panels import Controls, ProgressRow
 from wavefocus.gui.campaign.position_panel import DriftPlot
 from wavefocus.gui.campaign.tab import CampaignTab
-from wavefocus.gui.field_map import Plot
 from wavefocus.gui.surface import raster_of
 from wavefocus.storage.bank.ledger import STATUS_WORDS
 from wavefocus.storage.bank.reading import open_bank
@@ -148,10 +147,8 @@ def test_records_of_a_later_version_then_each_is_a_plain_line_and_changes_nothin
 
 
 def test_each_position_has_its_own_figures_per_actuator_and_unmeasured_ones_none():
-    quality = {
-        "snr_db": np.array([[1, 2, 3], [4, 5, np.nan], [0, 0, 0]], np.float32),
-        "attempts": np.ones(3, np.float32),
-    }
+    snr_db = np.array([[1, 2, 3], [4, 5, np.nan], [0, 0, 0]], np.float32)
+    quality = {"snr_db": snr_db, "attempts": np.ones(3, np.float32)}
     found = model.per_position(quality, np.array([True, True, False]))
     np.testing.assert_array_equal(found["snr_db"], np.array([2.0, 4.5, np.nan], np.float32))
     np.testing.assert_array_equal(found["attempts"], np.array([1, 1, np.nan], np.float32))
@@ -203,9 +200,6 @@ def test_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measure
             assert (row.bar.value(), row.bar.maximum()) == ((3, 10) if state.measuring else (5, 12))
 
 
-CTRL = Qt.KeyboardModifier.ControlModifier
-
-
 @pytest.fixture
 def tab(qtbot, shared_window, measured):
     """The Campaign tab with the measured bank; nothing is shown of a position, and none is selected."""
@@ -246,27 +240,21 @@ def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_sh
 
 def test_arrow_keys_clicks_or_drags_then_the_map_is_walked_and_positions_selected(qtbot, tab):
     shown = tab.map_panel.map
-    for key, position in (
-        (Qt.Key.Key_Right, 5),  # the middle of the grid
-        (Qt.Key.Key_Right, 6),
-        (Qt.Key.Key_Up, 10),
-        (Qt.Key.Key_Left, 9),
-        (Qt.Key.Key_Left, 8),
-        (Qt.Key.Key_Left, 8),
-        (Qt.Key.Key_Down, 4),
-        (Qt.Key.Key_Down, 0),
+    right, up, left, down = Qt.Key.Key_Right, Qt.Key.Key_Up, Qt.Key.Key_Left, Qt.Key.Key_Down
+    for key, position in zip(  # from the middle of the grid
+        (right, right, up, left, left, left, down, down), (5, 6, 10, 9, 8, 8, 4, 0), strict=True
     ):
         qtbot.keyClick(shown, key)
         assert shown.shown == position
     qtbot.keyClick(shown, Qt.Key.Key_Space)
     assert shown.selected == {0}
-    qtbot.keyClick(shown, Qt.Key.Key_A, CTRL)
+    qtbot.keyClick(shown, Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
     assert shown.selected == set(range(12))
     qtbot.keyClick(shown, Qt.Key.Key_Escape)
     assert shown.selected == set()
     shown.box.setRange(xRange=(-2, 7), yRange=(-2, 5))
     for at_mm in ((0, 0), (4.5, 3), (3, 1.5), (3, 1.5)):  # the last click hits the mark of the one before
-        click(shown, pixel(shown, *at_mm), CTRL)
+        click(shown, pixel(shown, *at_mm), Qt.KeyboardModifier.ControlModifier)
     assert shown.selected == {0, 11}
     drag(qtbot, shown, [pixel(shown, -1, -1), pixel(shown, 2, 2)], Qt.KeyboardModifier.ShiftModifier)
     assert shown.selected == {0, 1, 4, 5}
@@ -303,22 +291,18 @@ def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_lis
     assert all("position 3 " in text for text in shown)
 
 
-@pytest.mark.parametrize(
-    ("level_db", "drawn"), [(0.1, [0.0]), (0.4, [0.0]), (1.0, [-2.0, 0.0, 2.0]), (9.0, [-2.0, 0.0, 2.0])]
-)
-def test_given_points_then_limits_of_a_stop_that_are_near_are_drawn_and_in_view(qtbot, level_db, drawn):
-    plot = DriftPlot()
-    qtbot.addWidget(plot)
+def test_given_points_then_limits_of_a_stop_that_are_near_are_drawn_and_in_view(qtbot):
     at = datetime(2026, 11, 26, 2, tzinfo=UTC)
-    points = [DriftPoint(at + timedelta(hours=n), n * level_db, 0.1 * n, 1.0, "steady") for n in range(2)]
-    plot.show_drift(points, DriftLimits(warn_level_db=0.2, stop_level_db=2.0, stop_correlation=0.8))
-    level, _, correlation = plot.plots
-    assert sorted(float(line.value()) for line in _limits(level)) == pytest.approx(drawn)
-    low, high = level.getViewBox().viewRange()[1]
-    assert low < min(drawn)
-    assert high > max(*drawn, level_db)
-    assert [float(line.value()) for line in _limits(correlation)] == [0.0]
-
-
-def _limits(plot: Plot) -> list[pyqtgraph.InfiniteLine]:
-    return [item for item in plot.getPlotItem().items if isinstance(item, pyqtgraph.InfiniteLine)]
+    for level_db, drawn in ((0.1, [0.0]), (0.4, [0.0]), (1.0, [-2.0, 0.0, 2.0]), (9.0, [-2.0, 0.0, 2.0])):
+        qtbot.addWidget(plot := DriftPlot())
+        points = [DriftPoint(at + timedelta(hours=n), n * level_db, 0.1 * n, 1.0, "steady") for n in range(2)]
+        plot.show_drift(points, DriftLimits(warn_level_db=0.2, stop_level_db=2.0, stop_correlation=0.8))
+        level, correlation = (
+            [one.value() for one in part.getPlotItem().items if isinstance(one, pyqtgraph.InfiniteLine)]
+            for part in plot.plots[::2]
+        )
+        assert sorted(level) == pytest.approx(drawn)
+        low, high = plot.plots[0].getViewBox().viewRange()[1]
+        assert low < min(drawn)
+        assert high > max(*drawn, level_db)
+        assert correlation == [0.0]

@@ -39,13 +39,8 @@ def finished(qtbot: QtBot, process: CommandProcess, act: Callable[[], object] = 
         act()
 
 
-@pytest.fixture
-def owner(qapp):
-    return QObject()
-
-
-def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot, owner):
-    process, received = started(ECHO, owner), []
+def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot, qapp):
+    process, received = started(ECHO, qapp), []
     process.received.connect(received.append)
     with qtbot.waitSignal(process.received, timeout=SOON_MS):
         pass
@@ -56,9 +51,9 @@ def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot, owner):
     assert (process.exit_code, process.last_line, process.failure) == (0, "all is done", "")
 
 
-def test_a_message_written_before_anybody_listens_is_received(qtbot, owner, tmp_path):
+def test_a_message_written_before_anybody_listens_is_received(qtbot, qapp, tmp_path):
     written = tmp_path / "written"
-    process = started(ECHO.replace("for line", f"open({str(written)!r}, 'w').close()\nfor line", 1), owner)
+    process = started(ECHO.replace("for line", f"open({str(written)!r}, 'w').close()\nfor line", 1), qapp)
     while not written.exists():
         time.sleep(0.01)
     time.sleep(0.1)  # a thread that read already would have emitted it by now
@@ -75,25 +70,25 @@ ENDS = {
 }
 
 
-def test_given_failures_then_the_last_line_says_why_and_one_ignoring_all_is_killed(qtbot, owner):
+def test_given_failures_then_the_last_line_says_why_and_one_ignoring_all_is_killed(qtbot, qapp):
     for script, ended in ENDS.items():
-        process = started(script, owner, name="the test")
+        process = started(script, qapp, name="the test")
         finished(qtbot, process)
         assert (process.exit_code, process.failure) == ended
-    process = started(STUBBORN, owner, advice="look at it")
+    process = started(STUBBORN, qapp, advice="look at it")
     with qtbot.waitSignal(process.received, timeout=SOON_MS):
         pass
     finished(qtbot, process, lambda: process.stop(1, 1))
     assert process.exit_code == -signal.SIGKILL
     assert process.failure.endswith("; look at it")
-    process = CommandProcess(["status"], owner, program=("/nowhere/wavefocus",))
+    process = CommandProcess(["status"], qapp, program=("/nowhere/wavefocus",))
     finished(qtbot, process)
     assert (process.exit_code, process.pid) == (127, None)
     assert "/nowhere/wavefocus" in process.failure
 
 
 @pytest.mark.parametrize("folder", ["lab", "missing"])
-def test_given_a_link_in_place_of_the_log_file_then_its_target_stays(qtbot, owner, tmp_path, monkeypatch, folder):
+def test_given_a_link_in_place_of_the_log_file_then_its_target_stays(qtbot, qapp, tmp_path, monkeypatch, folder):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     precious = tmp_path / "precious"
     precious.write_text("precious", encoding="utf-8")
@@ -101,7 +96,7 @@ def test_given_a_link_in_place_of_the_log_file_then_its_target_stays(qtbot, owne
     log_file = tmp_path / folder / "plate.h5.said"
     for link in (tmp_path / "lab" / log_file.name, tmp_path / log_file.name):
         link.symlink_to(precious)
-    process = started("import sys; sys.exit('wavefocus: nothing here')", owner, log_file=log_file)
+    process = started("import sys; sys.exit('wavefocus: nothing here')", qapp, log_file=log_file)
     finished(qtbot, process)
     assert process.last_line == "nothing here"
     assert precious.read_text(encoding="utf-8") == "precious"

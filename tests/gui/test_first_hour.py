@@ -12,6 +12,7 @@ from tests.gui.conftest import (
     campaign_of,
     edit,
     kept_window,
+    line_scene,
     menus,
     pages_of,
     shown_tab,
@@ -20,22 +21,12 @@ from tests.gui.conftest import (
     write_lab,
 )
 from tests.lab_files import change_text
-from wavefocus.config.scene import LineTable
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.document import new_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window
-
-
-def draw(window: Window, *, end_mm: float = 4.5) -> SceneTab:
-    """Draw a line in the Scene tab."""
-    tab = tab_of(window, SceneTab)
-    source = new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)))
-    edit(tab.document, tab.document.draft.model_copy(update={"source": (source,)}), chosen=0)
-    return tab
 
 
 def type_path(field: PathField, path: Path | str) -> None:
@@ -43,21 +34,20 @@ def type_path(field: PathField, path: Path | str) -> None:
     field.line.editingFinished.emit()
 
 
-@pytest.mark.parametrize(("word", "table"), [("Virtual rig", "[virtual]"), ("Own instruments", "[mirror]")])
-def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, open_window, tmp_path, word, table):
-    window, lab = open_window(), tmp_path / "new lab"
-    make_lab(window, lab, word)
-    wait(qtbot, lambda: tab_of(window, RigTab).rig_field.path == lab / "rig.toml")
-    wait(qtbot, lambda: campaign_of(window).run_field.path == lab / "run.toml")
-    assert tab_of(window, SceneTab).document.path == lab / "scene.toml"
-    files = {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()}
-    assert set(files) == {"rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"}
-    assert table in files["rig.toml"] + files["run.toml"]
-    if word == "Virtual rig":
-        wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
-        make_lab(window, lab, word)  # nothing in it is touched
-        wait(qtbot, lambda: str(lab) in window.messages.sentence and "the lab is in" not in window.messages.sentence)
-        assert {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()} == files
+def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(qtbot, open_window, tmp_path):
+    window, names = open_window(), {"rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"}
+    for word, table in (("Own instruments", "[mirror]"), ("Virtual rig", "[virtual]")):
+        make_lab(window, lab := tmp_path / word, word)
+        wait(qtbot, lambda lab=lab: tab_of(window, RigTab).rig_field.path == lab / "rig.toml")
+        wait(qtbot, lambda lab=lab: campaign_of(window).run_field.path == lab / "run.toml")
+        assert tab_of(window, SceneTab).document.path == lab / "scene.toml"
+        files = {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()}
+        assert set(files) == names
+        assert table in files["rig.toml"] + files["run.toml"]
+    wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
+    make_lab(window, lab, word)  # nothing in it is touched
+    wait(qtbot, lambda: str(lab) in window.messages.sentence and "the lab is in" not in window.messages.sentence)
+    assert {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()} == files
 
 
 def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_bank(qtbot, open_window, tmp_path):
@@ -111,7 +101,7 @@ def test_given_a_run_rig_bank_or_scene_in_one_tab_then_all_tabs_have_it(qtbot, o
         for chosen in (copy, finished):
             type_path(field, chosen)
             assert {scene.document.bank, verification.form.bank.path, campaign.bank_field.path} == {chosen}
-    draw(window)
+    edit(scene.document, line_scene())
     assert verification.form.missing() == "choose a scene file"  # what is not in a file cannot be verified
     scene.document.save(saved := lab / "mine.toml")
     assert (verification.form.scene.path, verification.form.missing()) == (saved, "")
@@ -163,31 +153,25 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
 
 
 def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(tmp_path):
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    place = str(tmp_path / "file" / "memory.ini")
+    (blocked := tmp_path / "file").write_text("", encoding="utf-8")
+    place = str(blocked / "memory.ini")
     with kept_window(Settings(QSettings(place, QSettings.Format.IniFormat))) as window:
-        draw(window)
-        close_where_nothing_can_be_saved(window, tmp_path)
+        edit(tab_of(window, SceneTab).document, line_scene())
+        window.close()
+        words = [button.text() for button in window.messages.buttons]
+        assert words == ["Save and close", "Close without saving", "Do not close"]
+        assert str(blocked) in window.messages.sentence
+        assert window.isVisible()
+        blocked.unlink()
+        answer(window, "Do not close")
+        window.close()
+        answer(window, "Close and keep for next time")
+        assert not window.isVisible()
     assert "[[source]]" in QSettings(place, QSettings.Format.IniFormat).value("scene/unsaved")
 
 
-def close_where_nothing_can_be_saved(window: Window, folder: Path) -> None:
-    window.close()
-    words = [button.text() for button in window.messages.buttons]
-    assert words == ["Save and close", "Close without saving", "Do not close"]
-    assert str(folder / "file") in window.messages.sentence
-    assert window.isVisible()
-    (folder / "file").unlink()
-    answer(window, "Do not close")
-    window.close()
-    answer(window, "Close and keep for next time")
-    assert not window.isVisible()
-
-
 def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot, shared_window):
-    window = shared_window
-    shown_tab(window, SceneTab)
-    bars = window.findChildren(ColourBar)
+    bars = shown_tab(shared_window, SceneTab).window().findChildren(ColourBar)
     assert len(bars) >= 3
     for bar in bars:
         bar.show_range("Focus instant", "s", (0.0, 1.5))

@@ -10,11 +10,9 @@ from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtTest import QTest
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import campaign_of, menus, pages_of, tab_of, wait
-from wavefocus.config.scene import LineTable, SceneConfig
-from wavefocus.gui.campaign.tab import CampaignTab
+from tests.gui.conftest import campaign_of, line_scene, menus, pages_of, tab_of, wait
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.document import new_source, scene_toml
+from wavefocus.gui.scene.document import scene_toml
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.tab import Tab
@@ -32,29 +30,16 @@ def close_dialogs(window: Window) -> int:
     return len(dialogs)
 
 
-class Opened(QObject):
-    """Stands for the desktop's program for files."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.files: list[Path] = []
-
-    @pyqtSlot(QUrl)
-    def open(self, url: QUrl) -> None:
-        self.files.append(Path(url.toLocalFile()))
-
-
-def write_scene(folder: Path) -> Path:
-    path = folder / "scene.toml"
-    source = new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(4.5, 0.0)))
-    path.write_text(scene_toml(SceneConfig(source=(source,))), encoding="utf-8")
-    return path
+@pytest.fixture
+def lab(finished):
+    """Its run, rig and scene file, and its bank."""
+    (scene := finished.with_name("scene.toml")).write_text(scene_toml(line_scene()), encoding="utf-8")
+    return [finished.with_name("run.toml"), finished.with_name("rig.toml"), scene, finished]
 
 
 @pytest.mark.parametrize(("tab", "with_files"), [(0, False), (3, True)], ids=["empty", "with files"])
-def test_given_every_action_of_every_menu_then_no_error_is_raised(qtbot, open_window, finished, tab, with_files):
-    files = [finished.with_name("run.toml"), finished.with_name("rig.toml"), write_scene(finished.parent), finished]
-    window = open_window(*(files if with_files else ()))
+def test_given_every_action_of_every_menu_then_no_error_is_raised(qtbot, open_window, lab, tab, with_files):
+    window = open_window(*(lab if with_files else ()))
     campaign, rig = campaign_of(window), tab_of(window, RigTab)
     wait(qtbot, lambda: campaign.campaign.measured == 12 or not with_files)
     triggered = 0
@@ -89,10 +74,9 @@ def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
 
 
 def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(shared_window):
-    window = shared_window
-    bar = window.menuBar()
+    bar = shared_window.menuBar()
     assert bar is not None
-    for tab, page in each_page(window):
+    for tab, page in each_page(shared_window):
         QtWidgets.QApplication.processEvents()
         parts = [one for one in tab.findChildren((QtWidgets.QAbstractButton, QtWidgets.QLabel)) if one.isVisible()]
         texts = [one.text() for one in (*bar.actions(), *parts)]
@@ -101,21 +85,28 @@ def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(shared_w
 
 
 def test_given_help_then_the_documentation_beside_the_program_is_opened(shared_window):
-    window, opened = shared_window, Opened()
-    QDesktopServices.setUrlHandler("file", opened.open)
+    opened: list[str] = []
+
+    class Desktop(QObject):
+        @pyqtSlot(QUrl)
+        def open(self, url: QUrl) -> None:
+            opened.append(url.toLocalFile())
+
+    desktop = Desktop()  # Qt holds no reference
+    QDesktopServices.setUrlHandler("file", desktop.open)
     try:
-        (documentation,) = actions(menus(window)["Help"])
+        (documentation,) = actions(menus(shared_window)["Help"])
         assert documentation.shortcut().toString() == "F1"
         documentation.trigger()
     finally:
         QDesktopServices.unsetUrlHandler("file")
-    (page,) = opened.files
+    (page,) = map(Path, opened)
     assert page.is_file()
     assert page.name in ("index.html", "README.md")
 
 
-def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened_and_remembered(qtbot, open_window, finished, memory):
-    scene = write_scene(finished.parent)
+def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened_and_remembered(qtbot, open_window, lab, memory):
+    run, rig, scene, bank = lab
     window = open_window()
     for tab in range(4):
         close_dialogs(window)
@@ -124,24 +115,27 @@ def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened_and_remembered(qt
         pages_of(window).setCurrentIndex(tab)
         QTest.keyClick(window, Qt.Key.Key_O, Qt.KeyboardModifier.ControlModifier)
         (dialog,) = (dialog for dialog in window.findChildren(QtWidgets.QFileDialog) if dialog.isVisible())
-    chosen = [str(finished.with_name("run.toml")), str(finished.with_name("rig.toml")), str(scene), str(finished)]
-    dialog.filesSelected.emit(chosen)
+    dialog.filesSelected.emit([str(file) for file in lab])
     close_dialogs(window)
-    assert tab_of(window, CampaignTab).run_field.path == finished.with_name("run.toml")
-    assert tab_of(window, CampaignTab).bank_field.path == finished
-    assert tab_of(window, RigTab).rig_field.path == finished.with_name("rig.toml")
-    assert tab_of(window, SceneTab).document.path == scene
-    assert pages_of(window).currentWidget() is tab_of(window, CampaignTab)  # that of the last one
-    assert memory.recent()[:4] == [Path(one) for one in reversed(chosen)]
-    window.open_file(finished.with_name("positions.txt"))
+    campaign = campaign_of(window)
+    assert (campaign.run_field.path, campaign.bank_field.path) == (run, bank)
+    assert (tab_of(window, RigTab).rig_field.path, tab_of(window, SceneTab).document.path) == (rig, scene)
+    assert pages_of(window).currentWidget() is campaign  # that of the last one
+    assert memory.recent()[:4] == lab[::-1]
+    window.open_file(bank.with_name("positions.txt"))
     assert "no tab opens such a file" in window.messages.sentence
 
 
+KINDS = (
+    QtWidgets.QAbstractButton, QtWidgets.QComboBox, QtWidgets.QAbstractItemView, QtWidgets.QPlainTextEdit,
+    QtWidgets.QAbstractSpinBox, SurfaceView,
+)  # fmt: skip
+
+
 @pytest.mark.timeout(500)
-def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(qtbot, open_window, finished):
-    window = open_window(finished.with_name("run.toml"), finished, finished.with_name("rig.toml"))
-    campaign = tab_of(window, CampaignTab)
-    wait(qtbot, lambda: campaign.campaign.measured == 12)
+def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(qtbot, open_window, lab):
+    window = open_window(*lab[:2], lab[3])
+    wait(qtbot, lambda: campaign_of(window).campaign.measured == 12)
     for tab, page in each_page(window):
         assert not_reached(qtbot, window, tab) == [], f"page {page} of {tab.title}"
 
@@ -156,17 +150,9 @@ def not_reached(qtbot: QtBot, window: Window, tab: QtWidgets.QWidget) -> list[st
     while (here := QtWidgets.QApplication.focusWidget()) not in reached:
         reached.append(here)
         QTest.keyClick(here or window, Qt.Key.Key_Tab)
-    kinds = (
-        QtWidgets.QAbstractButton,
-        QtWidgets.QComboBox,
-        QtWidgets.QAbstractItemView,
-        QtWidgets.QPlainTextEdit,
-        QtWidgets.QAbstractSpinBox,
-        SurfaceView,
-    )
     wanted = [
         one
-        for one in tab.findChildren(kinds)
+        for one in tab.findChildren(KINDS)
         if one.isVisible() and one.isEnabled() and one.focusPolicy() & Qt.FocusPolicy.TabFocus
         and not (isinstance(one, QtWidgets.QAbstractButton) and one.autoExclusive() and not one.isChecked())
     ]  # fmt: skip

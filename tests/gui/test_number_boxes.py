@@ -6,8 +6,6 @@ from PyQt5.QtGui import QKeyEvent
 from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWidget
 
-from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.widgets import NumberBox
 
 # Texts, and the number that each is; None for those that are refused.
@@ -29,20 +27,19 @@ def locale():
     QLocale.setDefault(former)
 
 
-def type_into(box: QAbstractSpinBox, text: str, end: Qt.Key = Qt.Key.Key_Return) -> None:
+def type_into(box: QAbstractSpinBox, text: str) -> None:
     box.selectAll()
     QTest.keyClick(box, Qt.Key.Key_Delete)
     for character in text:  # QTest.keyClicks knows ASCII only
         QApplication.sendEvent(box, QKeyEvent(QEvent.Type.KeyPress, 0, Qt.KeyboardModifiers(), character))
-    QTest.keyClick(box, end)
+    QTest.keyClick(box, Qt.Key.Key_Return)
 
 
 def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(locale, open_window):
     locale("de_DE")
     window = open_window()
     boxes = window.findChildren(QAbstractSpinBox)
-    with_boxes = {type(tab) for tab in window.tabs if tab.findChildren(QAbstractSpinBox)}
-    assert with_boxes >= {RigTab, SceneTab}, "the boxes of all tabs are there, shown or not"
+    assert sum(bool(tab.findChildren(QAbstractSpinBox)) for tab in window.tabs) >= 2, "all tabs are there, shown or not"
     assert {type(box) for box in boxes if not isinstance(box, NumberBox)} == set()
     typed = set()
     for box in boxes:

@@ -1,12 +1,8 @@
 """Captures of the window and of others, what goes wrong, and what the tabs owe each other: instruments, closing."""
 
-import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,27 +16,8 @@ from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.writer import create_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.ledger.owner import bank_owner
-
-HOLDER = """
-import sys
-from wavefocus.storage.bank.writer import BankWriter
-with BankWriter.open(sys.argv[1]):
-    print("mine", flush=True)
-    sys.stdin.read()
-"""
-
-
-@contextmanager
-def held_by_another(bank: Path) -> Iterator[int]:
-    """Another process owns a bank; its id."""
-    command = [sys.executable, "-c", HOLDER, str(bank)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
-        assert owner.stdout is not None
-        assert owner.stdout.readline().strip() == b"mine"
-        yield owner.pid
-        owner.communicate(timeout=20)
 
 
 @pytest.fixture
@@ -48,23 +25,6 @@ def real_rig(tmp_path):
     """A rig file of instruments that are not there."""
     (tmp_path / "real.toml").write_text(ABSENT_RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
     return tmp_path / "real.toml"
-
-
-def test_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_closing(qtbot, open_window, tmp_path):
-    run_file = write_lab(tmp_path / "lab", 8, 5)
-    bank = run_file.with_name("other.h5")
-    window = open_window(bank)
-    tab = campaign_of(window)
-    command = [sys.executable, "-m", "wavefocus", "capture", str(run_file), "--bank", str(bank)]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as other:
-        wait(qtbot, lambda: tab.progress.state.text() == "running" and tab.campaign.measured > 3)
-        assert not tab.controls.buttons["start"].isEnabled()
-        assert tab.campaign.session.position is not None
-        assert "positions an hour" in tab.progress.figures.text()
-        assert window.close()
-        assert other.wait(timeout=60) == 0
-    records = map(json.loads, bank.with_suffix(".events.jsonl").read_text(encoding="utf-8").splitlines())
-    assert sorted(one["position"] for one in records if one["event"] == "position_committed") == list(range(40))
 
 
 def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, shared_window, finished, tmp_path):
@@ -75,13 +35,13 @@ def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, sha
         assert "Traceback" not in window.messages.sentence
 
     window.open_file(finished)
-    with held_by_another(finished) as owner:
+    with BankWriter.open(finished):
         wait(qtbot, lambda: tab.progress.state.text() == "preparing")
         assert not tab.controls.buttons["resume"].isEnabled()
         # Even one who is quicker than the buttons harms nothing.
         tab.run.start(["resume", str(finished)], finished)
         refused("owned by process")
-        assert f"process {owner}" in window.messages.sentence
+        assert f"process {os.getpid()}" in window.messages.sentence
     (tmp_path / "no.h5").write_bytes(b"nothing of the kind" * 100)
     window.open_file(tmp_path / "no.h5")
     refused("no.h5")
@@ -134,13 +94,12 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
 ):
     bank = tmp_path / "real.h5"
     header = BankHeader(
-        sample_rate_hz=10_000.0, taps=100, position_mm=np.array([[0.0, 0.0], [1.5, 0.0]]),
-        actuator_mm=np.array([[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]), band_hz=(20.0, 500.0),
-        rig_json='{"mirror": {"driver": "asi-tiger"}}', run_json="{}", plan_sha256="0" * 64, software="a test",
+        10_000.0, 100, (20.0, 500.0), np.array([[0.0, 0.0], [1.5, 0.0]]), np.array([[110.0, 0.0], [0.0, 60.0]]),
+        '{"mirror": {"driver": "asi-tiger"}}', "{}", "0" * 64, "a test",
     )  # fmt: skip
     create_bank(bank, header)
     (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
-    with held_by_another(bank) as owner:
+    with BankWriter.open(bank):
         window = open_window(bank, real_rig)
         rig, scene, verification = tab_of(window, RigTab), tab_of(window, SceneTab), tab_of(window, VerificationTab)
         wait(qtbot, lambda: bool(campaign_of(window).run.held))
@@ -154,7 +113,7 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
             ("Play", scene.results.play), ("Verify", start.trigger),
         ):  # fmt: skip
             act()
-            assert f"process {owner} on " in window.messages.sentence
+            assert f"process {os.getpid()} on " in window.messages.sentence
             assert window.messages.sentence.endswith(f"measures {bank}, so the instruments are busy: stop it first")
             assert [button.text() for button in window.messages.buttons] == [f"{word} anyway"]
             window.messages.dismiss()
@@ -188,12 +147,12 @@ def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_wo
     wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
 
 
-def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(qtbot, open_window, long_run):
-    window = open_window(long_run)
-    tab, bank, scene = campaign_of(window), long_run.with_name("plate.h5"), tab_of(window, SceneTab)
+def test_own_run_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(qtbot, open_window, long_run):
+    window, bank = open_window(long_run), long_run.with_name("plate.h5")
+    tab, scene = campaign_of(window), tab_of(window, SceneTab)
     press(qtbot, tab.controls.buttons["start"])
     wait(qtbot, lambda: tab.campaign.measured > 0)
-    edit(scene.document, line_scene(step_mm=4.0))
+    edit(scene.document, line_scene())
     window.close()
     assert "plate.h5 is being measured by a run of this window" in window.messages.sentence
     answer(window, "Stop after this position")
@@ -203,23 +162,24 @@ def test_campaign_and_unsaved_scene_then_closing_asks_one_after_other_and_then_a
     assert window.messages.sentence == ""  # nothing was ordered
     assert tab.run.own is not None
     window.close()
-    answer(window, "Stop after this position")
+    answer(window, "Continue in the background")
     answer(window, "Close without saving")
     wait(qtbot, lambda: not window.isVisible())
-    wait(qtbot, lambda: bank_owner(bank) is None)
-    assert "session_ended" in bank.with_suffix(".events.jsonl").read_text(encoding="utf-8")
-
-
-def test_given_an_own_run_then_closing_can_leave_it_to_continue(qtbot, open_window, long_run):
-    window, bank = open_window(long_run), long_run.with_name("plate.h5")
-    press(qtbot, campaign_of(window).controls.buttons["start"])
-    wait(qtbot, lambda: campaign_of(window).campaign.measured > 0)
-    assert not window.close()
-    answer(window, "Continue in the background")
-    wait(qtbot, lambda: not window.isVisible())
     assert bank_owner(bank) is not None
-    press(qtbot, campaign_of(open_window(bank)).controls.buttons["stop"])  # an order reaches the run of another window
+    other, again = open_window(bank), open_window(bank)  # it is no run of theirs: followed, and left alone on closing
+    wait(qtbot, lambda: campaign_of(other).progress.state.text() == "running")
+    wait(qtbot, lambda: campaign_of(other).campaign.measured > tab.campaign.measured)
+    assert other.close()
+    assert bank_owner(bank) is not None
+    press(qtbot, campaign_of(again).controls.buttons["stop"])  # an order reaches it all the same
     wait(qtbot, lambda: bank_owner(bank) is None)
+    press(qtbot, campaign_of(again).controls.buttons["resume"])
+    wait(qtbot, lambda: bank_owner(bank) is not None)
+    again.close()
+    answer(again, "Stop after this position")
+    wait(qtbot, lambda: not again.isVisible())
+    wait(qtbot, lambda: bank_owner(bank) is None)
+    assert bank.with_suffix(".events.jsonl").read_text(encoding="utf-8").count('"session_ended"') == 2
 
 
 def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(qtbot, open_window, finished, tmp_path):
@@ -240,16 +200,12 @@ def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
     wait(qtbot, tab.controls.buttons["start"].isEnabled)
 
 
-WITHOUT = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
-
-
-def refused_at_start(*words: str, code: str = "", **environment: str) -> None:
+def refused_at_start(*words: str, **environment: str) -> None:
     """The window's command ends with exit 2 and one sentence that has some words."""
-    start = f"{code}\nimport sys\nfrom wavefocus.__main__ import run\nsys.exit(run(['gui']))"
-    kept = {key: value for key, value in os.environ.items() if key not in WITHOUT} | environment
-    done = subprocess.run(
-        [sys.executable, "-c", start], env=kept, capture_output=True, text=True, timeout=60, check=False
-    )
+    without = "DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"
+    kept = {key: value for key, value in os.environ.items() if key not in without} | environment
+    command = [sys.executable, "-m", "wavefocus", "gui"]
+    done = subprocess.run(command, env=kept, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("wavefocus: ")]
     assert "Traceback" not in done.stderr
@@ -268,17 +224,10 @@ def test_given_no_display_a_dead_one_or_no_font_then_exit_2_and_what_to_do(tmp_p
     refused_at_start("no font", "fonts-dejavu-core", QT_QPA_PLATFORM="offscreen", **environment)
 
 
-BROKEN_QT = """
-import sys
-class Broken:
-    def find_spec(self, name, path=None, target=None):
-        if name == "PyQt5.QtCore":
-            raise ImportError("libGL.so.1: cannot open shared object file: No such file or directory")
-sys.meta_path.insert(0, Broken())
-"""
-
-
-def test_given_no_pyqt5_or_a_library_that_it_misses_then_exit_2_and_what_to_install():
-    missing = "import sys\nsys.modules['PyQt5'] = None"
-    refused_at_start('pip install "wavefocus[window]"', code=missing, QT_QPA_PLATFORM="offscreen")
-    refused_at_start("libGL.so.1", "apt-get install", "libgl1", code=BROKEN_QT, QT_QPA_PLATFORM="offscreen")
+def test_given_no_pyqt5_or_a_library_that_it_misses_then_exit_2_and_what_to_install(tmp_path):
+    for failure, *words in (
+        ("""ModuleNotFoundError("No module named 'PyQt5'", name="PyQt5")""", 'pip install "wavefocus[window]"'),
+        ('ImportError("libGL.so.1: cannot open shared object file")', "libGL.so.1", "apt-get install", "libgl1"),
+    ):
+        (tmp_path / "PyQt5.py").write_text(f"raise {failure}\n", encoding="utf-8")
+        refused_at_start(*words, PYTHONPATH=str(tmp_path), QT_QPA_PLATFORM="offscreen")

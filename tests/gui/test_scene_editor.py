@@ -1,17 +1,14 @@
 """The editor of the Scene tab: paths drawn, shaped, undone and saved, and read by commands as they were drawn."""
 
-import math
-
 import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QTextDocument
 from PyQt5.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, answer, click, drag, edit, pixel, scene_of, shown_tab, wait
+from tests.gui.conftest import LEFT, NO_KEY, answer, click, drag, edit, line_scene, pixel, scene_of, shown_tab, wait
 from wavefocus.config.scene import PathTable, SceneConfig, SceneTable, TextTable
 from wavefocus.gui.files import kind_of
-from wavefocus.gui.scene.canvas import SceneCanvas
 from wavefocus.gui.scene.document import NEW_SCENE, NOTHING, changed, new_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.rendering.scene import paths
@@ -46,24 +43,10 @@ def tab(qtbot, shared_window):
     shared_window.messages.dismiss()
     wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.backdrop.surface is None and shown.live.idle)
     shown.surface.canvas.box.autoRange()
-    laid_out(shown.surface.canvas)
-    yield shown
-    assert shared_window.tracebacks == []
-
-
-def laid_out(canvas: SceneCanvas) -> None:
-    """Let the surface find its place: the axes make room for their numbers when they are painted."""
-    for _ in range(3):
-        canvas.grab()
+    for _ in range(3):  # the axes make room for their numbers when they are painted
+        shown.surface.canvas.grab()
         QApplication.processEvents()
-
-
-def settled(qtbot: QtBot, tab: SceneTab) -> None:
-    wait(qtbot, lambda: tab.live.idle)
-
-
-def near(at: tuple[float, float], x_mm: float, y_mm: float, reach_mm: float = 1.5) -> bool:
-    return math.dist(at, (x_mm, y_mm)) < reach_mm
+    return shown
 
 
 def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathTable:
@@ -74,21 +57,21 @@ def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathTable:
         click(canvas, pixel(canvas, -20, 10))
     else:
         drag(qtbot, canvas, [pixel(canvas, 5, 5), pixel(canvas, 35, 5)], NO_KEY)
-    settled(qtbot, tab)
+    wait(qtbot, lambda: tab.live.idle)
     return tab.document.draft.source[-1].path
 
 
 def test_each_tool_adds_its_table_to_the_text_and_the_cursor_chooses_a_source(qtbot, tab):
     canvas, document, text = tab.surface.canvas, tab.document, tab.editor.text
     line = draw(qtbot, tab, "line")
-    assert near(line.start_mm, 5, 5)
-    assert near(line.end_mm, 35, 5)
+    assert line.start_mm == pytest.approx((5, 5), abs=1.5)
+    assert line.end_mm == pytest.approx((35, 5), abs=1.5)
     circle = draw(qtbot, tab, "circle")
     assert circle.radius_mm == pytest.approx(30, abs=1.5)
     point = draw(qtbot, tab, "point")
-    assert near(point.at_mm, -20, 10)
+    assert point.at_mm == pytest.approx((-20, 10), abs=1.5)
     draw(qtbot, tab, "quiet")
-    assert near(document.draft.quiet[0].at_mm, -20, 10)
+    assert document.draft.quiet[0].at_mm == pytest.approx((-20, 10), abs=1.5)
     assert canvas.kind == ""
     assert len(tab.live.traces) == 3
     assert tab.surface.problem == ""
@@ -122,18 +105,18 @@ at_mm = [ -20.0, # x
 def test_dragged_points_change_only_their_numbers_in_the_text_and_are_undone(qtbot, tab):
     canvas, document = tab.surface.canvas, tab.document
     document.begin(COMMENTED, None)
-    settled(qtbot, tab)
+    wait(qtbot, lambda: tab.live.idle)
     click(canvas, pixel(canvas, 20, 5))
     drag(qtbot, canvas, [pixel(canvas, 35, 5), pixel(canvas, 30, 40)], NO_KEY)
     x_mm, y_mm = document.draft.source[0].path.end_mm
-    assert near((x_mm, y_mm), 30, 40)
+    assert (x_mm, y_mm) == pytest.approx((30, 40), abs=1.5)
     assert document.toml() == COMMENTED.replace("35.0, 5.0", f"{x_mm}, {y_mm}")
-    settled(qtbot, tab)
+    wait(qtbot, lambda: tab.live.idle)
     click(canvas, pixel(canvas, -20, 10))
     assert document.chosen == ("quiet", 0)
     assert tab.editor.text.textCursor().block().text() == "[[quiet]]"
     drag(qtbot, canvas, [pixel(canvas, -20, 10), pixel(canvas, -40, 20)], NO_KEY)
-    assert near(document.draft.quiet[0].at_mm, -40, 20)
+    assert document.draft.quiet[0].at_mm == pytest.approx((-40, 20), abs=1.5)
     assert "# x\n" in document.toml()
     for _ in range(2):
         tab.bar.actions_by_name["undo"].trigger()
@@ -176,13 +159,11 @@ def test_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same_scene
     assert document.draft == before
 
 
-def test_given_unsaved_changes_then_closing_asks_and_saving_closes(qtbot, open_window, memory, tmp_path):
+def test_given_unsaved_changes_then_closing_asks_and_saving_closes(open_window, memory, tmp_path):
     memory.keep("folder/.toml", str(tmp_path))
     window, file = open_window(), tmp_path / "drawn.toml"
     tab = shown_tab(window, SceneTab)
-    settled(qtbot, tab)
-    laid_out(tab.surface.canvas)
-    draw(qtbot, tab, "line")
+    edit(tab.document, line_scene())
     window.close()
     assert window.isVisible()
     assert "has unsaved changes" in window.messages.sentence
@@ -215,15 +196,12 @@ def test_a_window_gone_with_unsaved_changes_then_the_next_one_has_them(qtbot, op
     assert memory.text("scene/unsaved") == ""
 
 
-POINT = '[[source]]\npath = { kind = "point", at_mm = [0, 0] }\nsignal = { kind = "impulse" }\n'
-NOISE = '{ kind = "noise", band_hz = [300.0, 20.0], duration_s = 0.1 }'
-BAND = "source[0].signal.band_hz = [300.0, 20.0]: must be [lower, upper] with lower below upper"
 WRONG = {
     "[[source]\n": "not TOML",
     "[scene]\nname = 3\n[[source]]\n": "scene.name = 3: must be text in quotes",
     SCENE.replace("radius_mm", "radius"): "did you mean radius_mm?",
-    SCENE.replace('{ kind = "impulse" }', NOISE): BAND,
-    f'[scene]\nname = "a\udcff"\n{POINT}': "scene.name",
+    SCENE.replace('"impulse"', '"noise", band_hz = [300.0, 20.0], duration_s = 0.1'): "with lower below upper",
+    SCENE.replace('"two"', '"a\udcff"'): "scene.name",
     "[output]\nlimit_v = -0.5\n": "output.limit_v = -0.5",
 }
 
@@ -255,16 +233,14 @@ def test_given_wrong_scenes_then_their_mistakes_are_shown_and_none_is_saved(qtbo
     wait(qtbot, lambda: "DejaVu Sans cannot draw" in tab.surface.problem)
 
 
-WILD = """
-[[source]]
-path = { kind = "point", at_mm = [1e300, 1e300] }
-signal = { kind = "impulse" }
-[[source]]
+FAR = '[[source]]\npath = { kind = "point", at_mm = [1e300, 1e300] }\nsignal = { kind = "impulse" }\n'
+LATE = """[[source]]
 speed_mm_s = 1e-300
 step_mm = 1e10
 path = { kind = "circle", radius_mm = 1e12 }
 signal = { kind = "sine", frequency_hz = 1e300, duration_s = 0.1 }
-[[source]]
+"""
+DENSE = """[[source]]
 speed_mm_s = 1.0
 step_mm = 1e-12
 path = { kind = "line", start_mm = [0, 0], end_mm = [1e308, -1e308] }
@@ -272,18 +248,13 @@ signal = { kind = "noise", band_hz = [0, 1], duration_s = 1e7 }
 """
 
 
-def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happens(qtbot, tab, finished, tmp_path):
-    file = tmp_path / "wild.toml"
-    file.write_text(WILD, encoding="utf-8")
-    tab.open_file(file)
+def test_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else_happens(qtbot, tab, finished):
     tab.document.use_bank(finished)
-    point, circle, line = ("[[source]]" + text for text in WILD.split("[[source]]")[1:])
-    wait(qtbot, lambda: tab.surface.problem.startswith("source 1: its last focus is later than numbers reach"))
-    tab.document.replace(point + line)
+    tab.document.replace(FAR + DENSE)
     wait(qtbot, lambda: "at most 1000000 are allowed" in tab.surface.problem)
-    tab.document.replace(point)
+    tab.document.replace(FAR)
     wait(qtbot, lambda: "source 0" in tab.results.problem.text() and tab.surface.problem == "")
     (trace,) = tab.live.traces
-    tab.document.replace(point + circle)
-    wait(qtbot, lambda: "later than numbers reach" in tab.surface.problem)
+    tab.document.replace(FAR + LATE)
+    wait(qtbot, lambda: tab.surface.problem.startswith("source 1: its last focus is later than numbers reach"))
     assert tab.live.traces == [trace]  # what was drawn last stays

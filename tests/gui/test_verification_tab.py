@@ -23,9 +23,6 @@ from wavefocus.gui.verification.tab import VerificationTab, unused_folder
 from wavefocus.gui.window import Window
 
 SCENE = """
-[scene]
-name = "stroke"
-
 [[source]]
 speed_mm_s = 100.0
 step_mm = 1.5
@@ -44,38 +41,27 @@ def verified(measured, tmp_path_factory):
     lab = tmp_path_factory.mktemp("verified") / "lab"
     shutil.copytree(measured, lab)
     (lab / "scene.toml").write_text(SCENE, encoding="utf-8")
-    out = lab / "verify"
-    command = ["verify", str(lab / "scene.toml"), "--bank", str(lab / "plate.h5"), "--rig", str(lab / "rig.toml")]
-    assert run([*command, "--out", str(out), "--json"]) == 0
+    files = ["--bank", lab / "plate.h5", "--rig", lab / "rig.toml", "--out", lab / "verify"]
+    assert run(["verify", *map(str, [lab / "scene.toml", *files]), "--json"]) == 0
     return lab
 
 
 @pytest.fixture
 def lab(verified, tmp_path):
     """The same to be changed by a test."""
-    shutil.copytree(verified, tmp_path / "lab")
-    return tmp_path / "lab"
+    return shutil.copytree(verified, tmp_path / "lab")
 
 
 def other_bank(lab: Path, name: str, *, gain: float = 1.0, copies: int = 1) -> Path:
     """A bank with the measured one's Green's functions, louder by `gain`, and its grid several times side by side."""
-    with h5py.File(lab / "plate.h5", "r") as file:
-        held = {one: file[one][:] for one in ("green", "position_mm", "actuator_mm", "status")}
-        attributes = {one: file.attrs[one] for one in ("sample_rate_hz", "rig", "run", "band_hz")}
     away_mm = np.array([[0.1 * copy, 0.1 * (copy % 7)] for copy in range(copies)])
-    with h5py.File(lab / name, "w") as file:
-        file["green"] = np.tile(held["green"] * np.float32(gain), (copies, 1, 1))
-        file["position_mm"] = (away_mm[:, None, :] + held["position_mm"]).reshape(-1, 2)
-        file["actuator_mm"] = held["actuator_mm"]
-        file["status"] = np.tile(held["status"], copies)
-        file.attrs.update(attributes)
+    with h5py.File(lab / "plate.h5", "r") as file, h5py.File(lab / name, "w") as other:
+        other["green"] = np.tile(file["green"][:] * np.float32(gain), (copies, 1, 1))
+        other["position_mm"] = (away_mm[:, None, :] + file["position_mm"][:]).reshape(-1, 2)
+        other["actuator_mm"] = file["actuator_mm"][:]
+        other["status"] = np.tile(file["status"][:], copies)
+        other.attrs.update({one: file.attrs[one] for one in ("sample_rate_hz", "rig", "run", "band_hz")})
     return lab / name
-
-
-@pytest.fixture
-def shown(qtbot, shared_window, verified):
-    """The tab as it shows the verification; its state is that of a file just opened."""
-    return opened(qtbot, shared_window, verified / "verify" / "verify.json")
 
 
 def opened(qtbot: QtBot, window: Window, file: Path) -> VerificationTab:
@@ -96,14 +82,9 @@ def ready(window: Window, bank: Path) -> VerificationTab:
     return tab
 
 
-def cells(tab: VerificationTab, row: int) -> list[str]:
-    """The texts of a row of the table of figures."""
-    table = tab.figures.table
-    return [table.item(row, column).text() for column in range(table.columnCount())]
-
-
-def test_an_earlier_verification_then_its_fields_and_figures_are_those_of_its_files(qtbot, shown, verified):
-    tab, record = shown, json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
+def test_an_earlier_verification_then_its_fields_and_figures_are_those_of_its_files(qtbot, shared_window, verified):
+    tab = opened(qtbot, shared_window, file := verified / "verify" / "verify.json")
+    record = json.loads(file.read_text(encoding="utf-8"))
     predicted, scanned, difference = tab.maps.maps
     with h5py.File(verified / "verify" / "scan.h5", "r") as file:
         sample = round((tab.maps.time.time_s - file.attrs["start_s"]) * file.attrs["sample_rate_hz"])
@@ -116,18 +97,18 @@ def test_an_earlier_verification_then_its_fields_and_figures_are_those_of_its_fi
     in_mm_s = 1e-3 if "µm/s" in difference.bar.accessibleName() else 1.0
     np.testing.assert_allclose(in_mm_s * difference.values, scanned.values - predicted.values, atol=1e-6)
     assert tab.figures.table.rowCount() == len(record["figures"])
+    item = tab.figures.table.item
     for row, figure in enumerate(record["figures"]):
-        texts = cells(tab, row)
-        assert texts[0] == figure["name"]
-        assert figure["definition"] in tab.figures.table.item(row, 0).toolTip()
+        assert item(row, 0).text() == figure["name"]
+        assert figure["definition"] in item(row, 0).toolTip()
         if figure["limit"] is not None:
-            assert texts[5] == {True: "✓ pass", False: "✗ fail", None: "– not judged"}[figure["passed"]]
+            assert item(row, 5).text() == {True: "✓ pass", False: "✗ fail", None: "– not judged"}[figure["passed"]]
     error = next(one for one in record["figures"] if one["name"] == "normalised error")
-    assert cells(tab, 0)[3:5] == [f"{error['difference']:.3g} %", "≤ 5 %"]
+    assert (item(0, 3).text(), item(0, 4).text()) == (f"{error['difference']:.3g} %", "≤ 5 %")
 
 
-def test_given_a_click_on_a_map_or_the_slider_then_waveforms_figures_and_maps_follow(qtbot, shown):
-    tab, index = shown, 7
+def test_given_a_click_on_a_map_or_the_slider_then_waveforms_figures_and_maps_follow(qtbot, shared_window, verified):
+    tab, index = opened(qtbot, shared_window, verified / "verify" / "verify.json"), 7
     qtbot.waitExposed(tab.window())
     scan, record = tab.maps.maps[1], tab.results.record
     QApplication.processEvents()
@@ -152,35 +133,24 @@ def test_given_a_click_on_a_map_or_the_slider_then_waveforms_figures_and_maps_fo
 
 def test_given_play_then_samples_follow_the_clock_and_begin_anew_at_the_end(qtbot):
     now_s = 0.0
-    time = TimeSlider(lambda: now_s)
-    qtbot.addWidget(time)
+    qtbot.addWidget(time := TimeSlider(lambda: now_s))
     time.show_samples(0.0, 1000.0, 101, marks=[10])
     time.slower.setCurrentIndex(time.slower.findData(50))
     time.play.click()
-    now_s = 2.0
-    time.advance()
-    assert time.sample == 10 + 40
-    now_s = 4.6  # beyond the end
-    time.advance()
-    assert (time.sample, time.playing) == (0, True)
+    for at_s, sample in ((2.0, 10 + 40), (4.6, 0)):  # the second is beyond the end
+        now_s = at_s
+        time.advance()
+        assert (time.sample, time.playing) == (sample, True)
     time.to_mark(-1)
     assert time.sample == 10
 
 
 def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_told(qtbot, open_window, lab):
-    window = open_window()
+    window, steps = open_window(), set()
     tab = ready(window, other_bank(lab, "loud.h5", gain=1.2))
     tab.form.positions.setText("every:2")
-    assert tab.row.start.isEnabled()
-    steps = set()
-
-    def seen() -> bool:
-        steps.add(tab.run.step.step)
-        return tab.results is not None
-
     tab.row.start.trigger()
-    wait(qtbot, lambda: seen() or "compare and report" in steps)
-    wait(qtbot, seen)
+    wait(qtbot, lambda: steps.add(tab.run.step.step) or tab.results is not None)
     assert steps & {"scan", "compare and report"}
     assert window.messages.sentence.startswith("Not good enough. ")
     assert "normalised error" in window.messages.sentence
@@ -189,7 +159,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
     assert "▲ normalised error: " in tab.verdict.findings.text()
     assert tab.verdict.findings.isVisible()
     assert tab.verdict.findings.palette().windowText().color() == QColor(tab.verdict.theme.fault)
-    assert cells(tab, 0)[5] == "✗ fail"
+    assert tab.figures.table.item(0, 5).text() == "✗ fail"
     assert list(tab.results.record.position_index) == list(range(0, 12, 2))
     assert tab.results.folder == lab / "new"
 
@@ -266,20 +236,17 @@ def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(s
     files = ["--bank", str(bank), "--rig", str(tmp_path / "rig.toml"), "--out", "out", "--json"]
     assert form.arguments(Path("out")) == ["verify", str(tmp_path / "scene.toml"), *files]
     form.positions.setText(" 0-3,7 ")
-    assert form.arguments(Path("out"))[-2:] == ["--positions", "0-3,7"]
     form.rig.line.setText("virtual")
     arguments = form.arguments(Path("out"))
+    assert arguments[-2:] == ["--positions", "0-3,7"]
     assert arguments[arguments.index("--rig") + 1] == "virtual"
     form.take_bank(bank)
     assert form.rig.line.text() == "virtual"  # what was typed stays
     # The next folder with a number is taken.
-    (tmp_path / "render").mkdir()
-    (tmp_path / "render" / "drive.h5").write_bytes(b"precious")
-    for used, free in (("render", "render-2"), ("verify", "verify-2")):
-        assert unused_folder(tmp_path / used) == tmp_path / free
-    (tmp_path / "verify-2").mkdir()
-    (tmp_path / "verify-2" / "report.html").write_text("earlier", encoding="utf-8")
+    assert unused_folder(tmp_path / "verify") == tmp_path / "verify-2"
+    (precious := tmp_path / "verify-2" / "drive.h5").parent.mkdir()
+    precious.write_bytes(b"precious")
     assert unused_folder(tmp_path / "verify-2") == tmp_path / "verify-3"
-    assert (tmp_path / "render" / "drive.h5").read_bytes() == b"precious"
+    assert precious.read_bytes() == b"precious"
     form.scene.line.clear()
     assert form.missing() == "choose a scene file"

@@ -6,22 +6,9 @@ import threading
 
 import numpy as np
 import pytest
+from PyQt5 import QtWidgets
 from PyQt5.QtCore import QRect, Qt, QTimer
 from PyQt5.QtGui import QColor, QFont
-from PyQt5.QtWidgets import (
-    QAbstractButton,
-    QAbstractSpinBox,
-    QApplication,
-    QCheckBox,
-    QComboBox,
-    QLineEdit,
-    QProgressBar,
-    QSplitter,
-    QStyle,
-    QStyleOptionButton,
-    QTabBar,
-    QTableView,
-)
 
 from tests.gui.conftest import campaign_of, pages_of, shown_tab, tab_of, wait
 from wavefocus.gui.field_map import Plot
@@ -32,22 +19,21 @@ from wavefocus.gui.window import Window
 from wavefocus.storage.errors import InputError
 
 OPEN_WINDOW = """
-import os
-os.environ["QT_QPA_PLATFORM"] = "offscreen"
-from pathlib import Path
+import sys
 from PyQt5.QtCore import QSettings
-from wavefocus.gui.window import make_application
 from wavefocus.gui.files import Settings
-from wavefocus.gui.verification.tab import VerificationTab
-from wavefocus.gui.window import Window
+from wavefocus.gui.window import Window, make_application
 application = make_application()
-window = Window(Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
+window = Window(Settings(QSettings("memory.ini", QSettings.Format.IniFormat)))
 window.show()
 application.processEvents()
 assert len(window.tabs) == 5
-import sys
 print(*sys.modules)
 """
+NOT_LOADED = {
+    "scipy", "h5py", "matplotlib", "soundfile", "wavefocus.mocks", "wavefocus.acquisition.engine.campaign",
+    "wavefocus.rendering.field.prediction", "wavefocus.rendering.drive.rendering", "wavefocus.rendering.scene.model",
+}  # fmt: skip
 
 
 def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(qtbot, shared_window, finished):
@@ -60,19 +46,17 @@ def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives
     def mistake() -> None:
         raise InputError("plate.h5: this and that is wrong")
 
-    QTimer.singleShot(0, slip)
-    wait(qtbot, lambda: "a slip" in window.messages.sentence)
-    assert "in slip" in window.tracebacks.pop()
-    assert [button.text() for button in window.messages.buttons] == ["Copy details"]
     QTimer.singleShot(0, mistake)
     wait(qtbot, lambda: window.messages.sentence == "plate.h5: this and that is wrong")
-    window.messages.dismiss()
     thread = threading.Thread(target=slip)
-    thread.start()
-    thread.join()
-    assert window.messages.sentence == ""  # no widget is touched in the other thread
-    wait(qtbot, lambda: "a slip" in window.messages.sentence)
-    assert "in slip" in window.tracebacks.pop()
+    for start in (thread.start, lambda: QTimer.singleShot(0, slip)):
+        window.messages.dismiss()
+        start()
+        thread.join()
+        assert window.messages.sentence == ""  # no widget is touched in the other thread
+        wait(qtbot, lambda: "a slip" in window.messages.sentence)
+        assert "in slip" in window.tracebacks.pop()
+        assert [button.text() for button in window.messages.buttons] == ["Copy details"]
     wait(qtbot, lambda: campaign_of(window).campaign.measured == 12)
 
 
@@ -82,7 +66,7 @@ def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(q
     place = button.mapTo(window, button.rect().center())
     for sentence in ("short", "a longer sentence that fills more than two lines " * 20):
         messages.fault(sentence, ("Answer", lambda: None))
-        QApplication.processEvents()
+        QtWidgets.QApplication.processEvents()
         assert button.mapTo(window, button.rect().center()) == place
         assert messages.sentence == sentence
     assert messages.label.text().endswith("…")
@@ -99,23 +83,23 @@ def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(q
 
 
 def test_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(qtbot, open_window, finished):
-    font = QApplication.font()
+    font = QtWidgets.QApplication.font()
     large = QFont(font)
     large.setPointSize(font.pointSize() + 6)
-    QApplication.setFont(large)
+    QtWidgets.QApplication.setFont(large)
     try:
         window = open_window(finished)
         window.messages.fault(f"/{'a_folder_without_spaces' * 40}/plate.h5: no such file")
         for tab in window.tabs:
             pages_of(window).setCurrentWidget(tab)
-            QApplication.processEvents()
+            QtWidgets.QApplication.processEvents()
             least = window.minimumSizeHint().expandedTo(window.minimumSize())
             assert least.width() <= 1280 - 16
             assert least.height() <= 800 - 48
         window.resize(1240, 720)
         assert (window.width(), window.height()) == (1240, 720)
     finally:
-        QApplication.setFont(font)
+        QtWidgets.QApplication.setFont(font)
 
 
 def test_given_a_screen_of_1280_by_800_then_no_page_scrolls(shared_window, finished):
@@ -125,19 +109,18 @@ def test_given_a_screen_of_1280_by_800_then_no_page_scrolls(shared_window, finis
     assert max(heights.values()) <= 800 - 150, heights  # menus, tabs, messages and the screen's own bars
     window.resize(1280, 800)
     scene = shown_tab(window, SceneTab)
-    QApplication.processEvents()
+    QtWidgets.QApplication.processEvents()
     assert scene.bar.name.width() >= scene.bar.name.fontMetrics().horizontalAdvance("scene.toml •")
 
 
 def test_a_double_click_after_zooming_then_the_whole_of_a_clipped_plot_is_seen(qtbot):
-    plot = Plot("a plot", "time (s)", "V")
-    qtbot.addWidget(plot)
+    qtbot.addWidget(plot := Plot("a plot", "time (s)", "V"))
     plot.resize(400, 300)
     plot.show()
     plot.getPlotItem().setClipToView(True)
     plot.line(np.linspace(0.0, 1.0, 1000), np.zeros(1000), "#000000")
     plot.setXRange(0.4, 0.5, padding=0.0)
-    QApplication.processEvents()
+    QtWidgets.QApplication.processEvents()
     qtbot.mouseDClick(plot.viewport(), Qt.MouseButton.LeftButton, pos=plot.viewport().rect().center())
     low, high = plot.viewRange()[0]
     assert low <= 0.0
@@ -163,7 +146,7 @@ def test_given_size_files_splitters_and_numbers_then_the_next_window_has_them_ag
     assert len(moved) >= 6
     window.resize(780, 560)
     window.close()
-    memory.keep("scene/columns", QSplitter(Qt.Orientation.Vertical).saveState())  # as another version had it
+    memory.keep("scene/columns", QtWidgets.QSplitter(Qt.Orientation.Vertical).saveState())  # as another version had it
     again = Window(memory)
     assert (again.width(), again.height()) == (780, 560)
     assert campaign_of(again).bank_field.path is None
@@ -181,34 +164,33 @@ def test_given_size_files_splitters_and_numbers_then_the_next_window_has_them_ag
     again.close_at_once()
 
 
-def splitters_of(window: Window) -> dict[str, QSplitter]:
-    return {name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QSplitter)}
+def splitters_of(window: Window) -> dict[str, QtWidgets.QSplitter]:
+    return {
+        name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QtWidgets.QSplitter)
+    }
 
 
 @pytest.mark.smoke
 def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(open_window):
     window = open_window()
-    with_tip = (QAbstractButton, QAbstractSpinBox, QComboBox)
-    kinds = (*with_tip, QLineEdit, QProgressBar, QTableView)
+    with_tip = (QtWidgets.QAbstractButton, QtWidgets.QAbstractSpinBox, QtWidgets.QComboBox)
+    kinds = (*with_tip, QtWidgets.QLineEdit, QtWidgets.QProgressBar, QtWidgets.QTableView)
     own = [
         control
         for kind in kinds
         for control in window.findChildren(kind)
         if not control.objectName().startswith("qt_") and type(control).__name__ != "QTableCornerButton"
-        and not isinstance(control.parent(), QTableView | QComboBox | QAbstractSpinBox | QLineEdit | QTabBar)
+        and not isinstance(control.parent(), (*kinds[1:4], QtWidgets.QTableView, QtWidgets.QTabBar))
     ]  # fmt: skip
     assert len(own) > 120
     assert [type(control).__name__ for control in own if not control.accessibleName()] == []
     assert [one.accessibleName() for one in own if isinstance(one, with_tip) and not one.toolTip()] == []
-    actions = [action for tab in window.tabs[:2] for action in tab.menu_actions() if action is not None]
-    everything = [one for tab in window.tabs for one in tab.menu_actions() if one is not None]
-    keys = [action.shortcut().toString() for action in everything]
-    own_keys = [action.shortcut().toString() for action in actions]
-    assert [key for key in own_keys if key and keys.count(key) != 1] == []
+    keys = [one.shortcut().toString() for tab in window.tabs for one in tab.menu_actions() if one is not None]
+    assert [key for key in keys if key and keys.count(key) != 1] == []
     scene, campaign = tab_of(window, SceneTab), campaign_of(window)
     for tab, plot in ((campaign, campaign.map_panel.map), (scene, scene.surface.canvas)):
         pages_of(window).setCurrentWidget(tab)
-        plot.getPlotItem().getViewBox().setRange(xRange=(-0.3, 0.3), yRange=(-0.3, 0.3))
+        plot.box.setRange(xRange=(-0.3, 0.3), yRange=(-0.3, 0.3))
         for side, word in (("left", "y (mm)"), ("bottom", "x (mm)")):
             axis = plot.getPlotItem().getAxis(side)
             assert axis.autoSIPrefixScale == 1.0
@@ -217,14 +199,13 @@ def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(o
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
 def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot, theme):
-    style, option = BoxStyle(), QStyleOptionButton()
-    box = QCheckBox("Snap")
-    qtbot.addWidget(box)
-    box.setStyle(style)
+    option = QtWidgets.QStyleOptionButton()
+    qtbot.addWidget(box := QtWidgets.QCheckBox("Snap"))
+    box.setStyle(style := BoxStyle())
     box.setPalette(palette_of(theme))
     box.show()
     box.initStyleOption(option)
-    whole = style.subElementRect(QStyle.SubElement.SE_CheckBoxIndicator, option, box)
+    whole = style.subElementRect(QtWidgets.QStyle.SubElement.SE_CheckBoxIndicator, option, box)
     inside = whole.adjusted(2, 2, -2, -2)
 
     def share(colour: str, part: QRect) -> float:
@@ -242,19 +223,6 @@ def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot, them
 @pytest.mark.smoke
 def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path):
     command = [sys.executable, "-c", OPEN_WINDOW]
-    done = subprocess.run(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True)
-    loaded = {*done.stdout.split()}
+    loaded = set(subprocess.run(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True).stdout.split())
     assert "wavefocus.gui.verification.tab" in loaded
-    assert not loaded & {
-        "scipy",
-        "h5py",
-        "matplotlib",
-        "soundfile",
-        "wavefocus.mocks",
-        "wavefocus.acquisition.engine.campaign",
-    }
-    assert not loaded & {
-        "wavefocus.rendering.field.prediction",
-        "wavefocus.rendering.drive.rendering",
-        "wavefocus.rendering.scene.model",
-    }
+    assert not loaded & NOT_LOADED
