@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.lab_files import RUN
 from tests.system.captures import refused
 from tests.system.lines import in_process
 from wavefocus.__main__ import run
@@ -210,25 +211,12 @@ def test_given_a_person_who_leaves_half_way_then_what_was_measured_is_kept(rig):
     assert (record.inputs is None, record.outputs is None, record.mirror is None) == (False, False, True)
 
 
-RUN = """
-rig = "rig.toml"
-[grid]
-positions_file = "positions.csv"
-[sweep]
-duration_s = 0.3
-amplitude_v = 0.5
-[capture]
-averages = 2
-decay_s = 0.1
-taps = 1000
-"""
-
-
 def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(rig, capsys):
     told, _ = calibrate(rig, "--only", "inputs,outputs,mirror", "--fiducials", marks_file(rig.parent, 0.01))
     file = Path(str(told["file"]))
     rig.write_text(f'{RIG}\n[calibration]\nfile = "{file.name}"\n', encoding="utf-8")
-    (rig.parent / "run.toml").write_text(RUN, encoding="utf-8")
+    of_no_virtual_rig = RUN.partition("[quality]")[0].replace("duration_s", "amplitude_v = 0.5\nduration_s")
+    (rig.parent / "run.toml").write_text(of_no_virtual_rig, encoding="utf-8")
     (rig.parent / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     bank = rig.parent / "plate.h5"
     capsys.readouterr()
