@@ -208,36 +208,34 @@ def test_given_nan_for_what_is_missing_then_arrays_hold_every_row(bank, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("out", "to", "options", "told"),
     [
+        ("bank.uff", "uff", ["--missing", "nan"], "hold no NaN"),
+        ("bank.npz", "npz", ["--positions", "2-3"], "nothing to export"),
+        ("nowhere/bank.npz", "npz", [], "there is no folder"),
+        ("a\nb \u00e4.h5", "npz", [], "is an input"),
+        ("a\nb \u00e4.h5", "wav", [], "is a file"),
+        ("bank.doc", "doc", [], "'doc' is not allowed"),
+        ("bank.npz", "npz", ["--binary"], "--binary is gone: give --to uff-binary"),
+        ("bank.npz", "npz", ["--publication", "nowhere.toml"], "nowhere.toml: no such file"),
+    ],
+)
+def test_given_what_cannot_be_exported_then_one_sentence_says_why(bank, tmp_path, capsys, out, to, options, told):
+    before = bank.read_bytes()
+    assert told in refused(capsys, "export", bank, tmp_path / out, "--to", to, *options)
+    assert bank.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == [bank.name]
+
+
+def test_given_a_wrong_publication_then_its_key_is_named(bank, tmp_path, capsys):
+    wrong = tmp_path / "wrong.toml"
+    for table, told in (
         ("[grid]\nspacing_mm = 4.0", "publication: is missing"),
         ("[publication]\nlicence = 4", "publication.licence = 4: must be text in quotes"),
         ("[publication]\nlicense = 'MIT'", "publication.license"),
-        ("[publication]\ntitle = 'a\\nb'".replace("'", '"'), "must be one line of text"),
+        ('[publication]\ntitle = "a\\nb"', "must be one line of text"),
         ("[publication]\npeople = [{ name = 'A', orcid = '1' }]", "publication.people[0].orcid"),
-    ],
-)
-def test_given_a_wrong_publication_then_its_key_is_named(bank, tmp_path, capsys, table, told):
-    (tmp_path / "wrong.toml").write_text(table, encoding="utf-8")
-    words = ["export", bank, tmp_path / "bank.npz", "--to", "npz", "--publication", tmp_path / "wrong.toml"]
-    assert told in refused(capsys, *words)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["bank.uff", "--to", "uff", "--missing", "nan"], "hold no NaN"),
-        (["bank.npz", "--to", "npz", "--positions", "2-3"], "nothing to export"),
-        (["nowhere/bank.npz", "--to", "npz"], "there is no folder"),
-        (["a\nb \u00e4.h5", "--to", "npz"], "is an input"),
-        (["a\nb \u00e4.h5", "--to", "wav"], "is a file"),
-        (["bank.doc", "--to", "doc"], "'doc' is not allowed"),
-        (["bank.npz", "--to", "npz", "--binary"], "--binary is gone: give --to uff-binary"),
-        (["bank.npz", "--to", "npz", "--publication", "nowhere.toml"], "nowhere.toml: no such file"),
-    ],
-)
-def test_given_what_cannot_be_exported_then_one_sentence_says_why(bank, tmp_path, capsys, arguments, told):
-    before = bank.read_bytes()
-    assert told in refused(capsys, "export", bank, tmp_path / arguments[0], *arguments[1:])
-    assert bank.read_bytes() == before
-    assert [one.name for one in tmp_path.iterdir()] == [bank.name]
+    ):
+        wrong.write_text(table, encoding="utf-8")
+        words = ["export", bank, tmp_path / "bank.npz", "--to", "npz", "--publication", wrong]
+        assert told in refused(capsys, *words)
