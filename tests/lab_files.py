@@ -90,23 +90,23 @@ _banks: dict[str, bytes] = {}  # measured once: each commit waits for the disk
 
 
 def write_bank(
-    path, green, position_mm=None, *, rows=None, actuator_mm=None, rate_hz=10000.0, band_hz=(20.0, 500.0), check_rows=()
-):
+    path, green, position_mm=None, *, rows=None, actuator_mm=None, rate_hz=10000.0, band_hz=(20.0, 500.0),
+    check_rows=(), units=("m/s/V", "V"),
+):  # fmt: skip
     """Measure rows (positions, actuators, taps) into a new bank: all of them, or those at some positions alone."""
     positions, actuators, taps = green.shape
     if position_mm is None:
         position_mm = np.stack([np.arange(positions) * 4.0, np.zeros(positions)], axis=1)
     place_mm = np.full((actuators, 2), np.nan) if actuator_mm is None else np.asarray(actuator_mm)
     rows = tuple(range(positions) if rows is None else rows)
-    about = [rate_hz, band_hz, check_rows, rows, green.shape, np.asarray(position_mm).tolist(), place_mm.tolist()]
+    places = [np.asarray(position_mm).tolist(), place_mm.tolist()]
+    about = [rate_hz, band_hz, check_rows, units, rows, green.shape, *places]
     key = hashlib.sha256(repr(about).encode() + np.ascontiguousarray(green).tobytes()).hexdigest()
     if key not in _banks:
-        create_bank(
-            path,
-            BankHeader(
-                rate_hz, taps, band_hz, position_mm, place_mm, "{}", "{}", "ab" * 32, "test", check_rows=check_rows
-            ),
+        header = BankHeader(
+            rate_hz, taps, band_hz, position_mm, place_mm, "{}", "{}", "ab" * 32, "test", *units, check_rows=check_rows
         )
+        create_bank(path, header)
         figures = np.ones(actuators, np.float32)
         with BankWriter.open(path) as writer:
             for row in rows:

@@ -1,4 +1,4 @@
-"""Captures in this process, the events they report, and a listener that reacts to them."""
+"""Commands and captures in this process, what they report, and a listener that reacts to it."""
 
 import io
 import json
@@ -14,6 +14,23 @@ from wavefocus.storage.bank.writer import create_bank
 def wavefocus(*arguments):
     """Run a command in this process; its exit code."""
     return run([str(argument) for argument in arguments])
+
+
+def answered(capsys, *arguments, code=0):
+    """What a command answers to a program: its one object."""
+    capsys.readouterr()
+    assert wavefocus(*arguments, "--json") == code
+    return dict(json.loads(capsys.readouterr().out))
+
+
+def refused(capsys, *arguments, code=2):
+    """The one sentence with which a command ends; nothing is on standard output."""
+    capsys.readouterr()
+    assert wavefocus(*arguments) == code, arguments
+    told = capsys.readouterr()
+    (line,) = [line for line in told.err.splitlines() if line.startswith("wavefocus: ")]
+    assert (told.out, "Traceback" in told.err) == ("", False)
+    return line
 
 
 def of_kind(events, kind):

@@ -55,7 +55,8 @@ def bank(lab, measured):
 
 
 def with_faults(lab, *faults):
-    """Let the virtual rig of a lab show faults, each an inline TOML table."""
-    run = (lab / "run.toml").read_text(encoding="utf-8")
-    plan = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in faults)
-    (lab / "run.toml").write_text(run + plan, encoding="utf-8")
+    """Let the virtual rig of a lab show faults, each an inline TOML table; returns what mends it."""
+    file = lab / "run.toml"
+    sound = file.read_text(encoding="utf-8")
+    file.write_text(sound + "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in faults), encoding="utf-8")
+    return lambda: file.write_text(sound, encoding="utf-8")

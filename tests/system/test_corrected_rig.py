@@ -2,10 +2,8 @@
 
 import shlex
 
-import pytest
-
 from tests.lab_files import ACTUATORS, change_text
-from tests.system.captures import empty_bank
+from tests.system.captures import empty_bank, refused, wavefocus
 from wavefocus.__main__ import run
 from wavefocus.storage.bank.reading import open_bank
 
@@ -55,32 +53,21 @@ def test_given_a_wrong_port_then_the_printed_command_opens_the_corrected_one(lab
     assert "--rig RIG.toml" in told
 
 
-@pytest.mark.parametrize(
-    ("text", "key"),
-    [
+def test_another_rig_is_refused_by_the_keys_that_rows_depend_on_and_else_counts(lab, capsys):
+    bank, rig = empty_bank(lab, "plate.h5"), lab / "rig.toml"
+    command, measured = ["resume", bank, "--rig", rig], rig.read_text(encoding="utf-8")
+    for text, key in (
         ("[recorder]\nresponse_range_v = 5.0\n", "recorder.response_range_v"),
         ("[mirror]\ndistance_mm = 900.0\n", "mirror.matrix"),
         ("[player]\nchannels = [2, 1, 0]\n", "player.channels"),
-    ],
-)
-def test_given_a_rig_that_measures_other_rows_then_it_is_refused_by_its_keys(lab, capsys, text, key):
-    bank = empty_bank(lab, "plate.h5")
-    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
-        rig.write(text)
-    assert run(["resume", str(bank), "--rig", str(lab / "rig.toml")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert str(lab / "rig.toml") in line
-    assert key in line
-
-
-def test_other_names_and_limits_then_the_campaign_goes_on_and_its_rig_file_counts(lab):
-    bank = empty_bank(lab, "plate.h5")
-    change_text(lab / "rig.toml", "three coils", "three other coils")
-    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
-        rig.write("[player]\nlimit_v = 0.001\n")
-    command = ["resume", str(bank), "--rig", str(lab / "rig.toml")]
-    assert run(command) == 2  # the sweep is too loud for it
-    change_text(lab / "rig.toml", "limit_v = 0.001", "limit_v = 3.0")
-    assert run(command) == 0
+        ("[player]\nlimit_v = 0.001\n", "limit_v"),  # the sweep is too loud for it
+    ):
+        rig.write_text(measured + text, encoding="utf-8")
+        line = refused(capsys, *command)
+        assert str(rig) in line
+        assert key in line
+    other = measured.replace("three coils", "three other coils")
+    rig.write_text(f"{other}[player]\nlimit_v = 3.0\n", encoding="utf-8")
+    assert wavefocus(*command) == 0
     with open_bank(bank) as view:
         assert view.status.all()

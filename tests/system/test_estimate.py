@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from tests.system.captures import refused
 from tests.system.raw_script import Sweep, echoes, error_db, estimated, noise_limit_db, swept, write
 from wavefocus.__main__ import run
 from wavefocus.calibration.estimator.raw_estimation import affordable_workers
@@ -62,8 +63,10 @@ def test_raw_recordings_by_another_program_then_the_noise_is_the_limit(tmp_path,
 
 def test_given_one_worker_or_two_then_the_bank_is_the_same_to_the_byte(tmp_path):
     raw, _ = sequential(tmp_path / "a.raw.h5", positions=3)
+    seen: list[tuple[int, int]] = []
     for workers in (1, 2):
-        estimate(raw, tmp_path / f"{workers}.h5", workers=workers).close()
+        estimate(raw, tmp_path / f"{workers}.h5", workers=workers, on_progress=lambda *one: seen.append(one)).close()
+        assert seen[-1] == (3, 3)
     assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()
 
 
@@ -138,8 +141,7 @@ def test_given_actuators_that_play_together_at_audio_rates_then_they_come_apart(
 def test_a_sweep_that_does_not_follow_the_stated_law_then_exit_2_names_the_remedy(tmp_path, capsys, law, said):
     record = swept(Sweep((50.0, 4_000.0), 1.0, law), echoes(1, 500), 10_000.0, 0.0, tail_s=0.1)
     raw = write(tmp_path / "a.raw.h5", [record], 500, 10_000.0, (50.0, 4_000.0), said=said)
-    assert run(["estimate", str(raw), "--bank", str(tmp_path / "bank.h5")]) == 2
-    message = capsys.readouterr().err
+    message = refused(capsys, "estimate", raw, "--bank", tmp_path / "bank.h5")
     assert "same_clock" in message
     assert "sweep_law" in message
     assert not (tmp_path / "bank.h5").exists()
@@ -208,8 +210,7 @@ def test_an_attribute_of_no_meaning_or_no_recording_then_exit_2_and_one_line(tmp
     raw.write_bytes(b"nothing of the kind")
     if said is not None:
         write(raw, [(np.ones(100), np.ones(100))], 10, 1000.0, (50.0, 400.0), said=said)
-    assert run(["estimate", str(raw), "--bank", str(tmp_path / "bank.h5")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    refused(capsys, "estimate", raw, "--bank", tmp_path / "bank.h5")
     assert not (tmp_path / "bank.h5").exists()
 
 

@@ -12,7 +12,7 @@ import sofar
 import soundfile
 import xarray
 
-from wavefocus.__main__ import run
+from tests.system.captures import answered, refused
 from wavefocus.storage.bank.reading import open_bank
 
 RATE_HZ, TAPS, ACTUATORS, POSITIONS = 2000.0, 60, 3, 6
@@ -42,8 +42,7 @@ def green_of(bank):
 
 
 def export(capsys, *arguments):
-    assert run(["export", *map(str, arguments), "--json"]) == 0
-    return dict(json.loads(capsys.readouterr().out))
+    return answered(capsys, "export", *arguments)
 
 
 PUBLICATION = """
@@ -70,11 +69,12 @@ def read_verified(path):
     return sofa
 
 
-def test_given_a_bank_then_sofar_reads_what_acoustics_needs(bank, tmp_path, capsys):
-    told = export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa")
+@pytest.mark.parametrize(("to", "convention"), [("sofa", "GeneralFIR-E"), ("sofa-room", "SingleRoomMIMOSRIR")])
+def test_given_a_bank_then_sofar_reads_what_acoustics_needs(bank, tmp_path, capsys, to, convention):
+    told = export(capsys, bank, tmp_path / "bank.sofa", "--to", to)
     assert (told["positions"], told["left_out"]) == (4, 2)
     sofa = read_verified(tmp_path / "bank.sofa")
-    assert sofa.GLOBAL_SOFAConventions == "GeneralFIR-E"
+    assert (sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType) == (convention, "FIR-E")
     assert np.array_equal(sofa.Data_IR[:, 0], green_of(bank)[KEPT].transpose(0, 2, 1).astype(float))
     assert sofa.Data_SamplingRate == RATE_HZ
     assert np.allclose(sofa.ListenerPosition[:, :2], PLACES_MM[KEPT] / 1e3, rtol=0, atol=1e-9)
@@ -82,17 +82,6 @@ def test_given_a_bank_then_sofar_reads_what_acoustics_needs(bank, tmp_path, caps
     assert sofa.BankPosition.tolist() == KEPT
     assert "m/s/V" in sofa.GLOBAL_Comment
     assert (sofa.GLOBAL_License, sofa.GLOBAL_RoomType) == ("not stated", "free field")
-
-
-def test_the_convention_of_rooms_then_sofar_verifies_it_and_it_comes_back(bank, tmp_path, capsys):
-    out = tmp_path / "bank.sofa"
-    export(capsys, bank, out, "--to", "sofa-room")
-    sofa = read_verified(out)
-    assert (sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType) == ("SingleRoomMIMOSRIR", "FIR-E")
-    assert np.array_equal(sofa.Data_IR[:, 0], green_of(bank)[KEPT].transpose(0, 2, 1).astype(float))
-    assert run(["import", str(out), "--bank", str(tmp_path / "again.h5")]) == 0
-    with open_bank(tmp_path / "again.h5") as again:
-        assert np.array_equal(again.green(0), green_of(bank)[KEPT[0]])
 
 
 def test_a_publication_then_the_sofa_file_states_it_in_hdf5_that_libmysofa_reads(bank, tmp_path, publication, capsys):
@@ -219,40 +208,34 @@ def test_given_nan_for_what_is_missing_then_arrays_hold_every_row(bank, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("out", "to", "options", "told"),
     [
+        ("bank.uff", "uff", ["--missing", "nan"], "hold no NaN"),
+        ("bank.npz", "npz", ["--positions", "2-3"], "nothing to export"),
+        ("nowhere/bank.npz", "npz", [], "there is no folder"),
+        ("a\nb \u00e4.h5", "npz", [], "is an input"),
+        ("a\nb \u00e4.h5", "wav", [], "is a file"),
+        ("bank.doc", "doc", [], "'doc' is not allowed"),
+        ("bank.npz", "npz", ["--binary"], "--binary is gone: give --to uff-binary"),
+        ("bank.npz", "npz", ["--publication", "nowhere.toml"], "nowhere.toml: no such file"),
+    ],
+)
+def test_given_what_cannot_be_exported_then_one_sentence_says_why(bank, tmp_path, capsys, out, to, options, told):
+    before = bank.read_bytes()
+    assert told in refused(capsys, "export", bank, tmp_path / out, "--to", to, *options)
+    assert bank.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == [bank.name]
+
+
+def test_given_a_wrong_publication_then_its_key_is_named(bank, tmp_path, capsys):
+    wrong = tmp_path / "wrong.toml"
+    for table, told in (
         ("[grid]\nspacing_mm = 4.0", "publication: is missing"),
         ("[publication]\nlicence = 4", "publication.licence = 4: must be text in quotes"),
         ("[publication]\nlicense = 'MIT'", "publication.license"),
-        ("[publication]\ntitle = 'a\\nb'".replace("'", '"'), "must be one line of text"),
+        ('[publication]\ntitle = "a\\nb"', "must be one line of text"),
         ("[publication]\npeople = [{ name = 'A', orcid = '1' }]", "publication.people[0].orcid"),
-    ],
-)
-def test_given_a_wrong_publication_then_its_key_is_named(bank, tmp_path, capsys, table, told):
-    (tmp_path / "wrong.toml").write_text(table, encoding="utf-8")
-    arguments = ["export", bank, tmp_path / "bank.npz", "--to", "npz", "--publication", tmp_path / "wrong.toml"]
-    assert run([str(one) for one in arguments]) == 2
-    assert told in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["bank.uff", "--to", "uff", "--missing", "nan"], "hold no NaN"),
-        (["bank.npz", "--to", "npz", "--positions", "2-3"], "nothing to export"),
-        (["nowhere/bank.npz", "--to", "npz"], "there is no folder"),
-        (["a\nb \u00e4.h5", "--to", "npz"], "is an input"),
-        (["a\nb \u00e4.h5", "--to", "wav"], "is a file"),
-        (["bank.doc", "--to", "doc"], "'doc' is not allowed"),
-        (["bank.npz", "--to", "npz", "--binary"], "--binary is gone: give --to uff-binary"),
-        (["bank.npz", "--to", "npz", "--publication", "nowhere.toml"], "nowhere.toml: no such file"),
-    ],
-)
-def test_given_what_cannot_be_exported_then_one_sentence_says_why(bank, tmp_path, capsys, arguments, told):
-    before = bank.read_bytes()
-    assert run(["export", str(bank), str(tmp_path / arguments[0]), *arguments[1:]]) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("wavefocus:")]
-    assert len(lines) == 1
-    assert told in lines[0]
-    assert bank.read_bytes() == before
-    assert [one.name for one in tmp_path.iterdir()] == [bank.name]
+    ):
+        wrong.write_text(table, encoding="utf-8")
+        words = ["export", bank, tmp_path / "bank.npz", "--to", "npz", "--publication", wrong]
+        assert told in refused(capsys, *words)

@@ -1,13 +1,11 @@
 """Banks with more positions: what is taken over, what is measured, and what is refused."""
 
-import json
-
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import POSITIONS, change_text, with_check_rows, write_positions
-from tests.system.captures import held
+from tests.system.captures import answered, events_of, held
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.extension import extend
@@ -38,7 +36,7 @@ def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measure
     assert run(["note", str(bank), "gel of Monday"]) == 0
     write_positions(lab, MORE)
     assert _extend(lab, bank) == 0
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    events = events_of(capsys.readouterr().out)
     assert {event["position"] for event in events if event["event"] == "position_committed"} == {0, 5}
     assert "resume" in {event.get("occasion") for event in events if event["event"] == "drift"}
     with open_bank(bank) as old, open_bank(lab / "new.h5") as new:
@@ -51,16 +49,13 @@ def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measure
                 assert np.array_equal(new.green(row), old.green(was))
                 assert new.quality["attempts"][row] == old.quality["attempts"][was]
         assert [note.text for note in new.notes] == ["gel of Monday"]
-    assert run(["status", str(lab / "new.h5"), "--json"]) == 0
-    (origin,) = json.loads(capsys.readouterr().out)["origins"]
+    (origin,) = answered(capsys, "status", lab / "new.h5")["origins"]
     assert (origin["bank"], origin["rows"]) == ("plate.h5", "1-4,6-7")
     assert run(["check", str(lab / "new.h5")]) == 0
     # Extended again, the rows keep the name of the bank that measured them.
     write_positions(lab, [*MORE, [16.0, 0.0]])
     assert _extend(lab, lab / "new.h5", new="newer.h5") == 0
-    capsys.readouterr()
-    assert run(["status", str(lab / "newer.h5"), "--json"]) == 0
-    origins = {one["bank"]: one["rows"] for one in json.loads(capsys.readouterr().out)["origins"]}
+    origins = {one["bank"]: one["rows"] for one in answered(capsys, "status", lab / "newer.h5")["origins"]}
     assert origins == {"plate.h5": "1-4,7-8", "new.h5": "0,5"}
 
 

@@ -1,13 +1,11 @@
 """A bank written by a few lines of h5py renders and predicts as the contract's equations say."""
 
-import json
-
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import write_foreign
-from wavefocus.__main__ import run
+from tests.system.captures import answered, refused, wavefocus
 
 RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
 
@@ -78,11 +76,10 @@ def _direct_drive(green, position_mm, emission):
 def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(bank, tmp_path, emission, capsys):
     scene, drive_file, field_file = tmp_path / "scene.toml", tmp_path / "drive.h5", tmp_path / "field.h5"
     scene.write_text(SCENE.format(emission=emission), encoding="utf-8")
-    assert run(["render", str(scene), "--bank", str(bank), "--out", str(drive_file), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = answered(capsys, "render", scene, "--bank", bank, "--out", drive_file)
     assert told["method"] == ("sampled" if emission == "per_point" else "exact")
     assert told["omitted_bound"] == 0.0
-    assert run(["predict", str(drive_file), "--bank", str(bank), "--out", str(field_file)]) == 0
+    assert wavefocus("predict", drive_file, "--bank", bank, "--out", field_file) == 0
     with h5py.File(bank, "r") as file:
         green, position_mm = file["green"][:], file["position_mm"][:]
     expected = _direct_drive(green, position_mm, emission)
@@ -100,36 +97,23 @@ def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(bank
         assert list(file["position_index"]) == list(range(15))
 
 
-@pytest.mark.parametrize("command", ["resume", "remeasure", "verify"])
-def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(bank, tmp_path, command, capsys):
-    scene, out = str(tmp_path / "scene.toml"), str(tmp_path / "out")
+def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(bank, tmp_path, capsys):
     before = bank.read_bytes()
-    arguments = {"remeasure": ["--positions", "1"], "verify": ["--rig", "virtual", "--out", out, scene, "--bank"]}
-    assert run([command, *arguments.get(command, []), str(bank)]) == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1
-    assert "foreign.h5" in told[0]
-    assert "made by other means" in told[0]
-    assert bank.read_bytes() == before
+    verify = ["verify", tmp_path / "scene.toml", "--rig", "virtual", "--out", tmp_path / "out", "--bank"]
+    for command in (["resume"], ["remeasure", "--positions", "1"], verify):
+        told = refused(capsys, *command, bank)
+        assert "foreign.h5" in told
+        assert "made by other means" in told
+        assert bank.read_bytes() == before
 
 
-@pytest.mark.parametrize("name", ["method", "drive"])
-def test_a_changed_drive_is_refused_and_one_without_checksums_is_unverified(tmp_path, bank, capsys, name):
-    played = tmp_path / "drive.h5"
-    assert run(["render", str(tmp_path / "scene.toml"), "--bank", str(bank), "--out", str(played)]) == 0
-    with h5py.File(played, "r+") as file:
-        if name == "drive":
-            file["drive"][0, 5] += 1e-9
-        else:
-            file.attrs[name] = "exact "
-    predict = ["predict", str(played), "--bank", str(bank), "--out", str(tmp_path / "field.h5")]
+def test_a_drive_without_checksums_then_is_predicted_as_unverified(tmp_path, bank, capsys):
+    drive = tmp_path / "drive.h5"
+    assert wavefocus("render", tmp_path / "scene.toml", "--bank", bank, "--out", drive) == 0
+    with h5py.File(drive, "r+") as file:
+        del file.attrs["contents_sha256"]
+        for name in ("time_s", "drive", "focus/sample", "focus/position", "focus/source", "actuator"):
+            del file[name].attrs["sha256"]
     capsys.readouterr()
-    assert run(predict) == 2
-    assert run(["check", str(played)]) == 2
-    with h5py.File(played, "r+") as file:
-        del file.attrs["contents_sha256"], file["time_s"].attrs["sha256"]
-        for one in ("drive", "focus/sample", "focus/position", "focus/source", "actuator"):
-            del file[one].attrs["sha256"]
-    capsys.readouterr()
-    assert run(predict) == 0
+    assert wavefocus("predict", drive, "--bank", bank, "--out", tmp_path / "field.h5") == 0
     assert "unverified" in capsys.readouterr().err

@@ -1,11 +1,13 @@
 """Responses in other formats become banks through the command line; the formats are in unit tests."""
 
-import json
+import functools
 
 import numpy as np
 import pytest
 
 from tests.lab_files import write_bank
+from tests.system import captures
+from tests.system.captures import answered
 from wavefocus.__main__ import run
 from wavefocus.storage.bank.notes import add_note
 from wavefocus.storage.bank.reading import open_bank
@@ -26,14 +28,20 @@ NOTES = [
 
 @pytest.fixture(scope="module")
 def bank(tmp_path_factory):
-    """A bank with a poor row and notes."""
-    path = tmp_path_factory.mktemp("bank") / "plate.h5"
-    write_bank(path, GREEN, PLACES_MM, actuator_mm=ACTUATORS_MM, rate_hz=RATE_HZ)
-    with BankWriter.open(path) as writer:
-        writer.amend(1, status=4)
-    for text in NOTES:
-        add_note(path, text)
-    return path
+    """A bank in a unit, as it is written: with a poor row and notes."""
+
+    @functools.cache
+    def bank_in(unit="m/s/V"):
+        path = tmp_path_factory.mktemp("bank") / "plate.h5"
+        units = (unit, unit.replace(" per ", "/").rpartition("/")[2])
+        write_bank(path, GREEN, PLACES_MM, actuator_mm=ACTUATORS_MM, rate_hz=RATE_HZ, units=units)
+        with BankWriter.open(path) as writer:
+            writer.amend(1, status=4)
+        for text in NOTES:
+            add_note(path, text)
+        return path
+
+    return bank_in
 
 
 @pytest.fixture
@@ -42,9 +50,7 @@ def imported(tmp_path, capsys):
 
     def do(source, *options):
         out = tmp_path / f"imported-{len(list(tmp_path.iterdir()))}.h5"
-        capsys.readouterr()
-        assert run(["import", str(source), "--bank", str(out), *options, "--json"]) == 0, capsys.readouterr().err
-        return out, dict(json.loads(capsys.readouterr().out))
+        return out, answered(capsys, "import", source, "--bank", out, *options)
 
     return do
 
@@ -55,17 +61,25 @@ def refused(tmp_path, capsys):
 
     def do(source, *options):
         before = sorted(tmp_path.iterdir())
-        assert run(["import", str(source), "--bank", str(tmp_path / "refused.h5"), *options]) == 2
-        lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("wavefocus:")]
-        assert len(lines) == 1
+        line = captures.refused(capsys, "import", source, "--bank", tmp_path / "refused.h5", *options)
         assert sorted(tmp_path.iterdir()) == before
-        return lines[0]
+        return line
 
     return do
 
 
-@pytest.mark.parametrize("kind", ["sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf"])
-def test_given_our_own_export_then_the_bank_and_its_notes_come_back(bank, tmp_path, imported, capsys, kind):
+@pytest.mark.parametrize(
+    ("kind", "unit", "comes_back"),
+    [
+        ("sofa-room", "m/s/V", "m/s/V"),
+        *((kind, "mm/s\u00b2/kN", "mm/s^2/kN") for kind in ("sofa", "uff", "wav", "netcdf")),
+        *((kind, "m/s per mV", "m/s/mV") for kind in ("uff-binary", "wav-actuator", "mat", "npz")),
+    ],
+)
+def test_our_own_export_then_the_bank_its_units_and_its_notes_come_back(
+    bank, tmp_path, imported, capsys, kind, unit, comes_back
+):
+    bank = bank(unit)
     out = tmp_path / "there"
     assert run(["export", str(bank), str(out), "--to", kind]) == 0
     assert "uff" not in kind or all(len(line) <= 80 for line in out.read_bytes().split(b"\n")[:30])
@@ -76,9 +90,9 @@ def test_given_our_own_export_then_the_bank_and_its_notes_come_back(bank, tmp_pa
         assert np.abs(view.position_mm - PLACES_MM).max() < 1e-6
         assert np.abs(view.actuator_mm - ACTUATORS_MM).max() < 1e-6
         assert view.sample_rate_hz == RATE_HZ
-        assert (view.response_unit, view.drive_unit) == ("m/s/V", "V")
+        assert (view.response_unit, view.drive_unit) == (comes_back, comes_back.rpartition("/")[2])
         assert view.status.tolist()[:2] == [1, 4]
-        assert view.notes == origin.notes or kind in ("sofa", "mat")
+        assert view.notes == origin.notes or kind in ("sofa", "sofa-room", "mat")
         assert [note.text for note in origin.notes] == NOTES
     if kind == "npz":
         assert run(["check", str(back)]) == 0
@@ -110,7 +124,7 @@ def test_given_a_bank_or_an_input_then_it_is_never_written_over(bank, tmp_path):
     source, places = write_array(tmp_path, GREEN)
     np.save(tmp_path / "f.npy", np.arange(3.0))
     options = [*places, "--unit", "m/s/V", "--sample-rate-hz", "2000", "--frequencies", str(tmp_path / "f.npy")]
-    for victim in (bank, source, tmp_path / "places.csv", tmp_path / "f.npy"):
+    for victim in (bank(), source, tmp_path / "places.csv", tmp_path / "f.npy"):
         content = victim.read_bytes()
         for force in ([], ["--force"]):
             assert run(["import", str(source), "--bank", str(victim), *options, *force]) == 2
@@ -136,9 +150,8 @@ def test_for_places_in_space_two_columns_are_chosen_and_the_rest_is_named(tmp_pa
     back, told = imported(source, *options, "--columns", "x,y")
     assert set(told["unsuited"]) == {"kernel", "bilinear"}
     scene = tmp_path / "scene.toml"
+    render = ["render", scene, "--bank", back, "--out", tmp_path / "drive.h5"]
     scene.write_text(SCENE.format(kind="kernel"), encoding="utf-8")
-    assert run(["render", str(scene), "--bank", str(back), "--out", str(tmp_path / "drive.h5")]) == 2
-    assert "kernel" in capsys.readouterr().err
+    assert "kernel" in captures.refused(capsys, *render)
     scene.write_text(SCENE.format(kind="nearest"), encoding="utf-8")
-    assert run(["render", str(scene), "--bank", str(back), "--out", str(tmp_path / "drive.h5"), "--json"]) == 0
-    assert told["caution"] in json.loads(capsys.readouterr().out)["warnings"]
+    assert told["caution"] in answered(capsys, *render)["warnings"]

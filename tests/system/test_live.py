@@ -12,8 +12,8 @@ from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 
 from tests.lab_files import with_check_rows
+from tests.system.captures import refused
 from tests.system.lines import Lines
-from wavefocus.__main__ import run
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.trajectory import TrajectoryPath
 
@@ -129,11 +129,7 @@ def test_given_wrong_options_then_a_sentence_names_them_before_anything_sounds(b
         ("--scene", "none.toml", "none.toml"),
         ("--rig", "none.toml", "none.toml"),
     ):
-        assert run(["live", str(bank), "--rig", str(bank.parent / "rig.toml"), option, value]) == 2
-        told = capsys.readouterr()
-        assert told.out == ""
-        assert named in told.err
-        assert told.err.count("\n") == 1
+        assert named in refused(capsys, "live", bank, "--rig", bank.parent / "rig.toml", option, value)
 
 
 @pytest.mark.may_skip("a closed pipe is another thing on Windows")

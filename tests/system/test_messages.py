@@ -8,6 +8,7 @@ import time
 import pytest
 
 from tests.lab_files import ACTUATORS
+from tests.system.captures import refused
 from wavefocus.__main__ import run
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.config.messages.campaign import Drift, Fault, SessionEnded, State, StateChanged
@@ -118,8 +119,7 @@ def test_given_an_address_that_takes_nothing_then_it_is_told_without_the_address
 def test_given_an_address_of_no_kind_then_its_number_key_and_variable_are_named(tmp_path, monkeypatch, capsys):
     (tmp_path / "run.toml").write_text("[grid]\nspacing_mm = 60\n", encoding="utf-8")
     monkeypatch.setenv("WAVEFOCUS_MESSAGES", f"json://127.0.0.1 {PASSWORD}")
-    assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / "plate.h5")]) == 2
-    told = capsys.readouterr().err
+    told = refused(capsys, "capture", tmp_path / "run.toml", "--bank", tmp_path / "plate.h5")
     assert "messages.urls, WAVEFOCUS_MESSAGES: address 1" in told
     assert PASSWORD not in told
 
@@ -149,8 +149,7 @@ def test_given_a_password_in_a_mistaken_table_of_messages_then_no_command_shows_
     (tmp_path / "run.toml").write_text('rig = "rig.toml"\n', encoding="utf-8")
     for text in MISTAKEN:
         (tmp_path / "rig.toml").write_text(text.format(PASSWORD) + "\n", encoding="utf-8")
-        assert run(["plan", str(tmp_path / "run.toml")]) == 2, text
-        told = "".join(capsys.readouterr())
+        told = refused(capsys, "plan", tmp_path / "run.toml")
         assert "rig.toml: " in told
         assert PASSWORD not in told, text
 

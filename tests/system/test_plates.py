@@ -23,7 +23,7 @@ rig = "rig.toml"
 
 [grid]
 spacing_mm = {spacing}
-margin_mm = 18.0
+margin_mm = {margin}
 
 [sweep]
 duration_s = 0.3
@@ -52,18 +52,18 @@ interpolation = "kernel"
 @pytest.mark.parametrize(
     ("plate", "kind", "size"),
     [
-        pytest.param("soft", "stadium", (90.0, 60.0, 4.0), marks=pytest.mark.nightly),
-        ("stadium", "rectangle", (90.0, 60.0, 4.0)),
-        pytest.param("thin", "rectangle", (300.0, 200.0, 20.0), marks=pytest.mark.nightly),
-        pytest.param("thin, infinite", "stadium", (300.0, 200.0, 20.0), marks=pytest.mark.nightly),
-        pytest.param("solid", "stadium", (90.0, 60.0, 4.0), marks=pytest.mark.nightly),
+        pytest.param("soft", "stadium", (90.0, 60.0, 4.0, 22.0), marks=pytest.mark.nightly),
+        ("stadium", "rectangle", (90.0, 60.0, 4.0, 22.0)),
+        pytest.param("thin", "rectangle", (300.0, 200.0, 20.0, 18.0), marks=pytest.mark.nightly),
+        pytest.param("thin, infinite", "stadium", (300.0, 200.0, 20.0, 18.0), marks=pytest.mark.nightly),
+        pytest.param("solid", "stadium", (90.0, 60.0, 4.0, 22.0), marks=pytest.mark.nightly),
     ],
 )
 def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(tmp_path, monkeypatch, plate, kind, size):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
     name, _, edge = plate.partition(", ")
     rig, campaign = RIG.replace("{kind}", kind), RUN.replace("{plate}", name)
-    for key, value in zip(("{length}", "{width}", "{spacing}"), size, strict=True):
+    for key, value in zip(("{length}", "{width}", "{spacing}", "{margin}"), size, strict=True):
         rig, campaign = rig.replace(key, str(value)), campaign.replace(key, str(value))
     campaign += {
         "soft": 'loss = "springpot"\n',
@@ -95,8 +95,8 @@ def test_given_a_plate_then_it_is_captured_killed_resumed_and_verified(tmp_path,
 
 def test_kept_recordings_of_solid_then_bank_estimated_from_them_has_its_directions(tmp_path):
     (tmp_path / "grid.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
-    text = RUN.replace("{plate}", "solid").replace('rig = "rig.toml"\n', "").replace("{spacing}", "4.0")
-    text = text.replace("margin_mm", 'positions_file = "grid.csv"\nmargin_mm').replace("taps", "keep_raw = true\ntaps")
+    text = RUN.replace("{plate}", "solid").replace('rig = "rig.toml"\n', "").replace("taps", "keep_raw = true\ntaps")
+    text = text.replace("spacing_mm = {spacing}\nmargin_mm = {margin}", 'positions_file = "grid.csv"')
     (tmp_path / "run.toml").write_text(text + "force_deg = 30.0\n", encoding="utf-8")
     assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / "plate.h5")]) == 0
     assert run(["estimate", str(tmp_path / "plate.raw.h5"), "--bank", str(tmp_path / "again.h5")]) == 0

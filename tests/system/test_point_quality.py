@@ -1,13 +1,11 @@
 """Point quality in a campaign: what is wrong is named, tried again in the right way, and never called valid."""
 
-import json
-
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import events_of, held, of_kind, wavefocus
+from tests.system.captures import answered, events_of, held, of_kind, wavefocus
 from tests.system.conftest import with_faults
 from tests.system.lines import Lines
 
@@ -55,10 +53,8 @@ def test_faults_are_named_tried_again_in_the_right_way_and_what_stays_is_not_val
     assert "0.1 mm aside" in told
     assert [event["moved_mm"] != [0.0, 0.0] for event in _of(events, "position_repeated", BLINK)] == [False, True]
     assert held(bank, "quality/moved_mm") == pytest.approx([0.0, 0.0, 0.0, 0.1, 0.0, 0.1])
-    assert wavefocus("status", bank, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["moved_positions"] == f"{DARK},{BLINK}"
-    assert wavefocus("check", bank, "--json") == 0
-    assert {DARK, BLINK} <= {one["position"] for one in json.loads(capsys.readouterr().out)["findings"]}
+    assert answered(capsys, "status", bank)["moved_positions"] == f"{DARK},{BLINK}"
+    assert {DARK, BLINK} <= {one["position"] for one in answered(capsys, "check", bank)["findings"]}
 
     # What stayed poor is measured again at the end, and only once.
     assert [event["positions"] for event in of_kind(events, "pass_started")] == [[BLIND, CLIPPED, HUM]]

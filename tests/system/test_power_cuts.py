@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import green_of, record_of
+from tests.lab_files import green_of, raw_header, record_of
 from tests.system.crash.power_cuts import (
     INODE,
     Disk,
@@ -19,14 +19,12 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import owner_path
-from wavefocus.storage.raw.header import RawHeader, sequential
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITIONS, ACTUATORS, TAPS = 3, 2, 16
 TRIED = 40
 # One position twice, so that the journal is used.
 TURNS = ((2, 1), (0, 1), (2, 2), (1, 1))
-STEP_V = 2.0**-15
 
 
 def header():
@@ -135,7 +133,7 @@ def test_without_the_first_barrier_the_checksum_alone_finds_wrong_positions(tmp_
 
 def raw_of(position, take):
     counts = np.random.default_rng([position, take]).integers(-2000, 2000, size=(2, 1, 700))
-    return (counts * STEP_V).astype(np.float32)
+    return (counts / 1024).astype(np.float32)
 
 
 def record(writer):
@@ -150,11 +148,7 @@ def record(writer):
 
 def test_a_power_cut_at_any_write_of_recordings_loses_none_and_ends_identical(tmp_path):
     path = tmp_path / "night.raw.h5"
-    grid, unknown = np.zeros((POSITIONS, 2)), np.full((1, 2), np.nan)
-    create_raw(
-        path,
-        RawHeader(1000.0, 700, 50, (20.0, 400.0), sequential(1), grid, unknown, 1.0, volts_per_count=(STEP_V, STEP_V)),
-    )
+    create_raw(path, raw_header(POSITIONS, 1, 700))
     before = path.read_bytes()
     with RawWriter.open(path, open_file=LoggedFile) as writer:
         LoggedFile.log.clear()

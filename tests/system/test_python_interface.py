@@ -64,24 +64,6 @@ def test_given_the_same_scene_then_python_and_the_command_make_the_same_drive(la
     assert np.array_equal(drive.drive_v, wf.read_drive("command.h5").drive_v)
 
 
-def test_given_kept_recordings_then_python_estimates_the_bank_that_was_measured(lab):
-    seen: list[tuple[int, int]] = []
-    with wf.estimate("plate.raw.h5", "estimated.h5", workers=1, on_progress=lambda *one: seen.append(one)) as bank:
-        with wf.open_bank("plate.h5") as measured:
-            assert np.array_equal(bank.green(4), measured.green(4))
-        assert bank.status.tolist() == [1] * len(PLACES_MM)
-    assert seen[-1] == (len(PLACES_MM), len(PLACES_MM))
-
-
-def test_given_a_frequency_response_without_its_axis_then_it_can_be_named(lab):
-    with wf.open_bank("plate.h5") as bank:
-        spectra = np.fft.rfft([bank.green(row) for row in range(3)], 2000)
-        np.savez("frf.npz", H=spectra, position_mm=bank.position_mm[:3])
-        keys = {"names": {"green": "H"}, "unit": "m/s/V", "taps": 1000}
-        with wf.import_bank("frf.npz", "frf.h5", frequencies=(0.0, 5.0), **keys) as back:
-            assert back.green(2) == pytest.approx(bank.green(2), abs=1e-6 * float(np.abs(bank.green(2)).max()))
-
-
 def test_given_a_bank_half_measured_then_measuring_goes_on_with_it(tmp_path):
     path, places_mm = tmp_path / "plate.h5", PLACES_MM[:6]
     with wf.virtual_rig(actuators=2, position_mm=places_mm).measure(path, [0, 1, 2]) as bank:

@@ -1,11 +1,9 @@
 """Rigs with real drivers, on the command line: dry runs need no instrument, and what is missing is named."""
 
-import json
-
 import pytest
 
 from tests.lab_files import ABSENT_RIG
-from tests.system.captures import empty_bank
+from tests.system.captures import answered, empty_bank
 from wavefocus.__main__ import run
 from wavefocus.campaign.control import command_line
 from wavefocus.config.rig import RigConfig
@@ -24,10 +22,8 @@ def real_lab(tmp_path):
 
 
 def test_given_real_instruments_then_the_dry_run_asks_none_of_them(real_lab, capsys):
-    assert run(["plan", str(real_lab / "run.toml"), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["records"] == 6
-    assert facts["second_looks"] == 0
+    facts = answered(capsys, "plan", real_lab / "run.toml")
+    assert (facts["records"], facts["second_looks"]) == (6, 0)
     # Two positions and the sentinel; the loopback alone at the beginning and with the sentinel.
     assert facts["duration_s"] == pytest.approx(3 * (3 * (3 * 1.2 + 0.12) + 0.05) + 2 * (0.52 + 0.12))
     assert facts["instruments"][0] == f"mirror generic at {real_lab.as_posix()}/no-such-port, not asked"
@@ -49,12 +45,6 @@ def test_instruments_that_are_not_there_then_capture_names_the_first_and_ends_wi
     assert "no-such-port" in told
 
 
-@pytest.fixture
-def vibrometer():
-    with EmulatedSerial(PolytecDevice("25mm/s/V"), TcpWire()) as emulated:
-        yield emulated
-
-
 def with_vibrometer(port, **more):
     return RigConfig.model_validate(
         {
@@ -66,16 +56,14 @@ def with_vibrometer(port, **more):
     )
 
 
-@pytest.mark.parametrize("configured", [{}, {"sensitivity_m_s_per_v": 0.025}])
-def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(vibrometer, configured):
-    found = openers_of(with_vibrometer(vibrometer.address, **configured)).vibrometer()
-    assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
-    assert "OFV-5000 Vibrometer Controller, VD-09" in found.identity
-    assert found.signal_level == pytest.approx(600 / 775)
-
-
-def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer):
-    openers = openers_of(with_vibrometer(vibrometer.address, sensitivity_m_s_per_v=0.125))
-    with pytest.raises(InstrumentError, match=r"it is set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
-        openers.vibrometer()
-    assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy
+def test_a_vibrometer_states_its_sensitivity_and_another_in_the_file_is_refused():
+    with EmulatedSerial(PolytecDevice("25mm/s/V"), TcpWire()) as emulated:
+        for configured in ({}, {"sensitivity_m_s_per_v": 0.025}):
+            found = openers_of(with_vibrometer(emulated.address, **configured)).vibrometer()
+            assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
+            assert "OFV-5000 Vibrometer Controller, VD-09" in found.identity
+            assert found.signal_level == pytest.approx(600 / 775)
+        openers = openers_of(with_vibrometer(emulated.address, sensitivity_m_s_per_v=0.125))
+        with pytest.raises(InstrumentError, match=r"it is set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
+            openers.vibrometer()
+        assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy

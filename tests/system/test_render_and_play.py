@@ -10,8 +10,8 @@ import pytest
 import soundfile
 from PIL import Image, ImageSequence
 
-from tests.lab_files import write_foreign
-from wavefocus.__main__ import run
+from tests.lab_files import change_text, write_foreign
+from tests.system.captures import answered, refused, wavefocus
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, load_scene
@@ -40,48 +40,37 @@ saturation = 0.7
 RIG = "[actuators]\nposition_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]\n\n[player]\n"
 
 
+RENDER = ("render", "scene.toml", "--bank", "bank.h5", "--out", "drive.h5", "--force")
+
+
 @pytest.fixture
-def lab(tmp_path):
+def lab(tmp_path, monkeypatch):
     write_foreign(tmp_path / "bank.h5", gain=[[[1.0], [2.0], [8.0]]])
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
     (tmp_path / "rig.toml").write_text(f"{RIG}limit_v = 2.0\nlimit_rms_v = 1e-3\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def render(lab, *options):
-    place = [str(lab / "scene.toml"), "--bank", str(lab / "bank.h5"), "--out", str(lab / "drive.h5"), "--force"]
-    return run(["render", *place, "--json", *options])
+def predict(out, *options):
+    assert wavefocus("predict", "drive.h5", "--bank", "bank.h5", "--out", out, *options) == 0
 
 
-def figures(lab, capsys, *options):
-    assert render(lab, *options) == 0
-    return dict(json.loads(capsys.readouterr().out))
-
-
-def predict(lab, out, *options):
-    files = [str(lab / "drive.h5"), "--bank", str(lab / "bank.h5"), "--out", str(lab / out)]
-    assert run(["predict", *files, *options]) == 0
-
-
-def movie(lab, field, *options):
-    return run(["movie", str(lab / field), "--bank", str(lab / "bank.h5"), *options])
+def rms_v():
+    return np.sqrt(np.mean(read_drive("drive.h5").drive_v ** 2, axis=1))
 
 
 def test_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(lab, capsys):
-    free_v = (figures(lab, capsys), read_drive(lab / "drive.h5").drive_v)[1]
+    assert wavefocus(*RENDER) == 0
+    free_v = read_drive("drive.h5").drive_v
     (lab / "scene.toml").write_text(SCENE + "\n[output]\nlimit_rms_v = 2e-3\n", encoding="utf-8")
-    told = figures(lab, capsys)
-    drive = read_drive(lab / "drive.h5")
-    rms_v = np.sqrt(np.mean(drive.drive_v**2, axis=1))
-    assert rms_v.max() == pytest.approx(2e-3, rel=1e-9)
-    assert (told["limited_by"], told["limiting_actuator"]) == ("limit_rms_v", int(np.argmax(rms_v)))
+    told, drive = answered(capsys, *RENDER), read_drive("drive.h5")
+    assert rms_v().max() == pytest.approx(2e-3, rel=1e-9)
+    assert (told["limited_by"], told["limiting_actuator"]) == ("limit_rms_v", int(np.argmax(rms_v())))
     assert np.allclose(drive.drive_v, drive.scale * free_v, rtol=1e-12, atol=0)
-    told = figures(lab, capsys, "--rig", str(lab / "rig.toml"))
-    rms_v = np.sqrt(np.mean(read_drive(lab / "drive.h5").drive_v ** 2, axis=1))
-    assert rms_v.max() == pytest.approx(1e-3, rel=1e-9)
-    assert told["scale"] == pytest.approx(drive.scale / 2, rel=1e-9)
-    assert render(lab, "--tolerance-db", "0") == 2
-    assert "--tolerance-db" in capsys.readouterr().err
+    assert answered(capsys, *RENDER, "--rig", "rig.toml")["scale"] == pytest.approx(drive.scale / 2, rel=1e-9)
+    assert rms_v().max() == pytest.approx(1e-3, rel=1e-9)
+    assert "--tolerance-db" in refused(capsys, *RENDER, "--tolerance-db", "0")
 
 
 def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab, capsys):
@@ -89,12 +78,12 @@ def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab
     (lab / "scene.toml").write_text(SCENE.replace("150.0", "800.0"), encoding="utf-8")
     rig = f"{RIG}interface_rate_hz = 48000\nfull_scale_v = 1e-4\nlimit_v = 1e-4\n"
     (lab / "rig.toml").write_text(rig, encoding="utf-8")
-    assert render(lab, "--rig", str(lab / "rig.toml"), "--wav", str(lab / "drive.wav")) == 0
+    assert wavefocus(*RENDER, "--json", "--rig", "rig.toml", "--wav", "drive.wav") == 0
     told = capsys.readouterr()
-    heard, rate_hz = soundfile.read(lab / "drive.wav")
+    heard, rate_hz = soundfile.read("drive.wav")
     assert rate_hz == 48_000
     assert np.abs(heard).max() == pytest.approx(1.0, abs=1e-6)
-    drive = read_drive(lab / "drive.h5")
+    drive = read_drive("drive.h5")
     assert np.abs(drive.drive_v).max() <= 1e-4
     found = json.loads(told.out)
     assert found["peak_v"] == pytest.approx(np.abs(drive.drive_v).max(), rel=1e-9)
@@ -104,28 +93,27 @@ def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab
 
 
 def test_given_a_field_then_movie_draws_it_and_tells_which_waves_are_shown(lab, capsys):
-    figures(lab, capsys)
-    predict(lab, "field.h5")
-    files = ["--drive", str(lab / "drive.h5"), "--out", str(lab / "field.gif"), "--snapshots", str(lab / "foci.png")]
-    assert movie(lab, "field.h5", *files, "--json", "--slow", "10", "--from-s", "0", "--to-s", "0.014") == 0
-    told = json.loads(capsys.readouterr().out)
-    with Image.open(lab / "field.gif") as gif, Image.open(lab / "foci.png") as picture:
+    assert wavefocus(*RENDER) == 0
+    predict("field.h5")
+    files = ["--drive", "drive.h5", "--out", "field.gif", "--snapshots", "foci.png"]
+    shown = ["--slow", "10", "--from-s", "0", "--to-s", "0.014"]
+    told = answered(capsys, "movie", "field.h5", "--bank", "bank.h5", *files, *shown)
+    with Image.open("field.gif") as gif, Image.open("foci.png") as picture:
         assert gif.n_frames == told["frames"] > 3
         assert (gif.width, gif.info["duration"], gif.info["loop"]) == (720, 40, 0)
         frames = [np.asarray(frame.convert("RGB"), dtype=int) for frame in ImageSequence.Iterator(gif)]
         assert all(np.any(one != other) for one, other in itertools.pairwise(frames))
         assert picture.width > 1000
     assert told["slowed"] == pytest.approx(10.0)
-    predict(lab, "low.h5", "--rate", str(RATE_HZ / 2))
-    assert movie(lab, "low.h5", "--out", str(lab / "low.gif"), "--from-s", "0", "--to-s", "0.003") == 0
+    predict("low.h5", "--rate", RATE_HZ / 2)
+    assert wavefocus("movie", "low.h5", "--bank", "bank.h5", "--out", "low.gif", *shown) == 0
     said = f"predicted at {RATE_HZ / 2:g} Hz: it shows waves up to {0.2 * RATE_HZ:g} Hz alone"
     assert said in capsys.readouterr().err
 
 
-def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys, monkeypatch):
-    monkeypatch.chdir(lab)
-    assert render(lab) == 0
-    predict(lab, "field.h5", "--positions", "14")
+def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys):
+    assert wavefocus(*RENDER) == 0
+    predict("field.h5", "--positions", "14")
     for options, named in (
         ((), "--out"),
         (("--snapshots", "foci.png"), "--drive"),
@@ -133,8 +121,7 @@ def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys, mo
         (("--out", "nowhere/field.gif"), "there is no folder"),
         (("--out", "field.gif", "--from-s", "9"), "nothing to show"),
     ):
-        assert movie(lab, "field.h5", *options) == 2
-        assert named in capsys.readouterr().err.splitlines()[-1]
+        assert named in refused(capsys, "movie", "field.h5", "--bank", "bank.h5", *options)
         assert not list(lab.glob("*.gif"))
 
 
@@ -143,9 +130,9 @@ def test_given_a_focus_then_its_reported_peak_is_what_predict_finds_there(lab, c
     for signal, limit in (('{ kind = "impulse" }', ""), (sine, "limit_v = 1e-4")):
         source = f'[[source]]\namplitude = 0.001\npath = {{ kind = "point", at_mm = [4, 8] }}\nsignal = {signal}\n'
         (lab / "scene.toml").write_text(f"{source}[output]\n{limit}\n", encoding="utf-8")
-        found = figures(lab, capsys)
-        predict(lab, "field.h5", "--positions", str(5 * 2 + 1), "--force")  # (4, 8) mm
-        with h5py.File(lab / "field.h5") as file:
+        found = answered(capsys, *RENDER)
+        predict("field.h5", "--positions", 5 * 2 + 1, "--force")  # (4, 8) mm
+        with h5py.File("field.h5") as file:
             assert found["focus_peak"] == pytest.approx(np.abs(file["field"][:]).max(), rel=1e-5)
         assert found["response_unit"] == "m/s"
 
@@ -173,39 +160,26 @@ POWER = "limit_v = 2.0\ncoil_resistance_ohm = 8.0\nlimit_power_w = 0.04\n"
 TIME_S = np.arange(15_000) / 10_000.0
 
 
+PLAY = ("play", "drive.h5", "--rig", "rig.toml")
+
+
 @pytest.fixture
-def playing(tmp_path):
+def playing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "rig.toml").write_text(f"{RIG}{POWER}", encoding="utf-8")
-    write(tmp_path, 0.5)
+    write(0.5)
     return tmp_path
 
 
-def write(lab, amplitude_v, actuators=3):
+def write(amplitude_v, actuators=3):
     drive_v = np.zeros((actuators, TIME_S.size))
     drive_v[1] = amplitude_v * np.sin(2 * np.pi * 100.0 * TIME_S)
     none = np.zeros(0, np.int64)
-    write_drive(lab / "drive.h5", Drive(drive_v, 10_000.0, -0.2, "sampled", 1.0, 0.0, none, none, none), force=True)
-
-
-def replaced(lab, old, new):
-    text = (lab / "rig.toml").read_text(encoding="utf-8")
-    (lab / "rig.toml").write_text(text.replace(old, new), encoding="utf-8")
-
-
-def play(lab, *options):
-    return run(["play", str(lab / "drive.h5"), "--rig", str(lab / "rig.toml"), "--json", *options])
-
-
-def refused(lab, capsys, *options):
-    assert play(lab, *options) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
-    return told.err
+    write_drive("drive.h5", Drive(drive_v, 10_000.0, -0.2, "sampled", 1.0, 0.0, none, none, none), force=True)
 
 
 def test_given_a_drive_then_it_is_played_and_told(playing, capsys):
-    assert play(playing, "--loop", "3", "--gain-db", "-6.0206") == 0
+    assert wavefocus(*PLAY, "--loop", "3", "--gain-db", "-6.0206", "--json") == 0
     told = capsys.readouterr()
     figures = json.loads(told.out)
     assert (figures["seconds"], figures["loops"]) == (4.5, 3)
@@ -214,36 +188,31 @@ def test_given_a_drive_then_it_is_played_and_told(playing, capsys):
 
 
 def test_given_more_than_an_actuator_may_get_then_the_gain_that_would_do_does(playing, capsys):
-    write(playing, 4.0)
-    told = refused(playing, capsys, "--gain-db", "1")
+    write(4.0)
+    told = refused(capsys, *PLAY, "--gain-db", "1")
     assert "actuator 1" in told
     assert "player.limit_v" in told
-    told = refused(playing, capsys, "--gain-db", "-6.03")  # that is within 2 V, and the coil's power counts next
+    told = refused(capsys, *PLAY, "--gain-db", "-6.03")  # that is within 2 V, and the coil's power counts next
     assert "player.limit_power_w" in told
     assert "V rms" in told
     gain_db = told.split("--gain-db ")[1].split(",")[0]
-    assert play(playing, "--gain-db", gain_db) == 0
+    assert wavefocus(*PLAY, "--gain-db", gain_db) == 0
     assert 20 * np.log10(4.0 / 2**0.5 / 0.32**0.5) == pytest.approx(-float(gain_db), abs=0.011)
-
-
-def test_given_a_loop_then_the_power_counts_across_its_seam(playing, capsys):
     # Loud at both ends: 0.3 s of each within a second, and 0.6 s where they meet.
-    write(playing, np.where((TIME_S >= 0.3) & (TIME_S < 1.2), 0.0, 0.9))
-    replaced(playing, "0.04", "0.02")
-    assert play(playing) == 0
-    capsys.readouterr()
-    assert "V rms" in refused(playing, capsys, "--loop", "2")
+    write(np.where((TIME_S >= 0.3) & (TIME_S < 1.2), 0.0, 0.9))
+    change_text(playing / "rig.toml", "0.04", "0.02")
+    assert wavefocus(*PLAY) == 0
+    assert "V rms" in refused(capsys, *PLAY, "--loop", "2")
 
 
 def test_given_what_cannot_be_played_then_one_sentence_names_it(playing, capsys):
     (playing / "run.toml").write_text('rig = "rig.toml"\n\n[sweep]\namplitude_v = 1.0\n', encoding="utf-8")
-    assert run(["plan", str(playing / "run.toml")]) == 2  # a sweep beyond the coil's power
-    told = capsys.readouterr().err
+    told = refused(capsys, "plan", "run.toml")  # a sweep beyond the coil's power
     assert "sweep.amplitude_v" in told
     assert "player.limit_power_w" in told
-    assert "--gain-db" in refused(playing, capsys, "--gain-db", "400")
-    assert "--loop" in refused(playing, capsys, "--loop", "0")
-    write(playing, 0.1, actuators=4)
-    assert "for 4 actuators" in refused(playing, capsys)
-    replaced(playing, "coil_resistance_ohm = 8.0", "")
-    assert "player.coil_resistance_ohm" in refused(playing, capsys)
+    assert "--gain-db" in refused(capsys, *PLAY, "--gain-db", "400")
+    assert "--loop" in refused(capsys, *PLAY, "--loop", "0")
+    write(0.1, actuators=4)
+    assert "for 4 actuators" in refused(capsys, *PLAY)
+    change_text(playing / "rig.toml", "coil_resistance_ohm = 8.0", "")
+    assert "player.coil_resistance_ohm" in refused(capsys, *PLAY)

@@ -1,17 +1,16 @@
-"""Reports to people and programs: dry run, status, progress, error against the truth."""
+"""Reports to people and programs: dry run, status, events, progress."""
 
 import contextlib
+import io
 import json
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.system.captures import Listener, capture
-from wavefocus.__main__ import run
+from tests.system.captures import Listener, answered, capture, events_of, held, of_kind, wavefocus
 from wavefocus.campaign.control import give_order, orders_path
 
 # Three records of two periods of 0.4 s with 0.12 s around them, and 0.05 s a position beside, the sentinel being the
@@ -20,92 +19,98 @@ PLANNED_S = 7 * (3 * (2 * 0.4 + 0.12) + 0.05) + 2 * (0.52 + 0.12)
 
 
 def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(lab, bank, capsys):
-    assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["positions"] == 6
-    assert facts["records"] == 18
+    facts = answered(capsys, "plan", lab / "run.toml")
+    assert (facts["positions"], facts["records"], len(facts["plan_sha256"])) == (6, 18, 64)
     assert facts["duration_s"] == pytest.approx(PLANNED_S)
     # The plan allows HDF5 four front blocks of 1 MB, of which it needs one or two.
     assert facts["bank_bytes"] - 4.5e6 < bank.stat().st_size <= facts["bank_bytes"]
-    assert len(facts["plan_sha256"]) == 64
-    assert run(["plan", str(lab / "run.toml")]) == 0
+    assert wavefocus("plan", lab / "run.toml") == 0
     told = capsys.readouterr()
     assert told.err == ""
     assert "6, 3 actuators, 18 records" in told.out
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
+def test_given_nothing_to_measure_then_a_program_is_told_the_end_of_the_session(bank, capsys, monkeypatch):
+    monkeypatch.chdir(bank.parent)
+    for command in (
         ["remeasure", "plate.h5"],
         ["extend", "plate.h5", "--run", "run.toml", "--bank", "new.h5"],
         ["capture", "run.toml", "--bank", "plate.h5", "--scene", "scene.toml"],
-    ],
-    ids=lambda command: command[0],
-)
-def test_given_nothing_to_measure_then_a_program_is_told_the_end_of_the_session(bank, capsys, monkeypatch, command):
-    monkeypatch.chdir(bank.parent)
-    assert run([*command, "--json"]) == 0
-    (line,) = capsys.readouterr().out.splitlines()
-    ended = json.loads(line)
-    assert (ended["event"], ended["state"], ended["done"], ended["total"]) == ("session_ended", "finished", 6, 6)
+    ):
+        ended = answered(capsys, *command)
+        assert (ended["event"], ended["state"], ended["done"], ended["total"]) == ("session_ended", "finished", 6, 6)
 
 
 @pytest.mark.may_skip("only Linux has a device that is always full")
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_so(lab, capsys):
     (lab / "plate.events.jsonl").symlink_to("/dev/full")
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     told = capsys.readouterr().err
     assert told.count("plate.events.jsonl cannot be written any more") == 1
     assert "finished: 6 of 6 positions (6 valid)" in told
 
 
-def test_a_short_campaign_then_what_is_left_is_right_from_its_first_position_on(lab, capsys):
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5"), "--json"]) == 0
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+def test_a_run_then_every_position_is_valid_and_events_tell_it_and_what_is_left(lab, capsys):
+    bank = lab / "plate.h5"
+    assert capture(lab, bank) == 0
+    events = events_of(capsys.readouterr().out)
+    assert events[0]["event"] == "session_started"
+    assert events[-1]["event"] == "session_ended"
+    assert events[-1]["counts"] == {
+        "not-measured": 0, "valid": 6, "over-range": 0, "poor": 0, "failed": 0, "disabled": 0,
+    }  # fmt: skip
     end_s = max(event["time_s"] for event in events)  # the sentinel, measured once more, included
     assert end_s == pytest.approx(PLANNED_S, rel=0.02)
-    position_s = end_s / 7
-    for event in events:
-        if event["event"] == "progress":
-            assert event["remaining_s"] == pytest.approx(end_s - event["time_s"], abs=0.2 * position_s)
-    taken = [event for event in events if event["event"] == "record_taken"]
+    progress = of_kind(events, "progress")
+    assert [event["done"] for event in progress] == [1, 2, 3, 4, 5, 6]
+    for event in progress:
+        assert event["remaining_s"] == pytest.approx(end_s - event["time_s"], abs=0.2 * end_s / 7)
+    # The sentinel is measured last, with the loopback alone.
+    assert progress[-1]["remaining_s"] == pytest.approx((PLANNED_S - 2 * 0.64) / 7 + 0.64, rel=0.05)
+    taken = of_kind(events, "record_taken")
     assert [(event["record"], event["records"]) for event in taken] == [(1, 3), (2, 3), (3, 3)] * 6
     assert [event["position"] for event in taken] == [row for row in range(6) for _ in range(3)]
+    committed = of_kind(events, "position_committed")
+    assert [event["position"] for event in committed] == list(range(6))
+    assert held(bank) == held(bank, "quality/attempts") == [1] * 6
+    assert np.all(np.abs(held(bank, "green")).max(axis=2) > 0)
+    # Nobody said how the clocks are.
+    for event in committed:
+        assert event["clock_ppm"] == pytest.approx(30.0, abs=0.5)
+        assert event["start_offset_samples"] > 200  # 20 ms of pre-roll and 5-30 ms of latency at 10 kHz
 
 
 def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(lab, capsys):
     bank = lab / "plate.h5"
-    facts: list[dict[str, object]] = []
     told: list[str] = []
 
     def status(*options):
-        command = [sys.executable, "-m", "wavefocus", "status", str(bank), *options]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
-
-    def ask():
-        facts.append(json.loads(status("--json")))
-        told.append(status())
-        give_order(bank, "go-on")
+        with contextlib.redirect_stdout(io.StringIO()) as answer:
+            assert wavefocus("status", bank, *options) == 0
+        told.append(answer.getvalue())
 
     def during():
-        facts.append(json.loads(status("--json")))
+        status("--json")
         give_order(bank, "pause")
         until_s = time.monotonic() + 60
         while orders_path(bank).exists() and time.monotonic() < until_s:
             time.sleep(0.01)
 
-    listener = Listener(('"record": 2,', during), ('"state": "paused"', ask))
-    with contextlib.redirect_stdout(listener):
+    def ask():
+        status("--json")
+        status()
+        give_order(bank, "go-on")
+
+    with contextlib.redirect_stdout(Listener(('"record": 2,', during), ('"state": "paused"', ask))):
         assert capture(lab, bank) == 0
-    early, paused = facts
+    early, paused = (json.loads(answer) for answer in told[:2])
     assert (early["record"], early["state"]) == ({"position": 0, "number": 2, "of": 3}, "running")
     assert early["remaining_s"] == pytest.approx(PLANNED_S, rel=0.01)  # as planned
     assert (paused["state"], paused["done"], paused["record"]) == ("paused", 1, {"position": 0, "number": 3, "of": 3})
-    assert float(str(paused["remaining_s"])) > 4 * 3 * 2 * 0.4
-    assert paused["owner"]["pid"] == os.getpid()  # type: ignore[index]
-    assert float(str(paused["positions_per_hour"])) > 0
-    assert float(str(paused["wall_remaining_s"])) > 0
-    assert "5 positions to go" in told[0]
-    assert "finished at" not in told[0]
+    assert paused["remaining_s"] > 4 * 3 * 2 * 0.4
+    assert paused["owner"]["pid"] == os.getpid()
+    assert paused["positions_per_hour"] > 0
+    assert paused["wall_remaining_s"] > 0
+    assert "5 positions to go" in told[2]
+    assert "finished at" not in told[2]

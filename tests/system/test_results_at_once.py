@@ -197,7 +197,7 @@ from pathlib import Path
 out, log, busy, seen = Path(sys.argv.pop(1)), Path(sys.argv.pop(1)), False, []
 def hook(event, arguments):
     global busy
-    if busy or event not in ("os.rename", "os.remove", "open"):
+    if busy or event not in ("os.rename", "os.remove", "open") or str(out) not in str(arguments[:2]):
         return
     busy = True
     now = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.iterdir() if path.is_file()}

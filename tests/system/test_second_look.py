@@ -1,6 +1,6 @@
 """Grids too coarse for neighbours: waves judge each position, or a second measurement confirms it."""
 
-import json
+import contextlib
 from dataclasses import replace
 from shutil import copyfile
 
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.lab_files import write_positions
+from tests.system.captures import Listener, answered, events_of
 from tests.system.lines import Lines
 from wavefocus.__main__ import run
-from wavefocus.acquisition.neighbour_watch import NeighbourWatch
 from wavefocus.campaign.blueprint import blueprint_from_bank
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
@@ -62,9 +62,7 @@ def lab_of(folder, rig, **keys):
 
 
 def planned_looks(run_file, capsys):
-    capsys.readouterr()
-    assert run(["plan", str(run_file), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
+    facts = answered(capsys, "plan", run_file)
     return facts["second_looks"], facts["positions"]
 
 
@@ -173,15 +171,18 @@ def test_a_sound_coarse_grid_has_no_second_look_and_none_is_planned(coarse, caps
 
 @pytest.fixture(scope="module")
 def mended(spoiled):
-    """The bank after an undisturbed session, and the events of that."""
-    bank = spoiled.with_name("mended.h5")
+    """The bank after an undisturbed session, the events of that, and the bank as it was after the second mark."""
+    bank, marked = spoiled.with_name("mended.h5"), spoiled.with_name("marked.h5")
     copyfile(spoiled, bank)
-    with Lines("resume", bank, "--json") as session:
-        return bank, session.rest()
+    committed = '"event": "position_committed"'
+    listener = Listener((committed, lambda: None), (committed, lambda: copyfile(bank, marked)))
+    with contextlib.redirect_stdout(listener):
+        assert run(["resume", str(bank), "--json"]) == 0
+    return bank, events_of(listener.told), marked
 
 
 def test_wrong_rows_on_a_coarse_grid_are_named_and_measured_once_more(mended, coarse):
-    bank, told = mended
+    bank, told, _ = mended
     named = {line["position"]: line["defects"] for line in told if line.get("defects")}
     assert named == {position: ["neighbours"] for position in (LEVEL, SWAPPED, MOVED, CHECKED)}
     assert sorted(line["position"] for line in told if line["event"] == "position_started") == sorted(named)
@@ -191,17 +192,14 @@ def test_wrong_rows_on_a_coarse_grid_are_named_and_measured_once_more(mended, co
         assert (apart < 0.01 * np.linalg.norm(right["green"][...], axis=(1, 2))).all()
 
 
-def test_kills_while_a_coarse_grid_is_judged_end_as_an_undisturbed_bank(spoiled, mended, tmp_path):
-    bank = tmp_path / "killed.h5"
-    copyfile(spoiled, bank)
-    plan = blueprint_from_bank(bank).plan
-    with BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
-        marks = NeighbourWatch(plan, writer).mark(plan.order)
-        assert {next(marks)[0] for _ in range(2)} < {LEVEL, SWAPPED, MOVED, CHECKED}
+def test_kills_while_a_coarse_grid_is_judged_end_as_an_undisturbed_bank(mended):
+    undisturbed, told, bank = mended
+    marks = [line["position"] for line in told if line["event"] == "position_committed"][:2]
+    assert set(marks) < {LEVEL, SWAPPED, MOVED, CHECKED}
     with Lines("resume", bank, "--json") as killed:
         for _ in ("marked", "marked", "measured again"):
             killed.hear("position_committed")
         killed.process.kill()
-    assert bank.read_bytes() != mended[0].read_bytes()
+    assert bank.read_bytes() != undisturbed.read_bytes()
     assert run(["resume", str(bank)]) == 0
-    assert bank.read_bytes() == mended[0].read_bytes()
+    assert bank.read_bytes() == undisturbed.read_bytes()

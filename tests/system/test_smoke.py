@@ -1,8 +1,5 @@
 """Every command once, on a small campaign: what `make test` runs of the command line."""
 
-import io
-import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -68,10 +65,3 @@ def test_a_capture_that_keeps_recordings_then_estimate_makes_their_bank_again(la
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / BANK)]) == 0
     assert run(["estimate", str(lab / "plate.raw.h5"), "--bank", str(lab / "again.h5")]) == 0
     assert (lab / "again.h5").is_file()
-
-
-def test_given_orders_on_standard_input_then_operate_answers_and_ends(lab, monkeypatch, capsys):
-    lines = b'{"order": "jog", "x_mm": 4, "y_mm": 0}\n{"order": "end"}\n'
-    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
-    assert run(["operate", str(lab / RIG)]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["event"] == "ended"

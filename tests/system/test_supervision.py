@@ -98,8 +98,7 @@ def test_instruments_unplugged_and_plugged_in_then_bank_is_that_of_quiet_night(w
 
 def test_an_instrument_that_stays_away_then_exit_3_and_the_others_are_at_rest(lab, measured, capsys):
     bank = empty_bank(lab, "plate.h5")
-    sound = (lab / "run.toml").read_text(encoding="utf-8")
-    with_faults(
+    mend = with_faults(
         lab,
         'role = "player"\noperation = "play"\nkind = "lost"\nposition = 1\nrecord = 0',
         'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
@@ -127,7 +126,7 @@ def test_an_instrument_that_stays_away_then_exit_3_and_the_others_are_at_rest(la
     people = capsys.readouterr().out
     assert "failed: virtual player" in people
     assert "no process owns the bank" in people
-    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    mend()
     assert capture(lab, bank) == 0
     assert bank.read_bytes() == measured.read_bytes()
 
@@ -156,15 +155,14 @@ def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_wh
 
 def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(lab, measured, capsys):
     bank = empty_bank(lab, "plate.h5")
-    sound = (lab / "run.toml").read_text(encoding="utf-8")
-    with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
+    mend = with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
     listener = Listener(('"event": "reconnect_tried"', lambda: signal.raise_signal(signal.SIGINT)))
     with contextlib.redirect_stdout(listener):
         assert capture(lab, bank) == 130
     assert len(events_of(listener.told, "reconnect_tried")) == 1
     assert events_of(listener.told, "session_ended")[0]["state"] == "stopped"
     assert f"wavefocus resume {bank}" in capsys.readouterr().err
-    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    mend()
     assert capture(lab, bank) == 0
     assert bank.read_bytes() == measured.read_bytes()
 
@@ -368,8 +366,7 @@ def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(wa
 
 def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_on(watched, quiet, capsys):
     bank = watched / "plate.h5"
-    sound = (watched / "run.toml").read_text(encoding="utf-8")
-    with_faults(watched, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 9999\nkind = "dark"')
+    mend = with_faults(watched, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 9999\nkind = "dark"')
     assert capture(watched, bank) == 3
     told = capsys.readouterr()
     last = told.err.splitlines()[-1]
@@ -377,7 +374,7 @@ def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_o
     assert "vibrometer noise" in last
     assert states_of(told.out)[-2:] == ["suspended", "failed"]
     assert held(bank) == [1, 1, 0, 0, 0, 0]  # nothing measured in the dark was called anything
-    (watched / "run.toml").write_text(sound, encoding="utf-8")
+    mend()
     assert capture(watched, bank) == 0
     assert bank.read_bytes() == quiet
 

@@ -21,6 +21,7 @@ from tests.simulated_people import (
     coverage,
     designs,
 )
+from tests.system import captures
 from tests.system.conftest import with_faults, write_lab
 from tests.system.crash.processes import How, Order, Processes
 from tests.system.lines import Lines, in_process
@@ -126,14 +127,9 @@ def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(tmp_path, 
 
 def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, bank, capsys):
     def refused(*words, trials=TRIALS, options=("--lines",)):
-        capsys.readouterr()
-        assert run([*experiment(lab, trials), *options]) == 2
-        told = capsys.readouterr()
-        assert told.err.strip().splitlines()[-1].startswith("wavefocus: ")
-        assert "Traceback" not in told.err
-        assert "welcome" not in told.out
+        told = captures.refused(capsys, *experiment(lab, trials), *options)
         for word in words:
-            assert word in told.err
+            assert word in told
 
     refused("masking.output", "actuator", trials=TRIALS + MASKING.replace("5", "1"))
     refused("masking.output", "loopback", trials=TRIALS + MASKING.replace("5", "3"))

@@ -12,9 +12,11 @@ import pytest
 import soundfile
 
 from tests.lab_files import change_text, write_positions
+from tests.system.captures import answered, refused
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.rendering.verify.record import read_record
+from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 
@@ -28,9 +30,7 @@ def _verify(lab, bank, *more):
 
 
 def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_says_so(lab, bank, capsys):
-    capsys.readouterr()
-    assert _verify(lab, bank) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed = answered(capsys, *_command(lab, bank))
     assert printed["passed"] is True
     figures = {figure["name"]: figure["value"] for figure in printed["figures"]}
     assert figures["normalised error"] < 2.0
@@ -50,9 +50,7 @@ def test_given_a_bank_of_one_position_then_its_field_is_compared_and_no_focus(la
     line = '{ kind = "line", start_mm = [0, 0], end_mm = [8, 0] }'
     change_text(lab / "scene.toml", line, '{ kind = "point", at_mm = [0, 0] }')
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "one.h5")]) == 0
-    capsys.readouterr()
-    assert _verify(lab, lab / "one.h5") == 0
-    figures = {one["name"]: one["value"] for one in json.loads(capsys.readouterr().out)["figures"]}
+    figures = {one["name"]: one["value"] for one in answered(capsys, *_command(lab, lab / "one.h5"))["figures"]}
     assert figures["normalised error"] < 2.0
     assert figures["focus to path point"] is None
 
@@ -61,8 +59,7 @@ def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, b
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
         rig.write("[emulation.finger]\nplace_mm = [0.0, 0.0]\nmass_kg = 2e-4\n")
     change_text(lab / "scene.toml", "step_mm", "amplitude = 3e-4\nstep_mm")
-    assert _verify(lab, bank, "--correct", "2") == 1
-    printed = json.loads(capsys.readouterr().out)["correction"]
+    printed = answered(capsys, *_command(lab, bank), "--correct", "2", code=1)["correction"]
     before, *after = [found["error"] for found in printed["rounds"]]
     assert before > 0.1
     assert after[printed["best"] - 1] < before / 4
@@ -88,9 +85,7 @@ def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, b
 )
 def test_what_cannot_be_verified_is_refused_before_anything_plays(lab, bank, capsys, file, old, new, options, words):
     change_text(lab / file, old, new)
-    capsys.readouterr()
-    assert _verify(lab, bank, *options) == 2
-    assert words in capsys.readouterr().err
+    assert words in refused(capsys, *_command(lab, bank), *options)
     assert not (lab / "verify" / "scan.h5").exists()
     log = lab / "verify" / "verify.events.jsonl"
     assert not log.exists() or "sentinel" not in log.read_text(encoding="utf-8")
@@ -108,21 +103,17 @@ def test_given_a_scan_with_a_lost_player_then_exit_3(lab, capsys):
 
 
 def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(lab, bank):
-    drive_file, wav = lab / "drive.h5", lab / "drive.wav"
-    command = ["render", str(lab / "scene.toml"), "--bank", str(bank), "--out", str(drive_file), "--wav", str(wav)]
-    assert run(command) == 0
-    played, rate_hz = soundfile.read(wav)
-    with h5py.File(drive_file, "r") as file:
-        drive_v = file["drive"][:]
-    assert rate_hz == 48_000
-    assert played.shape[1] == len(drive_v)
+    files = ["--bank", bank, "--out", lab / "drive.h5", "--wav", lab / "drive.wav"]
+    assert run(["render", *map(str, [lab / "scene.toml", *files])]) == 0
+    played, rate_hz = soundfile.read(lab / "drive.wav")
+    drive_v = read_drive(lab / "drive.h5").drive_v
+    assert (rate_hz, played.shape[1]) == (48_000, len(drive_v))
     assert np.abs(played).max() <= 1.0 / 5.0 * 1.05
     # Every 24th sample of the WAV falls on every 5th of the drive.
     common = min(played.shape[0] // 24, drive_v.shape[1] // 5)
     assert common > 100
-    np.testing.assert_allclose(
-        5.0 * played[: 24 * common : 24].T, drive_v[:, : 5 * common : 5], atol=2e-3 * np.abs(drive_v).max()
-    )
+    found, expected = 5.0 * played[: 24 * common : 24].T, drive_v[:, : 5 * common : 5]
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(drive_v).max())
 
 
 def _killed_in_scan(command, journal):
@@ -132,57 +123,51 @@ def _killed_in_scan(command, journal):
         killed.kill()
 
 
-@pytest.mark.parametrize("of_earlier_version", [False, True])
-def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(lab, bank, capsys, of_earlier_version):
-    if of_earlier_version:  # "nearest" was the default; `auto` gives another drive between so many positions
-        write_positions(lab, [(x_mm, y_mm) for y_mm in range(-4, 5, 4) for x_mm in range(-4, 13, 4)])
-        bank = lab / "more.h5"
-        assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
-        change_text(lab / "scene.toml", "start_mm = [0, 0]", "start_mm = [1, 1]")
-        assert _verify(lab, bank) in (0, 1)
-        auto = (lab / "verify" / "scan.h5").read_bytes()
-        shutil.rmtree(lab / "verify")
-        change_text(lab / "scene.toml", "[output]", '[output]\ninterpolation = "nearest"')
+def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(lab, capsys):
+    write_positions(lab, [(x_mm, y_mm) for y_mm in range(-4, 5, 4) for x_mm in range(-4, 13, 4)])
+    bank, scene = lab / "more.h5", lab / "scene.toml"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    change_text(scene, "start_mm = [0, 0]", "start_mm = [1, 1]")
+    render = ["render", str(scene), "--bank", str(bank), "--out"]
+    assert run([*render, str(lab / "auto.h5")]) == 0
+    change_text(scene, "[output]", '[output]\ninterpolation = "nearest"')
+    assert run([*render, str(lab / "nearest.h5")]) == 0
     assert _verify(lab, bank) in (0, 1)
-    undisturbed = (lab / "verify" / "scan.h5").read_bytes()
-    shutil.rmtree(lab / "verify")
     command, out = _command(lab, bank), lab / "verify"
-    journal = out / "scan.unfinished"
+    undisturbed, journal = (out / "scan.h5").read_bytes(), out / "scan.unfinished"
+    shutil.rmtree(out)
     _killed_in_scan(command, journal)
-    if of_earlier_version:
-        assert undisturbed != auto
-        change_text(lab / "scene.toml", 'interpolation = "nearest"', "")
-    torn = journal.read_bytes()
-    journal.write_bytes(torn + torn[4096:5000])  # as a power cut may leave its end
     assert not (out / "verify.json").exists()
-    for published in ("drive.h5", "report.html"):  # as a kill leaves them that comes while results are moved in
-        (out / published).write_bytes(b"of a verification without a record")
-    capsys.readouterr()
-    assert run(command) in (0, 1)
-    assert "the interrupted scan goes on" in capsys.readouterr().err
-    assert (out / "scan.h5").read_bytes() == undisturbed
-    assert not journal.exists()
+    torn = journal.read_bytes()
+    for of_earlier_version in (False, True):
+        if of_earlier_version:  # "nearest" was the default; `auto` gives another drive between so many positions
+            change_text(scene, 'interpolation = "nearest"', "")
+            assert not np.array_equal(*(read_drive(lab / f"{kind}.h5").drive_v for kind in ("auto", "nearest")))
+            shutil.rmtree(out)
+            out.mkdir()
+        journal.write_bytes(torn + torn[4096:5000])  # as a power cut may leave its end
+        for published in ("drive.h5", "report.html"):  # as a kill leaves them that comes while results are moved in
+            (out / published).write_bytes(b"of a verification without a record")
+        capsys.readouterr()
+        assert run(command) in (0, 1)
+        assert "the interrupted scan goes on" in capsys.readouterr().err
+        assert (out / "scan.h5").read_bytes() == undisturbed
+        assert not journal.exists()
 
 
-def test_what_another_scan_left_only_force_drops_and_chosen_positions_are_scanned(lab, bank, capsys):
+def test_a_louder_actuator_is_named_first_in_a_scan_that_replaces_another_by_force(lab, bank, capsys):
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write("\n[emulation]\noutput_gains_db = [0, 1]\n")
     (lab / "verify").mkdir()
     with ScanJournal(lab / "verify" / "scan.unfinished", "another", 5) as journal:
-        response = np.zeros(5, np.float32)
-        journal.append(ScannedPosition(0, 1, 1, 0.0, 1.0, 1.0, response))
+        journal.append(ScannedPosition(0, 1, 1, 0.0, 1.0, 1.0, np.zeros(5, np.float32)))
     assert _verify(lab, bank) == 2
     assert "--force" in capsys.readouterr().err
     (lab / "verify" / "scan.unfinished").write_bytes(b"somebody's")
-    assert _verify(lab, bank, "--force", "--positions", "1,4") == 0
+    assert _verify(lab, bank, "--linearity", "--force", "--positions", "1,4") == 1
+    printed = capsys.readouterr()
     with h5py.File(lab / "verify" / "scan.h5", "r") as file:
         assert list(file["position_index"]) == [1, 4]
-
-
-def test_given_a_louder_actuator_then_cause_and_remedy_stand_first_in_the_report(lab, bank, capsys):
-    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
-        rig.write("\n[emulation]\noutput_gains_db = [0, 1]\n")
-    capsys.readouterr()
-    assert _verify(lab, bank, "--linearity") == 1
-    printed = capsys.readouterr()
     record = read_record(lab / "verify" / "verify.json")
     assert [one.passed for one in record.figures if one.name == "linearity"] == [True]
     assert [actuator.level_db for actuator in record.actuators][:2] == pytest.approx([0.0, 1.0], abs=0.05)
