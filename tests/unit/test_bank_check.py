@@ -86,35 +86,17 @@ def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, positio
     assert words in finding.message
 
 
-def test_positions_over_range_poor_or_failed_are_named_once(tmp_path):
-    path = measured(tmp_path / "bank.h5", responses())
+def test_positions_over_range_poor_or_failed_or_at_one_place_are_named(tmp_path):
+    grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
+    grid[5] = grid[0]
+    path = measured(tmp_path / "bank.h5", responses(), grid)
     with BankWriter.open(path) as writer:
         for position, status in ((1, Status.POOR_SIGNAL), (2, Status.FAILED), (4, Status.OVER_RANGE | Status.VALID)):
             writer.amend(position, status=int(status))
-    (found,) = check_bank(path)
-    assert (found.severity, found.position) == ("warning", 1)
-    assert "positions 1-2,4 are over range, poor or failed" in found.message
-
-
-def test_two_positions_at_one_place_then_are_a_warning(tmp_path):
-    grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
-    grid[4] = grid[1]
-    (finding,) = check_bank(measured(tmp_path / "bank.h5", responses(), grid))
-    assert finding.position == 4
-    assert "like position 1" in finding.message
-
-
-def test_a_foreign_bank_with_values_that_are_not_finite_then_is_an_error(tmp_path):
-    green = responses()
-    green[3, 1, 7] = np.nan
-    with h5py.File(tmp_path / "foreign.h5", "w") as file:
-        file.attrs["sample_rate_hz"] = 10_000.0
-        file["green"] = green
-        file["position_mm"] = np.arange(2.0 * POSITIONS).reshape(-1, 2)
-    unverified, finding = check_bank(tmp_path / "foreign.h5")
-    assert "unverified" in unverified.message
-    assert (finding.position, finding.severity) == (3, "error")
-    assert "actuator 1" in finding.message
+    found = {one.position: (one.severity, one.message) for one in check_bank(path)}
+    assert {position: severity for position, (severity, _) in found.items()} == {1: "warning", 5: "warning"}
+    assert "positions 1-2,4 are over range, poor or failed" in found[1][1]
+    assert "like position 0" in found[5][1]
 
 
 def test_a_check_during_a_run_or_without_the_checksum_of_contents_has_no_findings(tmp_path):
