@@ -14,6 +14,7 @@ import pytest
 import scipy.io
 
 from tests.lab_files import put
+from tests.unit.mutations import mutated
 from wavefocus import export_bank
 from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
@@ -144,26 +145,12 @@ def test_given_a_hostile_file_then_one_sentence_says_why(tmp_path, capsys, make,
     assert sorted(tmp_path.iterdir()) == before
 
 
-def mutated(content, source):
-    changed = bytearray(content)
-    at = source.randrange(min(len(changed), source.choice([256, 2048, len(changed)])))
-    match source.choice(["flip", "byte", "zeros", "noise", "cut", "twice", "digit"]):
-        case "flip":
-            changed[at] ^= 1 << source.randrange(8)
-        case "byte":
-            changed[at] = source.randrange(256)
-        case "zeros":
-            changed[at : at + 64] = bytes(len(changed[at : at + 64]))
-        case "noise":
-            changed[at : at + 8] = source.randbytes(8)
-        case "cut":
-            del changed[at:]
-        case "twice":
-            changed[at:at] = changed[at : at + 100]
-        case "digit":
-            digits = [place for place in range(min(len(changed), 4096)) if 48 <= changed[place] < 58] or [at]
-            changed[source.choice(digits)] = source.choice(b"0123456789-e.n ")
-    return bytes(changed)
+KINDS = ["flip", "byte", "zero page", "double", "cut", "twice", "digit"]
+
+
+def damaged(content, source):
+    at = source.randrange(min(len(content), source.choice([256, 2048, len(content)])))
+    return mutated(content, at, source.choice(KINDS), source)
 
 
 def mutations(tmp_path, kind, count):
@@ -182,9 +169,9 @@ def mutations(tmp_path, kind, count):
             shutil.rmtree(copy, ignore_errors=True)
             shutil.copytree(whole, copy)
             one = source.choice(sorted(copy.iterdir()))
-            one.write_bytes(mutated(one.read_bytes(), source))
+            one.write_bytes(damaged(one.read_bytes(), source))
         else:
-            copy.write_bytes(mutated(whole.read_bytes(), source))
+            copy.write_bytes(damaged(whole.read_bytes(), source))
         yield copy, form, options
 
 

@@ -5,18 +5,12 @@ from dataclasses import replace
 
 import pytest
 
+from tests.unit.test_doctor import absent
 from wavefocus.acquisition.setup import Openers
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.rig.instruments import open_instruments, openers_of
-
-
-def absent(name):
-    def refuse():
-        raise InstrumentError(name, "opening", "it is not there", "plug it in")
-
-    return refuse
 
 
 def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there():
