@@ -56,7 +56,6 @@ def watch():
 
 
 def until(true, within_s=20.0):
-    assert callable(true)
     latest_s = time.monotonic() + within_s
     while not true():
         assert time.monotonic() < latest_s

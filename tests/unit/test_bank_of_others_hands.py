@@ -190,7 +190,6 @@ def test_the_lock_of_another_user_names_the_holder_and_a_dead_ones_is_taken():
 
         for user, other in (("root", "nobody"), ("nobody", "root")):  # the second after the first is dead
             with started(user) as holder:
-                assert holder.stdout is not None
                 assert holder.stdout.readline() == "held\n"
                 assert said(other).startswith(f"BankBusyError tasks of Dev1 is held by process {holder.pid} on ")
                 holder.kill()

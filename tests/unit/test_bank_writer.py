@@ -323,12 +323,10 @@ def test_a_second_process_is_told_who_owns_the_bank_until_it_dies_leaving_a_chil
     path = measured(tmp_path / "bank.h5")
     command = [sys.executable, "-W", "ignore", "-c", HOLD, str(path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
         assert other.stdout.readline() == "open\n"
         with pytest.raises(BankBusyError, match=f"process {other.pid} on {socket.gethostname()}"):
             BankWriter.open(path)
         owner = bank_owner(path)
-        assert owner is not None
         assert (owner.host, owner.pid) == (socket.gethostname(), other.pid)
         other.kill()
         other.wait()

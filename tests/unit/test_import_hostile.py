@@ -59,16 +59,6 @@ def dataset(**options):
     return hdf5(change)
 
 
-def archive(**changes):
-    """A maker of an archive with other arrays."""
-
-    def make(folder):
-        np.savez(folder / "a.npz", **ARRAYS | changes)
-        return folder / "a.npz"
-
-    return make
-
-
 def zipped(values, header="", *, pickled=False):
     """A maker of a compressed archive whose responses may declare another shape."""
 
@@ -91,6 +81,10 @@ def saved(name, save):
         return folder / name
 
     return make
+
+
+def archive(**changes):
+    return saved("a.npz", lambda file: np.savez(file, **ARRAYS | changes))
 
 
 def unfolding_mat(tmp_path):

@@ -169,7 +169,6 @@ def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_othe
 def test_waves_that_leave_no_noise_or_none_at_all_then_judge_no_row(coarse):
     spectra, usable = spectra_of(coarse.values, coarse.band_hz), np.ones(len(PLACES_MM), bool)
     waves = waves_of_rows(PLACES_MM, ACTUATOR_MM, spectra.values, spectra.frequency_hz, usable)
-    assert waves is not None
     exact = waves._replace(shares=waves.shares - np.array([0.0, 0.0, 60.0, 60.0]))
     for found in (exact, None):
         assert not judge_rows(PLACES_MM, ACTUATOR_MM, spectra, ON_GRID, usable, lambda found=found: found).by_waves
