@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import attribute, flip, record_of, with_check_rows, within, write_bank
-from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
+from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_greens
 from wavefocus.calibration.check import check_bank
 from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.bank.reading import open_bank
@@ -144,29 +144,16 @@ def test_a_changed_value_or_unit_that_no_resume_rewrites_then_is_found(tmp_path,
         check_bank(path)
 
 
-def plate_bank_file(path, check_rows=(), spacing_mm=4.0):
-    """A bank of 7 x 7 positions and three actuators in which row 24 has the wrong sign and half the level."""
-    axis_mm = spacing_mm * np.arange(-3, 4)
-    grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
-    plate = plate_bank(grid)
-    green = np.stack([plate.green(position)[:3] for position in range(len(grid))])
-    green[24, 2] *= -0.5
-    return write_bank(
-        path, green, grid, actuator_mm=ACTUATOR_MM[:3], rate_hz=RATE_HZ, band_hz=BAND_HZ, check_rows=check_rows
-    )
-
-
 def test_a_row_that_its_neighbours_contradict_is_named_unless_it_is_off_the_grid(tmp_path):
-    path = plate_bank_file(tmp_path / "bank.h5")
+    axis_mm = 4.0 * np.arange(-3, 4)
+    grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
+    green = plate_greens(grid)[:, :3]
+    green[24, 2] *= -0.5
+    path = tmp_path / "bank.h5"
+    write_bank(path, green, grid, actuator_mm=ACTUATOR_MM[:3], rate_hz=RATE_HZ, band_hz=BAND_HZ)
     errors = [one for one in check_bank(path) if one.severity == "error"]
     assert [(one.position, one.actuator) for one in errors] == [(24, 2)]
     assert "polarity" in errors[0].message
-    # A row that only judges what is interpolated is no neighbour and has none.
+    # A row that only judges what is interpolated is no neighbour and has none (coarse: test_wrong_positions.py).
     apart = with_check_rows(path, tmp_path / "apart.h5", 24)
     assert [one for one in check_bank(apart) if one.severity == "error"] == []
-
-
-@pytest.mark.nightly  # the waves of 49 positions are fitted; test_wrong_positions.py has coarse grids
-def test_on_a_coarse_grid_waves_judge_all_rows_also_those_off_the_grid(tmp_path):
-    path = plate_bank_file(tmp_path / "bank.h5", check_rows=(24,), spacing_mm=10.0)
-    assert [(one.position, one.actuator) for one in check_bank(path) if one.severity == "error"] == [(24, 2)]

@@ -37,8 +37,11 @@ def made(tmp_path, positions=3):
     return path
 
 
-def test_commits_then_plain_h5py_reads_the_same_volts_and_others_are_empty(tmp_path):
+def test_commits_are_read_by_plain_h5py_and_replaced_and_do_not_grow_the_file(tmp_path):
     path = made(tmp_path)
+    with pytest.raises(InputError, match="exists already"):
+        create_raw(path, raw_header())
+    size = path.stat().st_size
     with RawWriter.open(path, plan_sha256="ab" * 32) as writer:
         writer.commit(1, *volts(1))
         assert writer.recorded.tolist() == [False, True, False]
@@ -52,17 +55,9 @@ def test_commits_then_plain_h5py_reads_the_same_volts_and_others_are_empty(tmp_p
         assert file["response"].dtype == np.int16
         assert np.array_equal(file["response"][1] * np.float32(file["response"].attrs["volts_per_count"]), volts(1)[1])
         assert file["schedule/actuator"][:].tolist() == [[0], [1]]
-
-
-def test_a_second_attempt_replaces_the_first_and_commits_do_not_grow_the_file(tmp_path):
-    path = made(tmp_path)
-    with pytest.raises(InputError, match="exists already"):
-        create_raw(path, raw_header())
-    size = path.stat().st_size
     with RawWriter.open(path) as writer:
-        for position in range(3):
-            writer.commit(position, *volts(position))
-        writer.commit(0, *volts(0, 2))
+        for position, attempt in ((0, 1), (2, 1), (0, 2)):
+            writer.commit(position, *volts(position, attempt))
     assert holds(path, 0, 2)
     assert path.stat().st_size == size <= raw_header().file_bytes
 
