@@ -5,8 +5,6 @@ import random
 import shutil
 import zipfile
 import zlib
-from collections.abc import Callable
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -107,7 +105,7 @@ NOT_FINITE = np.where(np.arange(GREEN.size).reshape(GREEN.shape) == 287, np.nan,
 PICKLED, CELLS = np.array([{"a": 1}], object), np.empty((2, 1), object)
 CELLS[:, 0] = [GREEN, "text"]
 BOMB = np.broadcast_to(np.float32(0.0), (6, 2, BOMB_BYTES // 48))
-HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
+HOSTILE = {
     "external link": (hdf5(put("green", h5py.ExternalLink("other.nc", "/green"))), "link"),
     "soft link": (hdf5(put("green", h5py.SoftLink("/position_mm"))), "link"),
     "hollow": (dataset(shape=(6, 10_000, 10_000), dtype="f4", chunks=(1, 100, 100)), "holds"),

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import h5py
 import numpy as np
@@ -196,7 +195,7 @@ def test_only_responses_that_are_not_causal_then_are_named(imported, band, kind,
 @pytest.mark.parametrize("kind", ["mat", "mat 7.3", "npz", "netcdf", "netcdf in parts", "netcdf 3", "npz, directions"])
 def test_given_frequency_responses_as_named_arrays_then_every_format_gives_the_same(green, tmp_path, kind):
     spectra = np.fft.rfft(green, PERIOD)
-    arrays: dict[str, Any] = {
+    arrays = {
         "position_mm": PLACES_MM, "actuator_mm": np.array([[30.0, 0.0], [np.nan, np.nan]]), "frequency_hz": AXIS_HZ,
     }  # fmt: skip
     parts = arrays | {"green_real": spectra.real, "green_imag": spectra.imag}

@@ -12,7 +12,7 @@ from wavefocus.acquisition.engine.recovery import LOSSES_IN_A_ROW, Conditions, R
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import AllowedRange, Watch, point_at
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.config.messages.campaign import Event, ReconnectTried, State, StateChanged
+from wavefocus.config.messages.campaign import ReconnectTried, State, StateChanged
 from wavefocus.config.rig import default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
@@ -38,7 +38,7 @@ class Watched:
     """A recovery with all that it tells."""
 
     def __init__(self, setup):
-        self.events: list[Event] = []
+        self.events = []
         self.life = Session(setup.instruments.clock, self.events.append, StopRequest())
         self.recovery = Recovery(setup, self.life)
         self.life.enter(State.RUNNING, "for the test")
