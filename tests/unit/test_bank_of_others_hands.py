@@ -1,7 +1,5 @@
 """Banks that people have touched: attributes added, notes, copies object by object, repacked."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

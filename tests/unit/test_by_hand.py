@@ -70,7 +70,7 @@ class SlowPlayer:
 def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds():
     player = SlowPlayer(VirtualRig().instruments.player)
     gate = BoundedPlayer(player, 30.0)
-    refused: list[ShutError] = []
+    refused = []
 
     def play():
         try:

@@ -11,7 +11,6 @@ from tests.unit.test_config_calibration import AT, measured
 from wavefocus.acquisition.doctor import RigFindings, examine
 from wavefocus.acquisition.setup import Openers, wired
 from wavefocus.config.calibration import InputsMeasured
-from wavefocus.config.messages.rig_checks import Finding
 from wavefocus.config.outline import Outline
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
@@ -38,7 +37,7 @@ def examined(bench, rig=None, *, play=True, **openers):
         vibrometer=lambda: reading(None),
         limit_s=60.0,
     )
-    findings: list[Finding] = []
+    findings = []
     examine(RigConfig.model_validate(rig), replace(sound, **openers), findings.append, play=play)
     return findings
 
@@ -227,7 +226,7 @@ def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(off
 
 def test_a_driver_that_hangs_or_has_a_defect_is_a_finding_and_is_not_asked_again():
     let_go = threading.Event()
-    findings: list[Finding] = []
+    findings = []
     collected = RigFindings(findings.append)
     assert collected.ask("player", "opening", let_go.wait, 0.05) is None
     assert collected.ask("player", "identity", lambda: "a name", 60.0) is None
@@ -247,7 +246,7 @@ RATE_HZ = 10_000.0
 
 def opened(device_s, calibrated_s=None):
     """A rig whose file states 5 us, or a calibration another delay, and whose recorder states `device_s`."""
-    section: dict[str, object] = {"actuators": {"position_mm": [[0, 0], [10, 0]]}}
+    section = {"actuators": {"position_mm": [[0, 0], [10, 0]]}}
     if calibrated_s is not None:
         inputs = InputsMeasured(at=AT, device="r", identity=None, inter_channel_delay_s=calibrated_s)
         record = measured().model_copy(update={"inputs": inputs}).model_dump()

@@ -75,7 +75,7 @@ def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path):
             )
             integers = ["position_index"] if name == "field" else [f"focus/{one}" for one in file["focus"]]
             assert all((file[one].dtype, file[one].shape) == (np.int64, (3,)) for one in integers)
-            datasets: list[str] = []
+            datasets = []
             file.visititems(lambda key, one, to=datasets: to.append(key) if isinstance(one, h5py.Dataset) else None)
             for key in datasets:  # each carries its checksum
                 values = np.ascontiguousarray(file[key][...], file[key].dtype.newbyteorder("<"))

@@ -1,12 +1,10 @@
 """Green's functions from records with a known truth."""
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
 import scipy.fft
-from numpy.typing import NDArray
 
 from tests.system import raw_script
 from wavefocus.acquisition.judgement import judge
@@ -23,7 +21,6 @@ SMALL = PlayedExcitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)
 TAPS = 500
 ESTIMATOR = SequentialEstimator(SMALL, TAPS)
 RANGE = (10.0, 200.0)
-Float64Array = NDArray[np.float64]
 
 
 def damped_modes(records, taps, excitation, seed=0):
@@ -63,9 +60,9 @@ def played(signal, samples, offset, ratio):
 class Records:
     """Reference and response of a batch, and the rms of the response's noise."""
 
-    reference: Float64Array
-    response: Float64Array
-    noise_v: Float64Array
+    reference: np.ndarray
+    response: np.ndarray
+    noise_v: np.ndarray
 
     def estimate(self, estimator=ESTIMATOR):
         return estimator.estimate(self.reference.astype(np.float32), self.response.astype(np.float32), range_v=RANGE)
@@ -119,7 +116,7 @@ def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm():
     default = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
     estimator = SequentialEstimator(default, 2000)
     truth = damped_modes(6, 2000, default)
-    options: dict[str, Any] = {"offset": 200.3, "post_roll": 1000}
+    options = {"offset": 200.3, "post_roll": 1000}
     still = error_db(records_of(truth, default, **options).estimate(estimator).green, truth, default)
     for ppm in (200.0, -200.0):
         skewed = error_db(records_of(truth, default, ppm=ppm, **options).estimate(estimator).green, truth, default)
