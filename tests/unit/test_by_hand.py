@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.unit.test_calibration import RATE_HZ, bench
+from tests.unit.test_doctor import Stating
 from wavefocus.acquisition.manual import ManualMeasurements
 from wavefocus.acquisition.setup import point_at
 from wavefocus.config.messages.operate import TakeSweep
@@ -47,30 +48,13 @@ def test_loopback_that_is_not_plugged_in_then_sweep_tells_that_in_place_of_figur
     assert "no signal from the loopback" in result.trouble
 
 
-class SlowPlayer:
-    """Converts its signal for as long as somebody lets it, as real ones do."""
-
-    def __init__(self, player):
-        self._player = player
-        self.converting, self.go_on = threading.Event(), threading.Event()
-        self.sounding = False
-
-    def __getattr__(self, name):
-        return getattr(self._player, name)
-
-    def play(self, signals_v, sample_rate_hz):
-        self.converting.set()
-        assert self.go_on.wait(30)
-        self.sounding = True
-
-    def mute(self):
-        self.sounding = False
-
-
 def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds():
-    player = SlowPlayer(VirtualRig().instruments.player)
-    gate = BoundedPlayer(player, 30.0)
-    refused = []
+    converting, go_on, sounding, refused = threading.Event(), threading.Event(), [], []
+
+    def convert(signals_v, _rate_hz):
+        converting.set()
+        assert go_on.wait(30)
+        sounding.append(signals_v)
 
     def play():
         try:
@@ -78,14 +62,15 @@ def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds():
         except ShutError as shut:
             refused.append(shut)
 
+    gate = BoundedPlayer(Stating(VirtualRig().instruments.player, play=convert, mute=sounding.clear), 30.0)
     owner = threading.Thread(target=play)
     owner.start()
-    assert player.converting.wait(30)
+    assert converting.wait(30)
     gate.shut()
-    player.go_on.set()
+    go_on.set()
     owner.join(30)
     assert refused
-    assert not player.sounding
+    assert not sounding
 
 
 def test_gate_that_is_shut_then_record_fails_silently_muted_and_leaves_rig_usable():

@@ -62,23 +62,16 @@ def test_commits_are_read_by_plain_h5py_and_replaced_and_do_not_grow_the_file(tm
     assert path.stat().st_size == size <= raw_header().file_bytes
 
 
-@pytest.mark.parametrize(
-    ("position", "change", "complaint"),
-    [
-        (3, lambda one: one, "position 3 is not in raw file"),
-        (0, lambda one: one[:1], "shape"),
-        (0, lambda one: one + np.float32(100), "not finite or beyond"),
-        (0, lambda one: one * np.float32(np.nan), "not finite or beyond"),
-    ],
-)
-def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_kept(
-    tmp_path, position, change, complaint
-):
-    path = made(tmp_path)
+def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_kept(tmp_path):
     reference, response = volts(0)
-    with RawWriter.open(path) as writer:
-        with pytest.raises(InputError, match=complaint):
-            writer.commit(position, reference, change(response))  # type: ignore[operator]
+    with RawWriter.open(made(tmp_path)) as writer:
+        for position, wrong, complaint in (
+            (3, response, "position 3 is not in raw file"), (0, response[:1], "shape"),
+            (0, response + np.float32(100), "not finite or beyond"),
+            (0, response * np.float32(np.nan), "not finite or beyond"),
+        ):  # fmt: skip
+            with pytest.raises(InputError, match=complaint):
+                writer.commit(position, reference, wrong)
         assert not writer.recorded.any()
 
 

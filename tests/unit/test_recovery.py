@@ -53,9 +53,9 @@ class Watched:
 
 
 def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_again():
-    setup = setup_of(RigFault("mirror", "move_to", "unplugged", at_call=2, tries=2))
-    watched = Watched(setup)
-    done = []
+    faults = [RigFault("mirror", "move_to", "unplugged", at_call=call, tries=tries) for call, tries in ((2, 2), (5, 1))]
+    setup = setup_of(*faults)
+    watched, done = Watched(setup), []
 
     def measure():
         for x_mm in (1.0, 2.0):
@@ -68,6 +68,8 @@ def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_a
     assert watched.states == [State.RUNNING, State.RECOVERING, State.RUNNING]
     assert [one.connected for one in watched.tries] == [False, False, True]
     assert watched.life.time_s() - watched.life.working_s()[0] == pytest.approx(3.0)
+    assert watched.recovery.retry_after_reconnect(measure) == "measured"
+    assert [one.number for one in watched.tries] == [1, 2, 3, 1, 2]  # after a measurement the waits begin anew
 
 
 @pytest.mark.parametrize(
@@ -131,15 +133,6 @@ def test_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end
     with pytest.raises(InstrumentLostError, match=r"player: muting: .*not cured within"):
         watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
     assert 60.0 <= setup.instruments.clock.now_s() < 120.0
-
-
-def test_given_a_measurement_between_two_losses_then_the_waits_begin_anew():
-    faults = [RigFault("mirror", "move_to", "unplugged", at_call=call, tries=1) for call in (1, 3)]
-    setup = setup_of(*faults)
-    watched = Watched(setup)
-    for _ in range(2):
-        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
-    assert [one.number for one in watched.tries] == [1, 2, 1, 2]
 
 
 def test_given_another_device_in_its_place_then_nobody_waits_for_it():
