@@ -52,20 +52,33 @@ def mutations(content, extents, count, seed):
             at = start + rng.randrange(size)
         else:
             at = rng.randrange(min(len(content), rng.choice([4096, 1 << 16, len(content)])))
-        changed = bytearray(content)
-        match kind := rng.choice(["flip", "byte", "zero page", "double", "swap"]):
-            case "flip":
-                changed[at] ^= 1 << rng.randrange(8)
-            case "byte":
-                changed[at] = rng.randrange(256)
-            case "zero page":
-                page = at // 4096 * 4096
-                changed[page : page + 4096] = bytes(len(changed[page : page + 4096]))
-            case "double":
-                part = slice(at // 8 * 8, at // 8 * 8 + 8)
-                changed[part] = rng.randbytes(len(changed[part]))
-            case "swap":
-                other = rng.randrange(len(content))
-                changed[at], changed[other] = changed[other], changed[at]
-        if changed != content:
-            yield f"{kind} at {at}", bytes(changed)
+        kind = rng.choice(["flip", "byte", "zero page", "double", "swap"])
+        if (changed := mutated(content, at, kind, rng)) != content:
+            yield f"{kind} at {at}", changed
+
+
+def mutated(content, at, kind, rng):
+    """A copy with one change of a kind at a byte."""
+    changed = bytearray(content)
+    match kind:
+        case "flip":
+            changed[at] ^= 1 << rng.randrange(8)
+        case "byte":
+            changed[at] = rng.randrange(256)
+        case "zero page":
+            page = at // 4096 * 4096
+            changed[page : page + 4096] = bytes(len(changed[page : page + 4096]))
+        case "double":
+            part = slice(at // 8 * 8, at // 8 * 8 + 8)
+            changed[part] = rng.randbytes(len(changed[part]))
+        case "swap":
+            other = rng.randrange(len(content))
+            changed[at], changed[other] = changed[other], changed[at]
+        case "cut":
+            del changed[at:]
+        case "twice":
+            changed[at:at] = changed[at : at + 100]
+        case "digit":
+            digits = [place for place in range(min(len(changed), 4096)) if 48 <= changed[place] < 58] or [at]
+            changed[rng.choice(digits)] = rng.choice(b"0123456789-e.n ")
+    return bytes(changed)

@@ -15,48 +15,35 @@ from wavefocus.rig.unattended import AliveSignal, alive_findings, kept_awake
 from wavefocus.storage.errors import InputError
 
 
-class Watch:
-    """A web server that notes when it was asked; `hangs` lets it never answer."""
+class Handler(http.server.BaseHTTPRequestHandler):
+    """Notes at its server when it was asked; `hangs` lets it never answer."""
 
-    def __init__(self):
-        self.asked: list[str] = []
-        self.hangs = threading.Event()
-        self.status = 200
-        watch = self
+    def do_GET(self):
+        self.server.asked.append(self.path)
+        if self.server.hangs.is_set():
+            time.sleep(30)
+        self.send_response(self.server.status, f"nothing wanted {self.path}")
+        self.end_headers()
 
-        class Handler(http.server.BaseHTTPRequestHandler):
-            def do_GET(self):
-                watch.asked.append(self.path)
-                if watch.hangs.is_set():
-                    time.sleep(30)
-                self.send_response(watch.status, f"nothing wanted {self.path}")
-                self.end_headers()
-
-            def log_message(self, *_):
-                pass
-
-        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.server.daemon_threads = True
-        self.server.block_on_close = False
-        self.thread = threading.Thread(target=self.server.serve_forever)
-        self.thread.start()
-
-    @property
-    def url(self):
-        return f"http://127.0.0.1:{self.server.server_port}/secret-check"
+    def log_message(self, *_):
+        pass
 
 
 @pytest.fixture
 def watch():
-    one = Watch()
-    yield one
-    one.server.shutdown()
-    one.thread.join()
-    one.server.server_close()
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads, server.block_on_close = True, False
+    server.asked, server.hangs, server.status = [], threading.Event(), 200
+    server.url = f"http://127.0.0.1:{server.server_port}/secret-check"
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()
 
 
 def until(true, within_s=20.0):
-    assert callable(true)
     latest_s = time.monotonic() + within_s
     while not true():
         assert time.monotonic() < latest_s

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.lab_files import attribute, green_of, put, record_of, without, write_bank
+from wavefocus.calibration.check import check_bank
 from wavefocus.storage.bank.ledger import bank_row_shape, encode_row
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
@@ -175,6 +176,8 @@ def test_a_value_that_is_not_finite_then_is_named_by_position_and_actuator(tmp_p
         assert bank.status.tolist() == [1, 1, 0]
         with pytest.raises(InputError, match="position 2, actuator 1 holds NaN or infinities"):
             bank.green(2)
+    found = [one for one in check_bank(tmp_path / "foreign.h5") if one.position == 2]
+    assert [(one.severity, "actuator 1" in one.message) for one in found] == [("error", True)]
 
 
 def test_a_compressed_row_that_is_damaged_then_is_refused_in_one_line(tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import attribute, flip, record_of, with_check_rows, within, write_bank
-from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
+from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_greens
 from wavefocus.calibration.check import check_bank
 from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.bank.reading import open_bank
@@ -86,35 +86,17 @@ def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, positio
     assert words in finding.message
 
 
-def test_positions_over_range_poor_or_failed_are_named_once(tmp_path):
-    path = measured(tmp_path / "bank.h5", responses())
+def test_positions_over_range_poor_or_failed_or_at_one_place_are_named(tmp_path):
+    grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
+    grid[5] = grid[0]
+    path = measured(tmp_path / "bank.h5", responses(), grid)
     with BankWriter.open(path) as writer:
         for position, status in ((1, Status.POOR_SIGNAL), (2, Status.FAILED), (4, Status.OVER_RANGE | Status.VALID)):
             writer.amend(position, status=int(status))
-    (found,) = check_bank(path)
-    assert (found.severity, found.position) == ("warning", 1)
-    assert "positions 1-2,4 are over range, poor or failed" in found.message
-
-
-def test_two_positions_at_one_place_then_are_a_warning(tmp_path):
-    grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
-    grid[4] = grid[1]
-    (finding,) = check_bank(measured(tmp_path / "bank.h5", responses(), grid))
-    assert finding.position == 4
-    assert "like position 1" in finding.message
-
-
-def test_a_foreign_bank_with_values_that_are_not_finite_then_is_an_error(tmp_path):
-    green = responses()
-    green[3, 1, 7] = np.nan
-    with h5py.File(tmp_path / "foreign.h5", "w") as file:
-        file.attrs["sample_rate_hz"] = 10_000.0
-        file["green"] = green
-        file["position_mm"] = np.arange(2.0 * POSITIONS).reshape(-1, 2)
-    unverified, finding = check_bank(tmp_path / "foreign.h5")
-    assert "unverified" in unverified.message
-    assert (finding.position, finding.severity) == (3, "error")
-    assert "actuator 1" in finding.message
+    found = {one.position: (one.severity, one.message) for one in check_bank(path)}
+    assert {position: severity for position, (severity, _) in found.items()} == {1: "warning", 5: "warning"}
+    assert "positions 1-2,4 are over range, poor or failed" in found[1][1]
+    assert "like position 0" in found[5][1]
 
 
 def test_a_check_during_a_run_or_without_the_checksum_of_contents_has_no_findings(tmp_path):
@@ -162,29 +144,16 @@ def test_a_changed_value_or_unit_that_no_resume_rewrites_then_is_found(tmp_path,
         check_bank(path)
 
 
-def plate_bank_file(path, check_rows=(), spacing_mm=4.0):
-    """A bank of 7 x 7 positions and three actuators in which row 24 has the wrong sign and half the level."""
-    axis_mm = spacing_mm * np.arange(-3, 4)
-    grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
-    plate = plate_bank(grid)
-    green = np.stack([plate.green(position)[:3] for position in range(len(grid))])
-    green[24, 2] *= -0.5
-    return write_bank(
-        path, green, grid, actuator_mm=ACTUATOR_MM[:3], rate_hz=RATE_HZ, band_hz=BAND_HZ, check_rows=check_rows
-    )
-
-
 def test_a_row_that_its_neighbours_contradict_is_named_unless_it_is_off_the_grid(tmp_path):
-    path = plate_bank_file(tmp_path / "bank.h5")
+    axis_mm = 4.0 * np.arange(-3, 4)
+    grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
+    green = plate_greens(grid)[:, :3]
+    green[24, 2] *= -0.5
+    path = tmp_path / "bank.h5"
+    write_bank(path, green, grid, actuator_mm=ACTUATOR_MM[:3], rate_hz=RATE_HZ, band_hz=BAND_HZ)
     errors = [one for one in check_bank(path) if one.severity == "error"]
     assert [(one.position, one.actuator) for one in errors] == [(24, 2)]
     assert "polarity" in errors[0].message
-    # A row that only judges what is interpolated is no neighbour and has none.
+    # A row that only judges what is interpolated is no neighbour and has none (coarse: test_wrong_positions.py).
     apart = with_check_rows(path, tmp_path / "apart.h5", 24)
     assert [one for one in check_bank(apart) if one.severity == "error"] == []
-
-
-@pytest.mark.nightly  # the waves of 49 positions are fitted; test_wrong_positions.py has coarse grids
-def test_on_a_coarse_grid_waves_judge_all_rows_also_those_off_the_grid(tmp_path):
-    path = plate_bank_file(tmp_path / "bank.h5", check_rows=(24,), spacing_mm=10.0)
-    assert [(one.position, one.actuator) for one in check_bank(path) if one.severity == "error"] == [(24, 2)]

@@ -33,8 +33,7 @@ class Hands:
 
     def __init__(self, rig, *, forgets=(), patience=5):
         self._bay, self._forgets, self._patience = rig.patch_bay, list(forgets), patience
-        self.plugged: list[str] = []
-        self.problems: list[str] = []
+        self.plugged, self.problems = [], []
 
     def report(self, line):
         pass
@@ -184,15 +183,10 @@ def error_mm(found, true, marks=MARKS):
 
 @given(st.tuples(*[small] * 8), st.booleans())
 def test_given_marks_without_error_then_the_map_is_found_whatever_it_is(entries, flipped):
-    a, b, c, d, e, f, g, h = entries
-    sign = -1 if flipped else 1
-    true = MirrorMap(
-        (
-            (sign * (1e-3 + 3e-4 * a), 3e-4 * b, 0.05 * c),
-            (3e-4 * d, 1e-3 + 3e-4 * e, 0.05 * f),
-            (5e-4 * g, 5e-4 * h, 1.0),
-        )
-    )
+    spread = np.array([[3e-4, 3e-4, 0.05], [3e-4, 3e-4, 0.05], [5e-4, 5e-4, 0.0]])
+    matrix = np.diag([1e-3, 1e-3, 1.0]) + spread * np.reshape([*entries, 0.0], (3, 3))
+    matrix[0, 0] *= -1 if flipped else 1
+    true = MirrorMap(tuple(map(tuple, matrix.tolist())))
     fit = fit_mirror_map(MARKS, angles(true, MARKS))
     assert fit.residual_mm.max() < 1e-6
     assert error_mm(fit.mirror_map, true).max() < 1e-6

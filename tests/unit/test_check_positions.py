@@ -1,13 +1,12 @@
 """``[grid] check_positions``: in the plan, in a bank, in what a resume reads."""
 
-from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import wavefocus as wf
 from tests.unit.plate_banks import SQUARE_MM, plate_bank
-from wavefocus.__main__ import run
 from wavefocus.acquisition.judgement import in_band
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_of
 from wavefocus.campaign.session_files import with_bank
@@ -21,29 +20,6 @@ from wavefocus.rendering.scene.signals import Sine
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import create_bank
 from wavefocus.storage.errors import InputError
-
-RIG = """
-[rig]
-name = "three coils"
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
-"""
-RUN = """
-rig = "rig.toml"
-[grid]
-spacing_mm = 70.0
-margin_mm = 10.0
-check_positions = 5
-[sweep]
-duration_s = 0.2
-[capture]
-averages = 1
-decay_s = 0.1
-taps = 1000
-keep_raw = true
-[virtual]
-noise_v = {noise_v}
-"""
 
 
 def loaded(folder, grid, sweep=""):
@@ -123,21 +99,18 @@ def test_other_positions_than_those_of_an_earlier_bank_are_refused(tmp_path, ask
 
 
 def test_check_positions_are_measured_four_times_and_averaged(tmp_path):
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    for name, noise_v in (("noisy", 2e-3), ("clean", 0.0)):
-        (tmp_path / "run.toml").write_text(RUN.format(noise_v=noise_v), encoding="utf-8")
-        assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / f"{name}.h5")]) == 0
-    assert run(["estimate", str(tmp_path / "noisy.raw.h5"), "--bank", str(tmp_path / "once.h5")]) == 0
-    with ExitStack() as stack:
-        four, clean, once = (
-            stack.enter_context(open_bank(tmp_path / f"{name}.h5")) for name in ("noisy", "clean", "once")
-        )
+    run = {
+        "grid": {"margin_mm": 10.0, "check_positions": 3}, "sweep": {"duration_s": 0.2},
+        "capture": {"averages": 1, "decay_s": 0.1, "keep_raw": True},
+    }  # fmt: skip
+    rig = wf.virtual_rig(actuators=3, spacing_mm=110.0, seed=2, noise_v=2e-3, run=run)
+    with rig.measure(tmp_path / "a.h5") as four, wf.estimate(tmp_path / "a.raw.h5", tmp_path / "once.h5") as once:
         check = four.check
-        assert check.sum() == 5
+        assert check.sum() == 3
         louder_db = four.quality["snr_db"] - once.quality["snr_db"]
         assert np.allclose(louder_db[~check], 0.0)
         assert abs(louder_db[check].mean() - 6.0) < 0.5
         rows = np.flatnonzero(check).tolist()
-        missed = [[bank.green(row) - clean.green(row) for row in rows] for bank in (four, once)]
+        missed = [[bank.green(row) - rig.truth(row) for row in rows] for bank in (four, once)]
         averaged, single = (np.linalg.norm(in_band(np.concatenate(part), 10_000.0, (20.0, 500.0))) for part in missed)
         assert averaged < 0.63 * single  # a half, but for chance

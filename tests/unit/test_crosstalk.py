@@ -103,20 +103,17 @@ class LeakingSetup:
     """A bank, and looks at leaks of any share into it."""
 
     def __init__(self, path, worker):
-        rig, self.path, self._worker = virtual_rig(actuators=4, spacing_mm=60.0, run=RUN), path, worker
+        rig, self.path, self.worker = virtual_rig(actuators=4, spacing_mm=60.0, run=RUN), path, worker
         blueprint = blueprint_of(rig.configuration)
         create_bank(path, blueprint.bank_header())
         self.bank, self.plan, self.done = BankWriter.open(path), blueprint.plan, 0
-        self.events: list[CrosstalkMeasured] = []
+        self.events = []
 
     def watch(self, share, unvouched=()):
         settings = VirtualSettings(crosstalk=share, actuator_mm=tuple(map(tuple, self.plan.actuator_mm.tolist())))
         setup = setup_of(VirtualRig(settings))
         session = Session(setup.instruments.clock, self.events.append, StopRequest())
         return LeakWatch(self.plan, setup, self.bank, session, Recovery(setup, session), unvouched)
-
-    def look(self, watch):
-        return watch.look(self._worker)
 
     def commit(self, watch, count):
         """Commit rows as loud as 100 times 1e-4 of the loopback."""
@@ -139,13 +136,13 @@ def bench(tmp_path):
 
 def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(bench):
     before, after, over = bench.watch(0.0), bench.watch(1e-3), bench.watch(0.0, unvouched=(3, 4))
-    bench.look(before)
+    before.look(bench.worker)
     bench.commit(before, 3)
-    assert bench.look(before) == ()
+    assert before.look(bench.worker) == ()
     bench.commit(after, 2)
-    assert bench.look(after) == (3, 4)
+    assert after.look(bench.worker) == (3, 4)
     assert after.found is not None
-    assert bench.look(over) == ()
+    assert over.look(bench.worker) == ()
     assert over.found is None
     assert bench.bank.status[:5].tolist() == [1, 1, 1, 4, 4]
     assert bench.bank.record(4).leak_db == pytest.approx(-60.0, abs=0.5)
@@ -156,10 +153,10 @@ def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(
 @pytest.mark.parametrize(("share", "marked"), [(1e-3, (0, 1)), (3.3e-5, ())], ids=["10 %", "a third of a percent"])
 def test_leak_at_the_beginning_is_judged_once_there_are_rows(bench, share, marked):
     watch = bench.watch(share)
-    assert bench.look(watch) == ()
+    assert watch.look(bench.worker) == ()
     assert watch.found is None
     bench.commit(watch, 2)
-    assert bench.look(watch) == marked
+    assert watch.look(bench.worker) == marked
     assert [one.named for one in bench.events] == [False, bool(marked)]
     assert bench.events[-1].level_db == pytest.approx(20 * np.log10(share), abs=2.0)
     assert bench.bank.status[:2].tolist() == ([4, 4] if marked else [1, 1])
@@ -179,7 +176,7 @@ def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean, tmp_path):
 
 def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(bench):
     watch = bench.watch(0.0)
-    bench.look(watch)
+    watch.look(bench.worker)
     bench.commit(watch, 4)
     bench.bank.amend(1, leak_db=-40.0)
     bench.bank.close()

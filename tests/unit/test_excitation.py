@@ -13,7 +13,7 @@ from wavefocus.storage.errors import InputError
 DEFAULT = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)
 
 
-def test_default_excitation_has_three_periods_of_soft_sweep_and_silence():
+def test_the_default_is_three_soft_sweeps_with_silence_flat_in_the_band_alone():
     assert DEFAULT.period_samples == 12_000
     assert DEFAULT.signal_v().shape == (36_000,)
     assert np.array_equal(DEFAULT.signal_v()[12_000:24_000], DEFAULT.base_v())
@@ -21,9 +21,6 @@ def test_default_excitation_has_three_periods_of_soft_sweep_and_silence():
     assert DEFAULT.band_hz == (20.0, 500.0)
     sweep = DEFAULT.base_v()[:10_000]
     assert np.abs(sweep[[0, 1, 2, -3, -2, -1]]).max() < 1e-3
-
-
-def test_spectrum_is_flat_inside_the_band_and_gone_beyond_it():
     power = np.abs(np.fft.rfft(DEFAULT.base_v())) ** 2
     hertz = np.arange(power.size) / 1.2
     middle = np.median(power[(hertz >= 20) & (hertz <= 500)])

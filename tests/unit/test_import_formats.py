@@ -150,19 +150,6 @@ def test_given_arrays_under_other_names_and_in_another_order_then_they_are_mappe
 # netCDF and HDF5; tests/system/test_import_packed.py has packed and masked values.
 
 
-def classic(path, green, **attributes):
-    with scipy.io.netcdf_file(path, "w") as file:
-        for name, size in zip(("position", "actuator", "sample", "xy", "one"), (*green.shape, 2, 1), strict=True):
-            file.createDimension(name, size)
-        variable = file.createVariable("green", "d", ("position", "actuator", "sample"))
-        variable[:] = green
-        for name, value in attributes.items():
-            setattr(variable, name, value)
-        file.createVariable("position_mm", "d", ("position", "xy"))[:] = PLACES_MM
-        file.createVariable("sample_rate_hz", "d", ("one",))[:] = [1000.0]
-    return path
-
-
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4", "scipy"])
 def test_a_dimension_without_values_and_words_for_units_are_read_as_xarray_writes(tmp_path, engine, imported):
     data = xarray.Dataset(
@@ -177,11 +164,13 @@ def test_a_dimension_without_values_and_words_for_units_are_read_as_xarray_write
             assert np.array_equal(bank.green(3), GREEN[3])
 
 
-def hdf5(path, **changes):
+def hdf5(path, attributes, **changes):
     with h5py.File(path, "w") as file:
         for name, value in (NEEDED | changes).items():
             if value is not None:
                 file[name] = value
+        for name, stated in attributes.items():
+            file[name].attrs.update(stated)
     return path
 
 
@@ -190,18 +179,16 @@ def test_fill_values_of_another_type_are_never_valid(tmp_path, imported, attribu
     green = GREEN.copy()
     green[2, 1, taps] = 1e20
     with pytest.raises(InputError, match="position 2"):
-        imported(classic(tmp_path / "a.nc", green, **{attribute: 1e20}))
+        imported(hdf5(tmp_path / "a.nc", {"green": {attribute: np.float32(1e20)}}, green=green))
 
 
 def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_path, imported):
     green = GREEN.copy()
     green[2] = 1e25
-    _, bank = imported(classic(tmp_path / "a.nc", green))
+    _, bank = imported(hdf5(tmp_path / "a.nc", {"/": {"sample_rate_hz": 1000.0}}, green=green))
     assert bank.status.tolist() == [1, 1, 4, 1]
     assert any("position" in warning and "200 dB" in warning for warning in bank.import_facts["warnings"])
-    with h5py.File(hdf5(tmp_path / "a.h5", green=green), "r+") as file:  # read as a bank, without an import
-        file.attrs["sample_rate_hz"] = 1000.0
-    with wf.open_bank(tmp_path / "a.h5") as bank:
+    with wf.open_bank(tmp_path / "a.nc") as bank:  # without an import
         assert bank.status.tolist() == [1, 1, 0, 1]
 
 
@@ -216,11 +203,9 @@ def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_
     ],
 )
 def test_units_and_rates_that_cannot_be_meant_are_refused(tmp_path, imported, changes, units, words):
-    with h5py.File(hdf5(tmp_path / "a.nc", **changes), "r+") as file:
-        for name, unit in units.items():
-            file[name].attrs["units"] = unit
+    source = hdf5(tmp_path / "a.nc", {name: {"units": unit} for name, unit in units.items()}, **changes)
     with pytest.raises(InputError, match=words):
-        imported(tmp_path / "a.nc")
+        imported(source)
     assert [one.name for one in tmp_path.iterdir()] == ["a.nc"]
 
 

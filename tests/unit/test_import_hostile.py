@@ -5,8 +5,6 @@ import random
 import shutil
 import zipfile
 import zlib
-from collections.abc import Callable
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -14,6 +12,7 @@ import pytest
 import scipy.io
 
 from tests.lab_files import put
+from tests.unit.mutations import mutated
 from wavefocus import export_bank
 from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
@@ -58,16 +57,6 @@ def dataset(**options):
     return hdf5(change)
 
 
-def archive(**changes):
-    """A maker of an archive with other arrays."""
-
-    def make(folder):
-        np.savez(folder / "a.npz", **ARRAYS | changes)
-        return folder / "a.npz"
-
-    return make
-
-
 def zipped(values, header="", *, pickled=False):
     """A maker of a compressed archive whose responses may declare another shape."""
 
@@ -92,6 +81,10 @@ def saved(name, save):
     return make
 
 
+def archive(**changes):
+    return saved("a.npz", lambda file: np.savez(file, **ARRAYS | changes))
+
+
 def unfolding_mat(tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", {"green": GREEN})
     header = (tmp_path / "a.mat").read_bytes()[:128]
@@ -112,7 +105,7 @@ NOT_FINITE = np.where(np.arange(GREEN.size).reshape(GREEN.shape) == 287, np.nan,
 PICKLED, CELLS = np.array([{"a": 1}], object), np.empty((2, 1), object)
 CELLS[:, 0] = [GREEN, "text"]
 BOMB = np.broadcast_to(np.float32(0.0), (6, 2, BOMB_BYTES // 48))
-HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
+HOSTILE = {
     "external link": (hdf5(put("green", h5py.ExternalLink("other.nc", "/green"))), "link"),
     "soft link": (hdf5(put("green", h5py.SoftLink("/position_mm"))), "link"),
     "hollow": (dataset(shape=(6, 10_000, 10_000), dtype="f4", chunks=(1, 100, 100)), "holds"),
@@ -144,26 +137,12 @@ def test_given_a_hostile_file_then_one_sentence_says_why(tmp_path, capsys, make,
     assert sorted(tmp_path.iterdir()) == before
 
 
-def mutated(content, source):
-    changed = bytearray(content)
-    at = source.randrange(min(len(changed), source.choice([256, 2048, len(changed)])))
-    match source.choice(["flip", "byte", "zeros", "noise", "cut", "twice", "digit"]):
-        case "flip":
-            changed[at] ^= 1 << source.randrange(8)
-        case "byte":
-            changed[at] = source.randrange(256)
-        case "zeros":
-            changed[at : at + 64] = bytes(len(changed[at : at + 64]))
-        case "noise":
-            changed[at : at + 8] = source.randbytes(8)
-        case "cut":
-            del changed[at:]
-        case "twice":
-            changed[at:at] = changed[at : at + 100]
-        case "digit":
-            digits = [place for place in range(min(len(changed), 4096)) if 48 <= changed[place] < 58] or [at]
-            changed[source.choice(digits)] = source.choice(b"0123456789-e.n ")
-    return bytes(changed)
+KINDS = ["flip", "byte", "zero page", "double", "cut", "twice", "digit"]
+
+
+def damaged(content, source):
+    at = source.randrange(min(len(content), source.choice([256, 2048, len(content)])))
+    return mutated(content, at, source.choice(KINDS), source)
 
 
 def mutations(tmp_path, kind, count):
@@ -182,9 +161,9 @@ def mutations(tmp_path, kind, count):
             shutil.rmtree(copy, ignore_errors=True)
             shutil.copytree(whole, copy)
             one = source.choice(sorted(copy.iterdir()))
-            one.write_bytes(mutated(one.read_bytes(), source))
+            one.write_bytes(damaged(one.read_bytes(), source))
         else:
-            copy.write_bytes(mutated(whole.read_bytes(), source))
+            copy.write_bytes(damaged(whole.read_bytes(), source))
         yield copy, form, options
 
 

@@ -1,7 +1,6 @@
 """Universal files that pyuff writes: a modal test, coordinate systems, padded lines, types of functions."""
 
 import codecs
-from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +54,7 @@ def nodes(own, definition=0, displacement=0, kind=2411, driven=((0.05, 0.0, 0.0)
 
 def functions(values, axes=(3,), step_hz=STEP_HZ, **changes):
     """Functions of each node's responses (nodes, 3, bins) in some directions."""
-    plain: dict[str, Any] = {
+    plain = {
         "type": 58, "binary": 0, "func_type": 4, "ref_node": DRIVEN, "ref_dir": 3, "abscissa_spacing": 1,
         "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 11, "orddenom_spec_data_type": 13, **changes,
     }  # fmt: skip

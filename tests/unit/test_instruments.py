@@ -5,18 +5,11 @@ from dataclasses import replace
 
 import pytest
 
+from tests.unit.test_doctor import absent
 from wavefocus.acquisition.setup import Openers
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.rig.instruments import open_instruments, openers_of
-
-
-def absent(name):
-    def refuse():
-        raise InstrumentError(name, "opening", "it is not there", "plug it in")
-
-    return refuse
 
 
 def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there():
@@ -52,7 +45,6 @@ def test_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_release
     with pytest.raises(InstrumentError):
         open_instruments(replace(openers, recorder=absent("recorder")))
     later_ns = round((openers.clock.now_s() + 1) * 1e9)
-    assert isinstance(mirror, VirtualMirror)
     assert mirror.motion.aims(later_ns, later_ns + 1) == [(later_ns, rig.mirror.park_mrad)]
 
 

@@ -1,6 +1,5 @@
 """A session that is asked to stop, to pause or to end at once, at every moment that it reports."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
 
@@ -12,7 +11,7 @@ from wavefocus.acquisition.drift_watch import DriftError
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, SessionEnded, State, StateChanged
+from wavefocus.config.messages.campaign import Fault, ReconnectTried, SessionEnded, State, StateChanged
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.writer import BankWriter, create_bank
@@ -48,7 +47,7 @@ class TrialSession:
     """One session, in which something is done at one of the events that it publishes."""
 
     def __init__(self, blueprint, bank, at, act):
-        self.stop, self.events = StopRequest(), list[Event]()
+        self.stop, self.events = StopRequest(), []
         self._at, self._act = at, act
         create_bank(bank, blueprint.bank_header())
         configuration = blueprint.configuration
@@ -75,22 +74,12 @@ def at_once(_session):
     raise KeyboardInterrupt
 
 
-def pause_and_stop(session):
-    session.stop.pause()
-    session.stop.finish_position()
-
-
-def pause_and_go_on(session):
-    session.stop.pause()
-    session.stop.go_on()
-
-
 # Each is tried at every so many moments; of the nightly run at each.
-ACTS: dict[str, tuple[Callable[[TrialSession], object], int]] = {
+ACTS = {
     "stop": (lambda session: session.stop.finish_position(), 6),
     "pause": (lambda session: session.stop.pause(), 12),
-    "pause and go on": (pause_and_go_on, 14),
-    "pause and stop": (pause_and_stop, 13),
+    "pause and go on": (lambda session: (session.stop.pause(), session.stop.go_on()), 14),
+    "pause and stop": (lambda session: (session.stop.pause(), session.stop.finish_position()), 13),
     "at once": (at_once, 9),
 }
 
@@ -103,8 +92,7 @@ def moments(blueprint, tmp_path_factory):
     assert states[-1] is State.FINISHED
     assert {State.RECOVERING, State.SUSPENDED} <= set(states)
     assert any(isinstance(one, Fault | ReconnectTried) for one in whole.events)
-    seen: dict[tuple[object, ...], int] = {}
-    course = State.IDLE
+    seen, course = {}, State.IDLE
     for at, event in enumerate(whole.events[:-2]):
         course = event.state if isinstance(event, StateChanged) else course
         seen.setdefault((type(event), course), at)

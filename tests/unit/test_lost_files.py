@@ -2,7 +2,6 @@
 
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +41,6 @@ def kept_in(path):
         return {row for row in np.flatnonzero(bank.status).tolist() if np.array_equal(bank.green(row), green_of(row))}
 
 
-def replace(path):
-    shutil.copy(path, path.with_name("other.h5")).replace(path)
-
-
 def overwrite(path):
     with path.open("r+b") as file:
         file.write(bytes(8192))
@@ -56,9 +51,10 @@ def delete_folder(path):
     path.parent.mkdir()
 
 
-LOSSES: dict[str, Callable[[Path], None]] = {
-    "deleted": Path.unlink, "replaced": replace, "overwritten": overwrite, "folder deleted": delete_folder,
+LOSSES = {
+    "deleted": Path.unlink, "overwritten": overwrite, "folder deleted": delete_folder,
     "emptied": lambda path: os.truncate(path, 0),
+    "replaced": lambda path: shutil.copy(path, path.with_name("other.h5")).replace(path),
 }  # fmt: skip
 
 

@@ -9,11 +9,13 @@ import pytest
 from pydantic import BaseModel
 
 import wavefocus as wf
+from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.config.emulation import Emulation
 from wavefocus.config.fields import DERIVED, FREE, KEPT, Positive, plan_mark
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig, Sweep
 from wavefocus.configuration import Configuration, plan_differences, plan_sha256
+from wavefocus.storage.bank.writer import create_bank
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "plan_hashes.json").read_text(encoding="utf-8"))
 POSITION_MM = np.array(GOLDEN["position_mm"])
@@ -69,7 +71,7 @@ def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free():
     assert marked == {table: set(keys.split()) for table, keys in FREE_KEYS.items()}
 
 
-def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values():
+def test_keys_that_differ_are_named_with_both_values_also_where_a_bank_has_them(tmp_path):
     own = Configuration(RunConfig.model_validate({}), RigConfig.model_validate({}), POSITION_MM)
     run = RunConfig.model_validate({"sweep": {"stop_hz": 800.0}, "tolerance": {"correlation": 0.5}})
     rig = RigConfig.model_validate({"recorder": {"response_range_v": 5.0}})
@@ -80,16 +82,8 @@ def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values():
     }
     assert len(differences) == 3
     assert plan_differences(own, own) == ()
-
-
-def test_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_values(tmp_path):
-    places = [[0, 0], [5, 0]]
-    capture = {"averages": 2, "decay_s": 0.1, "taps": 1000}
-    quick = {"sweep": {"duration_s": 0.3}, "capture": capture}
-    wf.virtual_rig(actuators=2, position_mm=places, run=quick).measure(tmp_path / "bank.h5", [0]).close()
-    other = wf.virtual_rig(
-        actuators=2, position_mm=places, run={"sweep": {"duration_s": 0.3, "stop_hz": 400.0}, "capture": capture}
-    )
+    begun, other = (wf.virtual_rig(actuators=2, run={"sweep": {"stop_hz": stop_hz}}) for stop_hz in (500.0, 400.0))
+    create_bank(tmp_path / "bank.h5", blueprint_of(begun.configuration).bank_header())
     with pytest.raises(wf.InputError, match=r"another plan.*sweep\.stop_hz \(500\.0, not 400\.0\)"):
         other.measure(tmp_path / "bank.h5")
 

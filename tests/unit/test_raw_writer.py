@@ -37,8 +37,11 @@ def made(tmp_path, positions=3):
     return path
 
 
-def test_commits_then_plain_h5py_reads_the_same_volts_and_others_are_empty(tmp_path):
+def test_commits_are_read_by_plain_h5py_and_replaced_and_do_not_grow_the_file(tmp_path):
     path = made(tmp_path)
+    with pytest.raises(InputError, match="exists already"):
+        create_raw(path, raw_header())
+    size = path.stat().st_size
     with RawWriter.open(path, plan_sha256="ab" * 32) as writer:
         writer.commit(1, *volts(1))
         assert writer.recorded.tolist() == [False, True, False]
@@ -52,38 +55,23 @@ def test_commits_then_plain_h5py_reads_the_same_volts_and_others_are_empty(tmp_p
         assert file["response"].dtype == np.int16
         assert np.array_equal(file["response"][1] * np.float32(file["response"].attrs["volts_per_count"]), volts(1)[1])
         assert file["schedule/actuator"][:].tolist() == [[0], [1]]
-
-
-def test_a_second_attempt_replaces_the_first_and_commits_do_not_grow_the_file(tmp_path):
-    path = made(tmp_path)
-    with pytest.raises(InputError, match="exists already"):
-        create_raw(path, raw_header())
-    size = path.stat().st_size
     with RawWriter.open(path) as writer:
-        for position in range(3):
-            writer.commit(position, *volts(position))
-        writer.commit(0, *volts(0, 2))
+        for position, attempt in ((0, 1), (2, 1), (0, 2)):
+            writer.commit(position, *volts(position, attempt))
     assert holds(path, 0, 2)
     assert path.stat().st_size == size <= raw_header().file_bytes
 
 
-@pytest.mark.parametrize(
-    ("position", "change", "complaint"),
-    [
-        (3, lambda one: one, "position 3 is not in raw file"),
-        (0, lambda one: one[:1], "shape"),
-        (0, lambda one: one + np.float32(100), "not finite or beyond"),
-        (0, lambda one: one * np.float32(np.nan), "not finite or beyond"),
-    ],
-)
-def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_kept(
-    tmp_path, position, change, complaint
-):
-    path = made(tmp_path)
+def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_kept(tmp_path):
     reference, response = volts(0)
-    with RawWriter.open(path) as writer:
-        with pytest.raises(InputError, match=complaint):
-            writer.commit(position, reference, change(response))  # type: ignore[operator]
+    with RawWriter.open(made(tmp_path)) as writer:
+        for position, wrong, complaint in (
+            (3, response, "position 3 is not in raw file"), (0, response[:1], "shape"),
+            (0, response + np.float32(100), "not finite or beyond"),
+            (0, response * np.float32(np.nan), "not finite or beyond"),
+        ):  # fmt: skip
+            with pytest.raises(InputError, match=complaint):
+                writer.commit(position, reference, wrong)
         assert not writer.recorded.any()
 
 

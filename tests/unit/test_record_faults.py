@@ -39,28 +39,26 @@ def of_figures(**changed):
 
 
 NOISY_V = np.array([1e-4, 1e-4, 5e-3, 1e-4], np.float32)
+LOST = {
+    figure: np.where(np.arange(4) == 1, np.nan, getattr(of_figures(), figure))
+    for figure in ("snr_db", "residual_db", "noise_v")
+}
 
 
 @pytest.mark.parametrize(
-    ("figures", "flag", "status"),
+    ("figures", "flag", "status", "words"),
     [
-        ({}, True, Status.OVER_RANGE),
-        ({"clip_count": np.array([0, 3, 0, 0], np.int32)}, False, Status.OVER_RANGE),
-        ({"noise_v": NOISY_V}, True, Status.OVER_RANGE | Status.POOR_SIGNAL),
+        ({}, True, Status.OVER_RANGE, ""),
+        ({"clip_count": np.array([0, 3, 0, 0], np.int32)}, False, Status.OVER_RANGE, ""),
+        ({"noise_v": NOISY_V}, True, Status.OVER_RANGE | Status.POOR_SIGNAL, ""),
+        *(({figure: values}, False, Status.POOR_SIGNAL, "actuator 1") for figure, values in LOST.items()),
     ],
-    ids=["over range by flag", "over range by count", "two faults"],
+    ids=["over range by flag", "over range by count", "two faults", *(f"{figure} is no number" for figure in LOST)],
 )
-def test_figures_that_say_a_fault_set_its_bit(figures, flag, status):
-    assert judge(of_figures(**figures), flag, LIMITS).status == status
-
-
-@pytest.mark.parametrize("figure", ["snr_db", "residual_db", "noise_v"])
-def test_a_figure_that_is_no_number_then_the_position_is_not_valid(figure):
-    values = getattr(of_figures(), figure).copy()
-    values[1] = np.nan
-    judgement = judge(of_figures(**{figure: values}), False, LIMITS)
-    assert judgement.status == Status.POOR_SIGNAL
-    assert "actuator 1" in judgement.reason
+def test_figures_that_say_a_fault_or_are_no_numbers_set_its_bit(figures, flag, status, words):
+    judgement = judge(of_figures(**figures), flag, LIMITS)
+    assert judgement.status == status
+    assert words in judgement.reason
 
 
 def test_status_bytes_are_counted_by_word():

@@ -12,7 +12,7 @@ from wavefocus.acquisition.engine.recovery import LOSSES_IN_A_ROW, Conditions, R
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import AllowedRange, Watch, point_at
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.config.messages.campaign import Event, ReconnectTried, State, StateChanged
+from wavefocus.config.messages.campaign import ReconnectTried, State, StateChanged
 from wavefocus.config.rig import default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
@@ -38,7 +38,7 @@ class Watched:
     """A recovery with all that it tells."""
 
     def __init__(self, setup):
-        self.events: list[Event] = []
+        self.events = []
         self.life = Session(setup.instruments.clock, self.events.append, StopRequest())
         self.recovery = Recovery(setup, self.life)
         self.life.enter(State.RUNNING, "for the test")
@@ -53,9 +53,9 @@ class Watched:
 
 
 def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_again():
-    setup = setup_of(RigFault("mirror", "move_to", "unplugged", at_call=2, tries=2))
-    watched = Watched(setup)
-    done = []
+    faults = [RigFault("mirror", "move_to", "unplugged", at_call=call, tries=tries) for call, tries in ((2, 2), (5, 1))]
+    setup = setup_of(*faults)
+    watched, done = Watched(setup), []
 
     def measure():
         for x_mm in (1.0, 2.0):
@@ -68,6 +68,8 @@ def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_a
     assert watched.states == [State.RUNNING, State.RECOVERING, State.RUNNING]
     assert [one.connected for one in watched.tries] == [False, False, True]
     assert watched.life.time_s() - watched.life.working_s()[0] == pytest.approx(3.0)
+    assert watched.recovery.retry_after_reconnect(measure) == "measured"
+    assert [one.number for one in watched.tries] == [1, 2, 3, 1, 2]  # after a measurement the waits begin anew
 
 
 @pytest.mark.parametrize(
@@ -133,15 +135,6 @@ def test_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end
     assert 60.0 <= setup.instruments.clock.now_s() < 120.0
 
 
-def test_given_a_measurement_between_two_losses_then_the_waits_begin_anew():
-    faults = [RigFault("mirror", "move_to", "unplugged", at_call=call, tries=1) for call in (1, 3)]
-    setup = setup_of(*faults)
-    watched = Watched(setup)
-    for _ in range(2):
-        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
-    assert [one.number for one in watched.tries] == [1, 2, 1, 2]
-
-
 def test_given_another_device_in_its_place_then_nobody_waits_for_it():
     class Impostor:
         def reconnect(self):
@@ -186,19 +179,9 @@ SIGNAL_V = EXCITATION.signal_v()
 PLAY = Play(0, {0: SIGNAL_V, 20: SIGNAL_V})
 
 
-class Thermometer:
-    def __init__(self, value):
-        self.value = value
-
-    def read(self):
-        if self.value is None:
-            raise InstrumentError("thermometer", "reading", "it is silent", "look after it")
-        return self.value
-
-
 def _conditions(sensor=None, **bands):
     setup = lab_files.setup_of(VirtualRig(), reference_gain=0.5)
-    watch = Watch(bands, {} if sensor is None else {"room": sensor.read})
+    watch = Watch(bands, {} if sensor is None else {"room": sensor})
     return Conditions(watch, setup, EXCITATION)
 
 
@@ -226,22 +209,18 @@ def test_given_noise_under_a_loud_response_then_its_rms_in_most_records_is_found
     assert found_v == pytest.approx(noises_v[0], rel=0.1)
 
 
-def test_given_a_band_then_it_is_left_on_one_threshold_and_entered_on_another():
-    band = AllowedRange("room temperature", "degrees C", 18.0, 26.0, 19.0, 25.0)
-    assert band.left(17.9) == "room temperature 17.9 degrees C is below 18 degrees C"
-    assert band.left(26.5) == "room temperature 26.5 degrees C is above 26 degrees C"
-    assert band.left(18.5) == ""
-    assert not band.is_back(18.5)
-    assert band.is_back(19.0)
-    assert not band.is_back(25.5)
-
-
 def test_given_a_sensor_that_fails_then_its_value_is_unknown_and_the_failure_is_kept():
-    sensor = Thermometer(None)
-    conditions = _conditions(sensor, room=AllowedRange("room temperature", "degrees C", leaves_below=18.0))
+    room_c = []
+
+    def read():
+        if not room_c:
+            raise InstrumentError("thermometer", "reading", "it is silent", "look after it")
+        return room_c[0]
+
+    conditions = _conditions(read, room=AllowedRange("room temperature", "degrees C", leaves_below=18.0))
     assert conditions.values([], []) == {}
     assert "silent" in str(conditions.silent_sensors["room"])
-    sensor.value = 15.0
+    room_c.append(15.0)
     values = conditions.values([], [])
     assert conditions.silent_sensors == {}
     assert "below 18" in conditions.left(values)
@@ -256,9 +235,13 @@ def watch_of(rig):
     return open_rig(rig, openers_of(rig)).watch
 
 
-def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path):
+def test_a_band_is_left_on_one_threshold_and_entered_on_another_a_tenth_inside(tmp_path):
+    band = AllowedRange("room temperature", "degrees C", 18.0, 26.0, 19.0, 25.0)
+    assert band.left(17.9) == "room temperature 17.9 degrees C is below 18 degrees C"
+    assert band.left(26.5) == "room temperature 26.5 degrees C is above 26 degrees C"
+    assert band.left(18.5) == ""
+    assert [band.is_back(value_c) for value_c in (18.5, 19.0, 25.5)] == [False, True, False]
     rig = _rig(tmp_path, "[watch.reference]\nleaves_below = -3\nleaves_above = 2.0\nsettle_s = 5")
-    assert rig.watch.reference is not None
     band = band_of(rig.watch.reference, "reference level", "dB")
     assert (band.leaves_below, band.returns_above) == (-3.0, pytest.approx(-2.7))
     assert (band.leaves_above, band.returns_below) == (2.0, pytest.approx(1.8))
@@ -280,5 +263,4 @@ def test_sensors_of_the_rig_or_a_transmitter_are_asked_for_what_is_watched(tmp_p
             return {"ai3": 0.25}[name]
 
     rig = _rig(tmp_path, '[watch.room]\nleaves_below = 18\ninput = "ai3"\ncelsius_per_v = 80.0\ncelsius_at_0_v = 1.5')
-    assert rig.watch.room is not None
     assert room_c(Box(), rig.watch.room) == 21.5

@@ -29,16 +29,13 @@ def rows(path):
         return [one.row for one in journal.entries()]
 
 
-def test_given_positions_kept_then_they_are_there_again(path):
+def test_given_a_kill_at_any_byte_then_whole_entries_count_and_the_next_one_is_kept(path):
     with ScanJournal(path, "one", SAMPLES) as journal:
         for found, row in zip(journal.entries(), (4, 0, 7), strict=True):
             wanted = scanned(row)
             assert (found.row, found.status, found.attempts) == (row, 1, 2)
             assert (found.noise_rms, found.clock_ratio, found.playback_gain) == (wanted.noise_rms, 1.00003, 0.99)
             np.testing.assert_array_equal(found.response, wanted.response)
-
-
-def test_given_a_kill_at_any_byte_then_whole_entries_count_and_the_next_one_is_kept(path):
     whole = path.read_bytes()
     entry = (len(whole) - 4096) // 3
     for size in (0, 10, 4096, 4096 + entry - 1, 4096 + entry, len(whole) - 1, len(whole)):

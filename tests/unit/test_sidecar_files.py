@@ -36,27 +36,19 @@ def victim(tmp_path):
     return tmp_path / "victim"
 
 
-@pytest.mark.parametrize("path_of", [log_path, drift_path])
-def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(victim, path_of):
-    bank = victim.with_name("plate.h5")
-    names = [bank.with_suffix(ending) for ending in (".events.jsonl", ".drift.jsonl")]
-    for name in names:
-        name.symlink_to(victim)
-
-    def write():
-        with EventLog(path_of(bank), Drift) as written:
-            written(Drift(0, 0.0, 0.1, 0.0, 1.0, "steady", "run", "", ()))
-
-    write()
-    for name in names:
-        name.unlink()
-        name.write_bytes(PRECIOUS)
-    write()
-    assert [name.read_bytes() for name in names] == [PRECIOUS, PRECIOUS]
-    for name in names:
-        name.unlink()
-        os.mkfifo(name)
-    write()
+def test_given_a_link_or_a_file_of_another_then_no_log_is_written_there(victim):
+    bank, of_verify = victim.with_name("plate.h5"), victim.with_name("verify.events.jsonl")
+    names = [log_path(bank), drift_path(bank)]
+    for make in (lambda name: name.symlink_to(victim), lambda name: name.write_bytes(PRECIOUS), os.mkfifo):
+        for name in names:
+            name.unlink(missing_ok=True)
+            make(name)
+            with EventLog(name, Drift) as written:
+                written(Drift(0, 0.0, 0.1, 0.0, 1.0, "steady", "run", "", ()))
+        assert all(name.read_bytes() == PRECIOUS for name in [victim, *names] if name.is_file())
+    of_verify.symlink_to(victim)
+    with VerifyLog(of_verify) as log:
+        log.done(0, "done")
     assert victim.read_bytes() == PRECIOUS
 
 
@@ -77,30 +69,19 @@ def test_given_a_link_or_a_file_of_another_the_owner_is_named_beside_the_bank_al
 @pytest.mark.parametrize("by_many", [True, False])
 def test_given_links_and_files_of_another_then_small_files_are_written_beside_them(victim, by_many):
     path = victim.with_name("plate.h5.heartbeat")
+    of_killed_writer = path.with_name(f".{path.name}.0123456789abcdef.new")
+    of_killed_writer.write_bytes(b"{")
     for name in (path.with_name(f"{path.name}.new"), path.with_name(f"{path.name}.{os.getpid()}.new"), path):
         name.symlink_to(victim)
     write_whole(path, {"a": 1}, by_many=by_many)
     assert json.loads(path.read_text()) == {"a": 1}
+    assert of_killed_writer.exists() is by_many  # one of many may be alive
     assert path.with_name(f"{path.name}.new").is_symlink()
     assert victim.read_bytes() == PRECIOUS
     path.write_bytes(PRECIOUS)
     with pytest.raises(FileExistsError):
         write_whole(path, {"a": 2}, by_many=by_many)
     assert path.read_bytes() == PRECIOUS
-
-
-def test_given_what_a_killed_writer_left_then_the_next_one_removes_it(tmp_path):
-    path = tmp_path / "plate.h5.heartbeat"
-    (tmp_path / f".{path.name}.0123456789abcdef.new").write_bytes(b"{")
-    write_whole(path, {"a": 1})
-    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
-
-
-def test_given_a_link_then_the_log_of_a_verification_is_written_beside_it(victim):
-    (victim.parent / "verify.events.jsonl").symlink_to(victim)
-    with VerifyLog(victim.parent / "verify.events.jsonl") as log:
-        log.done(0, "done")
-    assert victim.read_bytes() == PRECIOUS
 
 
 def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_removed(tmp_path):
@@ -131,7 +112,7 @@ def test_given_a_pipe_in_place_of_a_file_beside_a_bank_then_it_holds_nothing(tmp
     assert read(bank) == nothing
 
 
-def test_given_pipes_as_inputs_then_they_are_refused(tmp_path):
+def test_given_pipes_as_inputs_then_they_are_refused_and_none_is_waited_for(tmp_path):
     pipe = tmp_path / "pipe.toml"
     os.mkfifo(pipe)
     assert input_files(pipe) == [pipe]
@@ -143,9 +124,6 @@ def test_given_pipes_as_inputs_then_they_are_refused(tmp_path):
         ["trials", str(pipe), "--bank", str(pipe), "--rig", str(pipe), "--participant", "p", "--out", str(tmp_path)],
     ):  # fmt: skip
         assert run(command) == 2
-
-
-def test_given_a_pipe_as_owner_file_then_status_does_not_wait_for_it(tmp_path):
     bank = write_foreign(tmp_path / "plate.h5")
     for path in (owner_path(bank), heartbeat_path(bank)):
         os.mkfifo(path)

@@ -78,15 +78,15 @@ def test_wrong_positions_are_found_and_named_and_no_other(name, kinds):
     greens = noisy(green, 40.0)
     for position, kind in zip(wrong, kinds, strict=True):
         spoil(name, kind, greens, position, rng)
-    found = judged(greens, grid, actuator_mm).differences
+    verdict = judged(greens, grid, actuator_mm)
+    assert verdict.judged.mean() > 0.5
     expected = sorted((position, KINDS[kind]) for position, kind in zip(wrong, kinds, strict=True))
-    assert [(one.position, one.kind) for one in found] == expected
+    assert [(one.position, one.kind) for one in verdict.differences] == expected
 
 
-@pytest.mark.parametrize(
-    ("name", "snr_db"),
-    [("disk", 40.0), *(pytest.param(name, snr, marks=pytest.mark.nightly) for name in MAKERS for snr in (25.0, 80.0))],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("snr_db", [25.0, 80.0])
+@pytest.mark.parametrize("name", MAKERS)
 def test_a_right_plate_has_no_differences(name, snr_db):
     grid, actuator_mm, green = plate(name)
     verdict = judged(noisy(green, snr_db), grid, actuator_mm)
@@ -169,7 +169,6 @@ def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_othe
 def test_waves_that_leave_no_noise_or_none_at_all_then_judge_no_row(coarse):
     spectra, usable = spectra_of(coarse.values, coarse.band_hz), np.ones(len(PLACES_MM), bool)
     waves = waves_of_rows(PLACES_MM, ACTUATOR_MM, spectra.values, spectra.frequency_hz, usable)
-    assert waves is not None
     exact = waves._replace(shares=waves.shares - np.array([0.0, 0.0, 60.0, 60.0]))
     for found in (exact, None):
         assert not judge_rows(PLACES_MM, ACTUATOR_MM, spectra, ON_GRID, usable, lambda found=found: found).by_waves
