@@ -42,7 +42,7 @@ make_venv() {
     fi
     rm -rf .venv
     say "making .venv with $("$python" --version)"
-    "$python" -m venv .venv
+    "$python" -m venv --without-pip .venv
 }
 
 whole() { recent .venv/bin/python && .venv/bin/python -c 'import pip' >/dev/null 2>&1; }
@@ -63,15 +63,31 @@ install() {
 }
 
 by_uv() {
-    [ -x .venv/bin/uv ] || .venv/bin/python -m pip install --quiet --constraint constraints.txt uv || return 1
+    [ -x .venv/bin/uv ] || get_uv || return 1
     UV_DEFAULT_INDEX=${PIP_INDEX_URL:-$(.venv/bin/python -m pip config get global.index-url 2>/dev/null || true)}
     [ -z "$UV_DEFAULT_INDEX" ] && unset UV_DEFAULT_INDEX || export UV_DEFAULT_INDEX
-    .venv/bin/uv pip install --quiet --native-tls --python .venv/bin/python --constraint constraints.txt \
-        --editable "$target"
+    uv_install --requirement pyproject.toml ${extra:+--extra "$extra"} pip || return 1
+    # Building the project's own metadata takes longer than all the rest: once is enough.
+    [ "$(cat .venv/project 2>/dev/null)" = "$wanted" ] || uv_install --no-deps --editable . || return 1
+    echo "$wanted" >.venv/project
 }
+
+uv_install() {
+    .venv/bin/uv pip install --quiet --native-tls --python .venv/bin/python --constraint constraints.txt "$@"
+}
+
+# The pip of the Python beneath installs uv. Where it has none, the environment gets its own, which takes ten seconds.
+get_uv() {
+    beneath=$(.venv/bin/python -c 'import sys; print(getattr(sys, "_base_executable", sys.executable))')
+    "$beneath" -m pip --python .venv/bin/python install --quiet --constraint constraints.txt uv 2>/dev/null ||
+        { own_pip && .venv/bin/python -m pip install --quiet --constraint constraints.txt uv; }
+}
+
+own_pip() { .venv/bin/python -c 'import pip' 2>/dev/null || .venv/bin/python -m ensurepip >/dev/null; }
 
 # Python compiles the modules that are used when they are first imported: pip would compile all of them, 20 seconds.
 by_pip() {
+    own_pip || return 1
     .venv/bin/python -m pip install --quiet --no-compile --constraint constraints.txt --editable "$target"
 }
 
