@@ -34,8 +34,7 @@ def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, sha
         wait(qtbot, lambda: words in window.messages.sentence)
         assert "Traceback" not in window.messages.sentence
 
-    # This very process measured the bank: its old heartbeat would be taken for the owner's.
-    finished.with_name("plate.h5.heartbeat").unlink()
+    finished.with_name("plate.h5.heartbeat").unlink()  # this process measured the bank, and will own it
     window.open_file(finished)
     with BankWriter.open(finished):
         wait(qtbot, lambda: tab.progress.state.text() == "preparing")
@@ -129,9 +128,7 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
         wait(qtbot, lambda: not verification.run.running)
 
 
-def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_word(
-    qtbot, open_window, real_rig, tmp_path
-):
+def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_silently(qtbot, open_window, real_rig, tmp_path):
     run = write_lab(tmp_path / "lab", 4, 3)
     text = run.read_text(encoding="utf-8").partition("[virtual]")[0]
     run.write_text(text.replace('"rig.toml"', f'"{real_rig}"'), encoding="utf-8")
