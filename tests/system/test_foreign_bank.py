@@ -107,13 +107,18 @@ def test_given_a_bank_without_a_plan_then_it_cannot_be_measured_on(bank, tmp_pat
         assert bank.read_bytes() == before
 
 
-def test_a_drive_without_checksums_then_is_predicted_as_unverified(tmp_path, bank, capsys):
+def test_a_changed_drive_is_refused_and_one_without_checksums_is_unverified(tmp_path, bank, capsys):
     drive = tmp_path / "drive.h5"
+    predict = ["predict", drive, "--bank", bank, "--out", tmp_path / "field.h5"]
     assert wavefocus("render", tmp_path / "scene.toml", "--bank", bank, "--out", drive) == 0
+    with h5py.File(drive, "r+") as file:
+        file["drive"][0, 5] += 1e-9
+    for command in (predict, ["check", drive]):
+        assert "drive.h5" in refused(capsys, *command)
     with h5py.File(drive, "r+") as file:
         del file.attrs["contents_sha256"]
         for name in ("time_s", "drive", "focus/sample", "focus/position", "focus/source", "actuator"):
             del file[name].attrs["sha256"]
     capsys.readouterr()
-    assert wavefocus("predict", drive, "--bank", bank, "--out", tmp_path / "field.h5") == 0
+    assert wavefocus(*predict) == 0
     assert "unverified" in capsys.readouterr().err
