@@ -51,7 +51,7 @@ test-all: ## Run the tests that `make test` leaves out: whole commands, kills, c
 	@tools/set-up.sh test-all
 	$(PY) -m pytest --dist loadfile -m "(whole or long) and not nightly" $(ARGS)
 
-test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new cases, coverage, soak; 75 minutes
+test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new cases, coverage, soak; some 80 minutes
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/system-packages.sh --no-install-recommends $(OCTAVE)
 	@tools/set-up.sh test-all
