@@ -23,8 +23,8 @@ TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0
 # Octave reads a bank in a nightly test; what it recommends (Java, for one) is not needed.
 OCTAVE := octave octave-netcdf
 
-# Only these are collected by `make test`: whole folders, and the files with a test of a command or a tab.
-QUICK = tests/unit tests/wire tests/contract $(shell grep -rl "mark.smoke" tests/system tests/gui)
+# What `make test` runs, collected from no other files: whole folders, and the files with a test of a command or a tab.
+QUICK = -m "not long and not whole and not nightly" tests/unit tests/wire tests/contract $(shell grep -rl "mark.smoke" tests/system tests/gui)
 
 .PHONY: help demo docs test test-all test-nightly constraints lint bench bench-pages stiff-cases soak screenshots clean
 .NOTPARALLEL:
@@ -44,7 +44,7 @@ docs: ## Build the documentation's site in site/, warnings being errors; open si
 test: ## Run unit, contract and wire tests, and one test of each command and tab
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
-	$(PY) -m pytest -m "not long and not whole and not nightly" $(QUICK) $(ARGS)
+	$(PY) -m pytest $(QUICK) $(ARGS)
 
 test-all: ## Run the tests that `make test` leaves out: whole commands, kills, captures in real time
 	@tools/system-packages.sh $(TEST_PACKAGES)
@@ -57,8 +57,7 @@ test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new
 	@tools/set-up.sh test-all
 	@tools/set-up.sh bench
 	COVERAGE_CORE=$$($(PY) -c 'import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")') \
-		$(PY) -m pytest -m "not long and not whole and not nightly" --hypothesis-profile nightly --cov --cov-report=term \
-		$(QUICK) $(ARGS)
+		$(PY) -m pytest $(QUICK) --hypothesis-profile nightly --cov --cov-report=term $(ARGS)
 	$(PY) -m pytest -m nightly --dist worksteal $(ARGS)
 
 constraints: ## Renew constraints.txt with the newest versions of what wavefocus and its tests need, and run the tests

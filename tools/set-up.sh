@@ -8,7 +8,6 @@ export PIP_USER PIP_DISABLE_PIP_VERSION_CHECK PIP_NO_INPUT
 cd "$(dirname "$0")/.."
 
 extra=${1:-}
-target=".${extra:+[$extra]}"
 stamp=".venv/installed${extra:+-$extra}"
 # What the installation depends on: the project's description, and where it lies (the install points there).
 wanted=$({ pwd; cat pyproject.toml constraints.txt; } | cksum)
@@ -45,7 +44,9 @@ make_venv() {
     "$python" -m venv --without-pip .venv
 }
 
-whole() { recent .venv/bin/python && .venv/bin/python -c 'import pip' >/dev/null 2>&1; }
+has_pip() { .venv/bin/python -c 'import pip' >/dev/null 2>&1; }
+
+whole() { recent .venv/bin/python && has_pip; }
 
 usable() {
     (cd / && "$OLDPWD/.venv/bin/python" -c '
@@ -63,32 +64,33 @@ install() {
 }
 
 by_uv() {
+    beneath=$(.venv/bin/python -c 'import sys; print(getattr(sys, "_base_executable", sys.executable))')
     [ -x .venv/bin/uv ] || get_uv || return 1
-    UV_DEFAULT_INDEX=${PIP_INDEX_URL:-$(.venv/bin/python -m pip config get global.index-url 2>/dev/null || true)}
-    [ -z "$UV_DEFAULT_INDEX" ] && unset UV_DEFAULT_INDEX || export UV_DEFAULT_INDEX
+    # uv does not read the settings of pip, where a lab may name an index of its own.
+    index=${UV_DEFAULT_INDEX:-${PIP_INDEX_URL:-$("$beneath" -m pip config get global.index-url 2>/dev/null || true)}}
     uv_install --requirement pyproject.toml ${extra:+--extra "$extra"} pip || return 1
-    # Building the project's own metadata takes longer than all the rest: once is enough.
-    [ "$(cat .venv/project 2>/dev/null)" = "$wanted" ] || uv_install --no-deps --editable . || return 1
-    echo "$wanted" >.venv/project
+    # Building the project's own metadata takes longer than all the rest: once for all extras is enough.
+    cat .venv/installed* 2>/dev/null | grep -qxF "$wanted" || uv_install --no-deps --editable .
 }
 
 uv_install() {
-    .venv/bin/uv pip install --quiet --native-tls --python .venv/bin/python --constraint constraints.txt "$@"
+    .venv/bin/uv pip install --quiet --native-tls ${index:+--default-index "$index"} --python .venv/bin/python \
+        --constraint constraints.txt "$@"
 }
 
 # The pip of the Python beneath installs uv. Where it has none, the environment gets its own, which takes ten seconds.
 get_uv() {
-    beneath=$(.venv/bin/python -c 'import sys; print(getattr(sys, "_base_executable", sys.executable))')
     "$beneath" -m pip --python .venv/bin/python install --quiet --constraint constraints.txt uv 2>/dev/null ||
         { own_pip && .venv/bin/python -m pip install --quiet --constraint constraints.txt uv; }
 }
 
-own_pip() { .venv/bin/python -c 'import pip' 2>/dev/null || .venv/bin/python -m ensurepip >/dev/null; }
+own_pip() { has_pip || .venv/bin/python -m ensurepip >/dev/null; }
 
 # Python compiles the modules that are used when they are first imported: pip would compile all of them, 20 seconds.
 by_pip() {
     own_pip || return 1
-    .venv/bin/python -m pip install --quiet --no-compile --constraint constraints.txt --editable "$target"
+    .venv/bin/python -m pip install --quiet --no-compile --constraint constraints.txt \
+        --editable ".${extra:+[$extra]}"
 }
 
 whole || make_venv

@@ -209,36 +209,41 @@ sys.exit(window.process.exit_code)
 """
 
 
-@pytest.mark.long
-def test_on_a_real_screen_trials_are_answered_and_the_window_lives_until_it_is_ended(finished, tmp_path):
-    (tmp_path / "trials.toml").write_text(TRIALS, encoding="utf-8")
+@pytest.fixture
+def display():
+    """An X server of the test's own. It ends when nobody reads the rest of the line that tells its number."""
     reads, writes = os.pipe()
     command = ["Xvfb", "-displayfd", str(writes), "-screen", "0", "1280x800x24", "-nolisten", "tcp"]
     with subprocess.Popen(command, pass_fds=[writes], stderr=subprocess.DEVNULL) as server:
         os.close(writes)
         ready, _, _ = select.select([reads], [], [], 60)
         assert ready, "Xvfb does not start"
-        display = f":{os.read(reads, 16).decode().strip()}"
-        os.close(reads)
-        kept = {key: one for key, one in os.environ.items() if key not in ("QT_QPA_PLATFORM", "WAYLAND_DISPLAY")}
-        own = {"DISPLAY": display, "HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
-        options = {"env": kept | own, "stderr": subprocess.PIPE, "text": True}
-        command = [sys.executable, "-c", SCREEN, *arguments(finished.parent, tmp_path)]
-        done = subprocess.run(command, timeout=120, check=False, **options)
-        assert done.returncode == 0, done.stderr
-        assert [row.by for row in read_answers(tmp_path / "out")] == 6 * ["button"]
-        command = [sys.executable, "-m", "wavefocus", "gui", str(finished)]
-        with subprocess.Popen(command, **options) as window:
-            status = Path(f"/proc/{window.pid}/status")
-            # It catches the signal as soon as it is shown.
-            while not int(re.findall(r"SigCgt:\s*(\w+)", status.read_text())[0], 16) >> (signal.SIGTERM - 1) & 1:
-                assert window.poll() is None
-                time.sleep(0.05)
-            time.sleep(1.0)
-            assert window.poll() is None
-            window.send_signal(signal.SIGTERM)
-            _, told = window.communicate(timeout=30)
-        assert window.returncode == 0
-        assert "wavefocus:" not in told
-        assert "Traceback" not in told
+        yield f":{os.read(reads, 16).decode().strip()}"
         server.terminate()
+    os.close(reads)
+
+
+@pytest.mark.long
+def test_on_a_real_screen_trials_are_answered_and_the_window_lives_until_it_is_ended(display, finished, tmp_path):
+    (tmp_path / "trials.toml").write_text(TRIALS, encoding="utf-8")
+    kept = {key: one for key, one in os.environ.items() if key not in ("QT_QPA_PLATFORM", "WAYLAND_DISPLAY")}
+    own = {"DISPLAY": display, "HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
+    options = {"env": kept | own, "stderr": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-c", SCREEN, *arguments(finished.parent, tmp_path)]
+    done = subprocess.run(command, timeout=120, check=False, **options)
+    assert done.returncode == 0, done.stderr
+    assert [row.by for row in read_answers(tmp_path / "out")] == 6 * ["button"]
+    command = [sys.executable, "-m", "wavefocus", "gui", str(finished)]
+    with subprocess.Popen(command, **options) as window:
+        status = Path(f"/proc/{window.pid}/status")
+        # It catches the signal as soon as it is shown.
+        while not int(re.findall(r"SigCgt:\s*(\w+)", status.read_text())[0], 16) >> (signal.SIGTERM - 1) & 1:
+            assert window.poll() is None
+            time.sleep(0.05)
+        time.sleep(1.0)
+        assert window.poll() is None
+        window.send_signal(signal.SIGTERM)
+        _, told = window.communicate(timeout=30)
+    assert window.returncode == 0
+    assert "wavefocus:" not in told
+    assert "Traceback" not in told

@@ -13,7 +13,7 @@ import time
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import Listener, capture, capture_process, empty_bank, events_of, held, states_of
+from tests.system.captures import Listener, answered, capture, capture_process, empty_bank, events_of, held, states_of
 from tests.system.conftest import with_faults, write_lab
 from tests.system.lines import Lines
 from wavefocus.__main__ import run
@@ -239,8 +239,7 @@ def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(lab, 
         assert str(owner.pid) in capsys.readouterr().err
         assert run(["status", str(bank)]) == 0
         assert "owns the bank but has been silent for" in capsys.readouterr().out
-        assert run(["status", str(bank), "--json"]) == 0
-        facts = json.loads(capsys.readouterr().out)
+        facts = answered(capsys, "status", bank)
     assert facts["silent"] is True
     assert facts["last_sign_of_life"]["state"] == "running"
     assert facts["last_sign_of_life"]["age_s"] > 86_400

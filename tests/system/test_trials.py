@@ -143,10 +143,8 @@ def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, ban
 
 @pytest.mark.smoke
 def test_given_a_preparation_then_the_stimuli_are_there_and_a_window_is_not_needed(lab, bank, capsys):
-    assert run([*experiment(lab)[:-2], "--lines"]) == 2
-    assert "--participant is missing" in capsys.readouterr().err
-    assert run([*experiment(lab)[:-2], "--prepare", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)["stimuli"]
+    assert "--participant is missing" in captures.refused(capsys, *experiment(lab)[:-2], "--lines")
+    listed = captures.answered(capsys, *experiment(lab)[:-2], "--prepare")["stimuli"]
     assert sorted(listed) == sorted(one.stem for one in (lab / "out" / "stimuli").glob("*.h5"))
     assert read_answers(lab / "out") == ()
     with AnswersFile(lab / "out") as answers:
@@ -160,9 +158,7 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, ba
     person = SimulatedParticipant(design, Observer("amplitude", -3.5, 8.0), np.random.default_rng(1))
     assert in_process(lambda session: answer(session, person.answer), *command, "--lines", "--fast") == 0
 
-    capsys.readouterr()
-    assert run(["analyse", str(out), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed = captures.answered(capsys, "analyse", out)
     result = out / "analysis"
     written = json.loads((result / "analysis.json").read_text(encoding="utf-8"))
     assert printed == written | {"out": str(result)}
