@@ -100,25 +100,19 @@ class JointFit:
         left, singular, right = _causal_basis(bins, weight, period, taps, math.sqrt(CUT * ridge))
         self.weight = weight.astype(np.float32)
         self.elements = 2 * omega.size
-        self._left = np.concatenate([left.real, left.imag]).astype(np.float32)
-        self._left_transposed = np.ascontiguousarray(self._left.T)
         self._responses = (right / singular[:, None]).astype(np.float32)
         self._weak = np.flatnonzero(singular < WEAK)
-        penalty = (ridge / singular**2).astype(np.float32)
-        ring = _ring_slots(delays, period, taps)
-        self._even = ring is not None
-        self._inverses: Complex64Array | Float32Array
+        penalty, ring = ridge / singular**2, _ring_slots(delays, period, taps)
         if ring is not None:
             slots, self._chosen = ring
-            delays = delays[0] + np.arange(slots) * (period / slots)
-            self._inverses, freedom, spread = _harmonics(left, bins, slots, penalty)
+            turn = np.exp(-1j * omega * delays[0])
+            self._slots: _EvenSlots | _AnySlots = _EvenSlots(left, bins, turn, slots, penalty)
         else:
             self._chosen = np.arange(delays.size)
-            self._inverses, freedom, spread = _whole(left, np.exp(-1j * np.outer(omega, delays)), penalty)
-        self._turns = np.exp(-1j * np.outer(omega, delays)).astype(np.complex64)
-        self._left_over = max(self.elements - freedom, 1.0)
+            self._slots = _AnySlots(left, np.exp(-1j * np.outer(omega, delays)), penalty)
+        self._left_over = max(self.elements - self._slots.freedom, 1.0)
         self.left_share = self._left_over / self.elements
-        self._spread = spread[self._weak].astype(np.float32)
+        self._spread = self._slots.spread[self._weak].astype(np.float32)
 
     def solve(self, data: Complex64Array) -> tuple[Float32Array, Float64Array, Complex64Array]:
         """Fit one record.
@@ -128,16 +122,8 @@ class JointFit:
         Returns float32 (slots, taps): FIRs, from the base signal to the response; float64 (slots,): energy that each
         explains of the whitened data; complex64 (bins,): what they leave of these.
         """
-        # Data as the slots see it: coefficients (rank, slots); and the solution, of each harmonic of even slots.
-        turned = data[:, None] * self._turns.conj()
-        seen = self._left_transposed @ np.concatenate([turned.real, turned.imag])
-        if self._even:
-            harmonics = np.fft.rfft(seen, axis=1).astype(np.complex64)
-            solved = np.matmul(self._inverses, harmonics.T[:, :, None])[:, :, 0]
-            found = np.ascontiguousarray(np.fft.irfft(solved.T, seen.shape[1], axis=1).astype(np.float32))
-        else:
-            found = (self._inverses @ seen.ravel()).reshape(seen.shape)
-        left = data - self._shown(found)
+        found, shown = self._slots.fit(data)
+        left = data - shown
         unexplained = float(np.vdot(left, left).real)
         variance = unexplained / self._left_over
         found = found[:, self._chosen]
@@ -148,13 +134,88 @@ class JointFit:
         found[self._weak] *= np.maximum(1 - noise / squared, 0)
         return found.T @ self._responses, np.maximum(energy, 0), left
 
-    def _shown(self, coefficients: Float32Array) -> Complex64Array:
-        """Data (bins,) that coefficients (rank, slots) make."""
-        parts = self._left @ coefficients
-        bins = parts.shape[0] // 2
-        spectra = np.empty((bins, coefficients.shape[1]), dtype=np.complex64)
-        spectra.real, spectra.imag = parts[:bins], parts[bins:]
-        return np.asarray(np.einsum("bs,bs->b", spectra, self._turns))
+
+class _EvenSlots:
+    """Fits slots that are evenly spaced on the ring, one harmonic q of them at a time.
+
+    It shows in the bins q, q + slots, ... and, conjugate, in -q, -q + slots, ...
+
+    left, complex128 (bins, rank): Spectra of the directions.
+    bins, int64 (bins,): Numbers of the frequencies.
+    turn, complex128 (bins,): Delay of the first slot.
+    slots: How many.
+    penalty, float64 (rank,): Of each direction.
+
+    freedom: Of the fit.
+    spread, float64 (rank,): Variance of the coefficients of each direction.
+    """
+
+    def __init__(
+        self, left: Complex128Array, bins: Int64Array, turn: Complex128Array, slots: int, penalty: Float64Array
+    ) -> None:
+        self._bins_of = [np.flatnonzero(bins % slots == harmonic) for harmonic in range(slots)]
+        parts = [turn[of, None] * left[of] for of in self._bins_of]
+        rank, both = left.shape[1], slots // 2 + 1
+        inverses = np.empty((both, rank, rank), dtype=np.complex64)
+        self.freedom, self.spread = 0.0, np.zeros(rank)
+        for harmonic in range(both):
+            there, back = left[self._bins_of[harmonic]], left[self._bins_of[-harmonic]]
+            gram = 0.5 * slots * (there.conj().T @ there + back.T @ back.conj())
+            inverse = scipy.linalg.inv(gram + np.diag(penalty))
+            inverses[harmonic] = inverse
+            times = 1 if harmonic == 0 or 2 * harmonic == slots else 2
+            self.freedom += times * float(np.einsum("ij,ji->", gram, inverse).real)
+            self.spread += times / slots * np.diag(inverse).real
+        self._inverses = inverses
+        self._parts = [part.astype(np.complex64) for part in parts]
+
+    def fit(self, data: Complex64Array) -> tuple[Float32Array, Complex64Array]:
+        """Coefficients (rank, slots) of data (bins,), and the data that they make."""
+        slots = len(self._parts)
+        sums = np.stack([data[of].conj() @ part for of, part in zip(self._bins_of, self._parts, strict=True)])
+        harmonics = 0.5 * slots * (sums.conj() + sums[-np.arange(slots)])
+        solved = np.matmul(self._inverses, harmonics[: len(self._inverses), :, None])[:, :, 0]
+        found = np.fft.irfft(solved, slots, axis=0)
+        shown = np.empty_like(data)
+        for of, part, coefficients in zip(self._bins_of, self._parts, np.fft.fft(found, axis=0), strict=True):
+            shown[of] = part @ coefficients.astype(np.complex64)
+        return np.ascontiguousarray(found.T.astype(np.float32)), shown
+
+
+class _AnySlots:
+    """Fits slots of any delays, by one matrix.
+
+    left, penalty; freedom, spread: See `_EvenSlots`.
+    turns, complex128 (bins, slots): Delay of each slot.
+
+    Raises InputError: it is too large.
+    """
+
+    def __init__(self, left: Complex128Array, turns: Complex128Array, penalty: Float64Array) -> None:
+        rank, slots = left.shape[1], turns.shape[1]
+        needed = 32 * rank * slots * (left.shape[0] + rank * slots)
+        if needed > MAX_JOINT_BYTES:
+            raise InputError(
+                f"{slots} actuators that play at once with uneven delays need {needed / 2**30:.1f} GiB; at most "
+                f"{MAX_JOINT_BYTES / 2**30:g} GiB are taken: use delays that are multiples of one part of the period"
+            )
+        columns = (left[:, :, None] * turns[:, None]).reshape(len(left), rank * slots)
+        columns = np.concatenate([columns.real, columns.imag])
+        gram, damping = columns.T @ columns, np.repeat(penalty, slots)
+        gram.flat[:: len(gram) + 1] += damping
+        inverse = np.linalg.inv(gram)
+        own = np.diag(inverse)
+        # The trace of undamped times inverse is the rank less what the damping takes.
+        self.freedom = float(own.size - damping @ own)
+        self.spread = own.reshape(rank, slots).mean(axis=1)
+        self._inverse, self._left = inverse.astype(np.float32), left.astype(np.complex64)
+        self._turns = turns.astype(np.complex64)
+
+    def fit(self, data: Complex64Array) -> tuple[Float32Array, Complex64Array]:
+        """See `_EvenSlots`."""
+        seen = (self._left.T @ (data[:, None].conj() * self._turns)).real
+        found = (self._inverse @ seen.ravel()).reshape(seen.shape)
+        return found, np.einsum("bs,bs->b", self._left @ found.astype(np.complex64), self._turns)
 
 
 def _ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int64Array] | None:
@@ -167,48 +228,3 @@ def _ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int6
             if np.unique(chosen).size == delays.size:
                 return slots, chosen
     return None
-
-
-def _whole(
-    left: Complex128Array, turns: Complex128Array, penalty: Float32Array
-) -> tuple[Float32Array, float, Float64Array]:
-    """Inverse (rank x slots, the same) for any delays, the fit's freedom, each direction's variance.
-
-    Raises InputError: it is too large.
-    """
-    rank, slots = left.shape[1], turns.shape[1]
-    needed = 32 * rank * slots * (left.shape[0] + rank * slots)
-    if needed > MAX_JOINT_BYTES:
-        raise InputError(
-            f"{slots} actuators that play at once with uneven delays need {needed / 2**30:.1f} GiB; at most "
-            f"{MAX_JOINT_BYTES / 2**30:g} GiB are taken: use delays that are multiples of one part of the period"
-        )
-    columns = (left[:, :, None] * turns[:, None]).reshape(len(left), rank * slots)
-    columns = np.concatenate([columns.real, columns.imag])
-    gram, damping = columns.T @ columns, np.repeat(penalty.astype(np.float64), slots)
-    gram.flat[:: len(gram) + 1] += damping
-    inverse = np.linalg.inv(gram)
-    own = np.diag(inverse)
-    # Freedom, the trace of undamped times inverse, is the rank less what the damping takes.
-    return inverse.astype(np.float32), float(own.size - damping @ own), own.reshape(rank, slots).mean(axis=1)
-
-
-def _harmonics(
-    left: Complex128Array, bins: Int64Array, slots: int, penalty: Float32Array
-) -> tuple[Complex64Array, float, Float64Array]:
-    """Inverses of the harmonics' matrices, the fit's freedom and the variance of each direction's coefficient.
-
-    Harmonic q of the slots shows in the bins q, q + slots, ... and, conjugate, in -q, -q + slots, ...
-    """
-    rank = left.shape[1]
-    inverses = np.empty((slots // 2 + 1, rank, rank), dtype=np.complex64)
-    freedom, spread = 0.0, np.zeros(rank)
-    for harmonic in range(slots // 2 + 1):
-        there, back = left[bins % slots == harmonic], left[-bins % slots == harmonic]
-        gram = 0.5 * slots * (there.conj().T @ there + back.T @ back.conj())
-        inverse = scipy.linalg.inv(gram + np.diag(penalty.astype(np.float64)))
-        inverses[harmonic] = inverse
-        both = 1 if harmonic == 0 or 2 * harmonic == slots else 2
-        freedom += both * float(np.einsum("ij,ji->", gram, inverse).real)
-        spread += both / slots * np.diag(inverse).real
-    return inverses, freedom, spread

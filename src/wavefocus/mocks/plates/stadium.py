@@ -234,6 +234,8 @@ class Elements:
         order = skfem.ElementTriP4()
         self._find_cell = self._straight.element_finder()
         self.basis = skfem.Basis(type(mesh)(node, mesh.t), order, intorder=2 * order.maxdeg + 2)
+        self._is_curved = np.isin(np.arange(mesh.t.shape[1]), mesh.f2t[0, rim])
+        self._weight_of_power = np.linalg.inv(_powers(order.doflocs.T, order.maxdeg))
 
     @cached_property
     def stiffness(self) -> Any:
@@ -258,11 +260,11 @@ class Elements:
         """Nodes whose values make up the value at points (n, 2) of the plate, and their weights; (n, 15) each."""
         point = np.ascontiguousarray(point_mm.T / 1e3)
         cell = self._find_cell(*point)
-        basis = self.basis
-        inside = basis.mapping.invF(point[:, :, None], tind=cell)
-        # Values only: `gbasis` finds the gradients of every node as well.
-        weight = [np.ravel(basis.elem.lbasis(inside, k)[0]) for k in range(basis.Nbfun)]
-        return np.asarray(basis.element_dofs[:, cell].T), np.stack(weight, axis=1)
+        # What lies in a curved triangle takes a search; elsewhere the map is affine.
+        mapping = self.basis.mapping if self._is_curved[cell].any() else self._straight.mapping()
+        inside = mapping.invF(point[:, :, None], tind=cell)[:, :, 0]
+        weight = _powers(inside, self.basis.elem.maxdeg) @ self._weight_of_power
+        return np.asarray(self.basis.element_dofs[:, cell].T), weight
 
     def values_at(self, point_mm: Float64Array, nodal: NDArray[Any]) -> Float64Array:
         """Values at points (n, 2) of functions given at the nodes, (nodes, functions): (n, functions)."""
@@ -293,6 +295,12 @@ class Elements:
             system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
         return np.asarray(factors.solve(force.astype(np.complex128)))
+
+
+def _powers(place: Float64Array, degree: int) -> Float64Array:
+    """Products of powers up to a degree, in all, of the coordinates (2, n) of points: (n, products)."""
+    x, y = place
+    return np.stack([x**first * y**other for first in range(degree + 1) for other in range(degree + 1 - first)], axis=1)
 
 
 def spacing_mm(wave: DampedWave, highest_hz: float) -> float:

@@ -293,8 +293,10 @@ class Synthesis:
                 total = np.zeros(max(bins, before.size), dtype=np.complex64)
                 for actuator, spectrum in spectra.items():
                     size = spectrum.size
-                    uneven = self._output_factor(actuator, size, rate_hz / length) if self._uneven else 1
-                    total[:size] += spectrum * uneven * transfer[actuator, :size]
+                    response = spectrum * transfer[actuator, :size]
+                    if self._uneven:
+                        response *= self._output_factor(actuator, size, rate_hz / length)
+                    total[:size] += response
                 total[:bins] *= delay
                 total[: before.size] += before
                 responses[place_mm] = total
