@@ -8,6 +8,7 @@ import scipy.linalg
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.estimator.causal_fit import toeplitz_product
+from wavefocus.calibration.numerics import fourier_sum
 from wavefocus.storage.errors import InputError
 
 # Left vectors that are made at once, for little memory.
@@ -52,7 +53,7 @@ def _causal_basis(
     left = np.empty((bins.size, singular.size), dtype=np.complex128)
     for low in range(0, singular.size, CHUNK):
         part = slice(low, low + CHUNK)
-        spectra = scipy.fft.rfft(right[part] / singular[part, None], period)[:, bins]
+        spectra = fourier_sum(right[part] / singular[part, None], 2 * np.pi / period, 0, int(bins[-1]) + 1)[:, bins]
         left[:, part] = (weight * spectra).T
     return left, singular, right
 
