@@ -154,13 +154,12 @@ class _EvenSlots:
     def __init__(
         self, left: Complex128Array, bins: Int64Array, turn: Complex128Array, slots: int, penalty: Float64Array
     ) -> None:
-        self._bins_of = [np.flatnonzero(bins % slots == harmonic) for harmonic in range(slots)]
-        parts = [turn[of, None] * left[of] for of in self._bins_of]
+        of_harmonic = [np.flatnonzero(bins % slots == harmonic) for harmonic in range(slots)]
         rank, both = left.shape[1], slots // 2 + 1
         inverses = np.empty((both, rank, rank), dtype=np.complex64)
         self.freedom, self.spread = 0.0, np.zeros(rank)
         for harmonic in range(both):
-            there, back = left[self._bins_of[harmonic]], left[self._bins_of[-harmonic]]
+            there, back = left[of_harmonic[harmonic]], left[of_harmonic[-harmonic]]
             gram = 0.5 * slots * (there.conj().T @ there + back.T @ back.conj())
             inverse = scipy.linalg.inv(gram + np.diag(penalty))
             inverses[harmonic] = inverse
@@ -168,19 +167,25 @@ class _EvenSlots:
             self.freedom += times * float(np.einsum("ij,ji->", gram, inverse).real)
             self.spread += times / slots * np.diag(inverse).real
         self._inverses = inverses
-        self._parts = [part.astype(np.complex64) for part in parts]
+        # One array for all: harmonics of fewer bins than others have the first bin once more, with nothing in it.
+        most = max(of.size for of in of_harmonic)
+        self._bins = np.array([np.pad(of, (0, most - of.size)) for of in of_harmonic])
+        self._left = np.zeros((slots, most, rank), dtype=np.complex64)
+        self._place = np.empty(bins.size, dtype=np.int64)
+        for harmonic, of in enumerate(of_harmonic):
+            self._left[harmonic, : of.size] = turn[of, None] * left[of]
+            self._place[of] = harmonic * most + np.arange(of.size)
 
     def fit(self, data: Complex64Array) -> tuple[Float32Array, Complex64Array]:
         """Coefficients (rank, slots) of data (bins,), and the data that they make."""
-        slots = len(self._parts)
-        sums = np.stack([data[of].conj() @ part for of, part in zip(self._bins_of, self._parts, strict=True)])
+        slots = len(self._left)
+        sums = np.matmul(data[self._bins].conj()[:, None], self._left)[:, 0]
         harmonics = 0.5 * slots * (sums.conj() + sums[-np.arange(slots)])
-        solved = np.matmul(self._inverses, harmonics[: len(self._inverses), :, None])[:, :, 0]
-        found = np.fft.irfft(solved, slots, axis=0)
-        shown = np.empty_like(data)
-        for of, part, coefficients in zip(self._bins_of, self._parts, np.fft.fft(found, axis=0), strict=True):
-            shown[of] = part @ coefficients.astype(np.complex64)
-        return np.ascontiguousarray(found.T.astype(np.float32)), shown
+        solved = np.matmul(self._inverses, harmonics[: len(self._inverses), :, None])
+        found = np.fft.irfft(solved[:, :, 0], slots, axis=0)
+        coefficients = np.fft.fft(found, axis=0).astype(np.complex64)
+        shown = np.matmul(self._left, coefficients[:, :, None]).ravel()[self._place]
+        return np.ascontiguousarray(found.T, dtype=np.float32), shown
 
 
 class _AnySlots:
