@@ -7,11 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.lab_files import attribute, green_of, put, record_of, without, write_bank
+from wavefocus import InputError, open_bank
 from wavefocus.calibration.check import check_bank
 from wavefocus.storage.bank.ledger import bank_row_shape, encode_row
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.pages import Replacement
 
 

@@ -7,19 +7,15 @@ import pytest
 
 import wavefocus as wf
 from tests.unit.plate_banks import SQUARE_MM, plate_bank
+from wavefocus import InputError, Point, Scene, Sine, Source, open_bank
 from wavefocus.acquisition.judgement import in_band
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_of
 from wavefocus.campaign.session_files import with_bank
 from wavefocus.config.scene import Output
 from wavefocus.configuration import check_rows, load_run
 from wavefocus.rendering.greens.interpolation.base import scene_interpolation
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Point
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.signals import Sine
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import create_bank
-from wavefocus.storage.errors import InputError
 
 
 def loaded(folder, grid, sweep=""):

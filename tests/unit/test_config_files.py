@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from wavefocus import InputError, Source, load_scene
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.fields import tables_of
 from wavefocus.config.loading import MAX_KEY_PARTS, parse_toml
@@ -15,10 +16,8 @@ from wavefocus.config.run import RunConfig
 from wavefocus.config.scene import Output, Regularisation, SceneConfig
 from wavefocus.configuration import configuration_from_json, load_rig, load_run
 from wavefocus.rendering.scene import paths, signals
-from wavefocus.rendering.scene.model import Source, load_scene
 from wavefocus.rendering.scene.paths import TextPath
 from wavefocus.rendering.scene.svg import SvgPath
-from wavefocus.storage.errors import InputError
 
 POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
 LOADS = {"rig": load_rig, "run": load_run, "scene": load_scene}

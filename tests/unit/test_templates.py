@@ -7,6 +7,7 @@ import pytest
 
 from tests.lab_files import change_text
 from tools import key_tables
+from wavefocus import GreenArray, InputError, load_scene
 from wavefocus.benchmarks.rig_bank import true_bank
 from wavefocus.commands.init import write_templates
 from wavefocus.config.fields import fields_of
@@ -18,9 +19,6 @@ from wavefocus.configuration import Configuration, load_rig, load_run
 from wavefocus.mocks.virtual.faults import ANYWHERE, CORRUPTING
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import load_scene
-from wavefocus.storage.errors import InputError
 from wavefocus.trials.design import load_trials
 
 
