@@ -11,7 +11,6 @@ from tests.lab_files import setup_of
 from tests.unit.line_verification import scan_of
 from wavefocus import Drive, GreenArray, InputError, predict
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rendering.verify.extra_measurements import linearity as linearity_of
 from wavefocus.rendering.verify.extra_measurements import linearity_rows, quieter
@@ -118,22 +117,10 @@ def test_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_the_same
     assert found.attempts.tolist() == [1, 2, 1]
 
 
-def test_a_lost_recorder_or_a_reference_that_never_comes_then_the_scan_gives_up():
-    with pytest.raises(InstrumentLostError, match="recorder"):
-        scanned(ScanPlan((48, 49)), RigFault("recorder", "read", "lost", position=49))
+def test_a_reference_that_never_comes_then_the_scan_gives_up():
     faults = [RigFault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
     with pytest.raises(ReferenceMissingError):
         scanned(ScanPlan(tuple(range(9)), attempts=1), *faults)
-
-
-def test_a_drive_that_the_rig_cannot_play_is_refused():
-    drive_v = impulse_drive().drive_v
-    for wrong, message in (
-        (20 * drive_v, "at most 5 V, the player's full scale"),
-        (drive_v[:4], "4 actuators; the rig has 6"),
-    ):
-        with pytest.raises(InputError, match=message):
-            scanned(ScanPlan((3,)), drive=dataclasses.replace(impulse_drive(), drive_v=wrong))
 
 
 def test_white_noise_of_known_level_is_error_and_noise_and_leaves_no_misfit():
