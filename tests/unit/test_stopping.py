@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from wavefocus.__main__ import raise_at_interrupt
-from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.ending import EndingSignals, ended_by_file, ending_at_once, stop_on_signals
+from wavefocus.acquisition.engine.session import BY_THE_USER, StopRequest
+from wavefocus.ending import TERMINAL_GONE, EndingSignals, ended_by_file, ending_at_once, stop_on_signals
 
 
 def test_the_first_interrupt_stops_the_second_ends_and_a_third_disturbs_nothing():
@@ -21,6 +21,8 @@ def test_the_first_interrupt_stops_the_second_ends_and_a_third_disturbs_nothing(
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
+        stop.finish_position(TERMINAL_GONE)
+    assert stop.reason == BY_THE_USER  # whoever stops it first is named
 
 
 def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing():
