@@ -6,13 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.lab_files import attribute, green_of, put, record_of, without, write_bank
+from tests.lab_files import attribute, green_of, put, without, write_bank
+from wavefocus import InputError, open_bank
 from wavefocus.calibration.check import check_bank
-from wavefocus.storage.bank.ledger import bank_row_shape, encode_row
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.errors import InputError
-from wavefocus.storage.ledger.pages import Replacement
 
 
 def measured(path):
@@ -31,28 +27,6 @@ def overwrite(path, offset, content):
     with path.open("r+b") as file:
         file.seek(offset)
         file.write(content)
-
-
-def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_path):
-    path = measured(tmp_path / "bank.h5")
-    with h5py.File(path, "r") as file:
-        journal = file["durability/journal"].id.get_offset()
-        chunk = file["green"].id.get_chunk_info(1).byte_offset
-    rows = bank_row_shape(2, 16)
-    content = green_of(1, 2).tobytes().ljust(rows.chunk_bytes, b"\0")
-    half_way = Replacement(1, (content,), encode_row(1, record_of(1, 2), green_of(1, 2)))
-    overwrite(path, journal, rows.encode_journal(half_way))
-    overwrite(path, chunk, content[:70])  # half of the replacement
-    with open_bank(path) as bank:
-        assert np.array_equal(bank.green(1), green_of(1, 2))
-        assert bank.quality["attempts"].tolist() == [1, 2, 1]
-        assert bank.verify() == ()
-        for position in (-1, 3):
-            with pytest.raises(InputError, match=rf"bank\.h5: position is {position}; allowed are 0 to 2"):
-                bank.green(position)
-    with BankWriter.open(path) as writer:
-        assert np.array_equal(writer.green(1), green_of(1, 2))
-        assert writer.attempts.tolist() == [1, 2, 1]
 
 
 def test_a_bank_with_a_torn_text_heap_then_is_refused_instead_of_hanging(tmp_path):
@@ -104,6 +78,9 @@ def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_p
         assert bank.quality["attempts"].tolist() == [0, 0, 0]
         assert np.isnan(bank.quality["snr_db"]).all()
         assert bank.verify() == ()
+        for position in (-1, 3):
+            with pytest.raises(InputError, match=rf"foreign\.h5: position is {position}; allowed are 0 to 2"):
+                bank.green(position)
 
 
 def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_says(tmp_path):

@@ -6,11 +6,10 @@ import pytest
 
 from tests.lab_files import attribute, flip, record_of, with_check_rows, within, write_bank
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_greens
+from wavefocus import InputError, open_bank
 from wavefocus.calibration.check import check_bank
 from wavefocus.storage.bank.ledger import Status
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.errors import InputError
 
 POSITIONS, ACTUATORS, TAPS = 6, 3, 200
 

@@ -14,10 +14,9 @@ import pytest
 
 import wavefocus as wf
 from tests.lab_files import write_bank
+from wavefocus import add_note, open_bank
 from wavefocus.__main__ import run
 from wavefocus.calibration.check import check_bank
-from wavefocus.storage.bank.notes import add_note
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.ledger.owner import claimed

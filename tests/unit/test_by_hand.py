@@ -5,14 +5,12 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-import pytest
 
 from tests.unit.test_calibration import RATE_HZ, bench
 from tests.unit.test_doctor import Stating
 from wavefocus.acquisition.manual import ManualMeasurements
 from wavefocus.acquisition.setup import point_at
 from wavefocus.config.messages.operate import TakeSweep
-from wavefocus.drivers.protocols import Instruments
 from wavefocus.drivers.timeouts import BoundedPlayer, ShutError
 from wavefocus.mocks.virtual.rig import VirtualRig
 
@@ -71,17 +69,3 @@ def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds():
     owner.join(30)
     assert refused
     assert not sounding
-
-
-def test_gate_that_is_shut_then_record_fails_silently_muted_and_leaves_rig_usable():
-    setup = pointed()
-    gate = BoundedPlayer(setup.instruments.player, 30.0)
-    roles = setup.instruments
-    gated = replace(setup, instruments=Instruments(roles.mirror, roles.recorder, gate, roles.clock))
-    meter = ManualMeasurements(gated, RATE_HZ)
-    meter.sound(0, 0.5)
-    gate.shut()
-    with pytest.raises(ShutError):
-        meter.level()
-    gate.open()
-    assert meter.level().reference.peak_v == pytest.approx(0.5, rel=0.01)

@@ -151,7 +151,6 @@ def test_given_one_mark_that_is_off_then_it_is_the_one_suspected(off):
     ("text", "told"),
     [
         ("", "line 1: must be the header x_mm,y_mm or x_mm,y_mm,x_mrad,y_mrad"),
-        ("x,y\n0,0\n", "line 1: must be the header"),
         ("x_mm,y_mm\n0,0\n1,1\n2,0\n", "has 3 marks; a mirror map needs at least 4"),
         ("# c\n\nx_mm,y_mm\n0,0\n1,1\n2,0\n3\n", "line 7: '3': must be 2 finite numbers"),
         ("x_mm,y_mm,x_mrad,y_mrad\n0,0,0,0\n1,1,1,1\n2,0,2,0\n3,3,3,inf\n", "line 5: '3,3,3,inf': must be 4 finite"),

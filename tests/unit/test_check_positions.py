@@ -7,19 +7,15 @@ import pytest
 
 import wavefocus as wf
 from tests.unit.plate_banks import SQUARE_MM, plate_bank
+from wavefocus import InputError, Point, Scene, Sine, Source
 from wavefocus.acquisition.judgement import in_band
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_of
 from wavefocus.campaign.session_files import with_bank
 from wavefocus.config.scene import Output
 from wavefocus.configuration import check_rows, load_run
 from wavefocus.rendering.greens.interpolation.base import scene_interpolation
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Point
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.signals import Sine
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import create_bank
-from wavefocus.storage.errors import InputError
 
 
 def loaded(folder, grid, sweep=""):
@@ -45,17 +41,6 @@ def test_check_positions_follow_the_grid_where_it_is_coarser_than_half_a_wavelen
     total = len(configuration.position_mm)
     assert rows.tolist() == list(range(total - count, total))
     assert blueprint_of(configuration).bank_header().check_rows == tuple(rows.tolist())
-
-
-def test_a_bank_says_which_rows_are_check_positions_and_a_resume_plans_the_same(tmp_path):
-    blueprint = blueprint_of(loaded(tmp_path, "spacing_mm = 40.0\ncheck_positions = 3"))
-    create_bank(tmp_path / "plate.h5", blueprint.bank_header())
-    with open_bank(tmp_path / "plate.h5") as bank:
-        total = bank.positions
-        np.testing.assert_array_equal(np.flatnonzero(bank.check), np.arange(total - 3, total))
-    again = blueprint_from_bank(tmp_path / "plate.h5")
-    assert again.plan.sha256 == blueprint.plan.sha256
-    assert again.bank_header().check_rows == blueprint.bank_header().check_rows
 
 
 def test_check_positions_beside_the_grid_then_a_cell_s_middle_is_still_on_it():

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from wavefocus import InputError, Source, load_scene
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.fields import tables_of
 from wavefocus.config.loading import MAX_KEY_PARTS, parse_toml
@@ -15,10 +16,8 @@ from wavefocus.config.run import RunConfig
 from wavefocus.config.scene import Output, Regularisation, SceneConfig
 from wavefocus.configuration import configuration_from_json, load_rig, load_run
 from wavefocus.rendering.scene import paths, signals
-from wavefocus.rendering.scene.model import Source, load_scene
 from wavefocus.rendering.scene.paths import TextPath
 from wavefocus.rendering.scene.svg import SvgPath
-from wavefocus.storage.errors import InputError
 
 POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
 LOADS = {"rig": load_rig, "run": load_run, "scene": load_scene}
@@ -125,6 +124,7 @@ RUN_MISTAKES = [
     ("[grid]\nspacing_mm = true", "grid.spacing_mm = true: must be a number"),
     ("[grid]\nspacing_mm = 1e-6", "grid.spacing_mm = 1e-06: gives more than 1,000,000 positions"),
     ("[grid]\nspacing_mm = 1e6", "grid.spacing_mm = 1e+06: leaves no position"),
+    ("[grid]\nmargin_mm = 75", "grid.margin_mm = 75: "),
     ("[grid]\npositions_file = 'x.csv'", 'grid.positions_file = "x.csv": must be a file'),
     ("[sweep]\nstop_hz = 5000", "sweep.stop_hz = 5000.0: must be below 5000 (half of capture.sample_rate_hz)"),
     ("[sweep]\nstop_hz = 20", "sweep.stop_hz = 20.0: must be above start_hz = 20"),
@@ -145,6 +145,10 @@ RUN_MISTAKES = [
     ("[[virtual.fault_plan]]\nrole = 'player'", "virtual.fault_plan[0].operation: is missing"),
     ("[[virtual.fault_plan]]\nrole = 'laser'\noperation = 'read'\nkind = 'lost'\nposition = 1",
      "virtual.fault_plan[0] = { role, operation, kind, position }: fault role is 'laser'; allowed: mirror"),
+    ("[[virtual.fault_plan]]\nrole = 'mirror'\noperation = 'play'\nkind = 'lost'\nat_call = 1",
+     "virtual.fault_plan[0] = { role, operation, kind, at_call }: fault operation of the mirror is 'play'; allowed"),
+    ("[[virtual.fault_plan]]\nrole = 'player'\noperation = 'wait'\nkind = 'lost'",
+     "virtual.fault_plan[0] = { role, operation, kind }: a fault needs either at_call"),
     ("[grid]\nspacing_mm=0\nmargin_mm=-1\n[sweep]\nstart_hz=0\nstop_hz=0\nduration_s=0",
      "grid.spacing_mm = 0: must be above 0; grid.margin_mm = -1: must be at least 0; sweep.start_hz = 0: must be above "
      "0; and 2 more"),

@@ -8,10 +8,8 @@ import pytest
 
 from tests.lab_files import raw_header, write_bank
 from tests.unit.mutations import mutations, snapshot, stored_bytes
+from wavefocus import Drive, InputError, open_bank, read_drive, write_drive
 from wavefocus.calibration.check import check_file
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.drive_file import Drive, read_drive, write_drive
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, FieldRowReader, read_field, write_field
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 

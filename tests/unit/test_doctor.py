@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.unit.test_config_calibration import AT, measured
+from wavefocus import InputError, open_bank
 from wavefocus.acquisition.doctor import RigFindings, examine
 from wavefocus.acquisition.setup import Openers, wired
 from wavefocus.config.calibration import InputsMeasured
@@ -18,9 +19,7 @@ from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rig.setup import setup_in_use
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
-from wavefocus.storage.errors import InputError
 
 ACTUATORS = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0))
 

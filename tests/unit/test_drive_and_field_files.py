@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.lab_files import attribute, put, without
-from wavefocus.storage.drive_file import Drive, read_drive, write_drive
-from wavefocus.storage.errors import InputError
+from wavefocus import Drive, InputError, read_drive, write_drive
 from wavefocus.storage.field_file import Field, FieldRowReader, LowPass, field_in_rows, read_field, write_field
 
 

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
+from wavefocus import InputError, load_scene, open_bank
 from wavefocus.__main__ import run
 from wavefocus.cli import run_command
 from wavefocus.command_line import UsageError, nearest
@@ -15,9 +16,6 @@ from wavefocus.config.calibration import load_calibration
 from wavefocus.config.retired import COMMANDS as GONE
 from wavefocus.config.retired import KEYS, OPTIONS
 from wavefocus.configuration import configuration_from_json, load_rig, load_run
-from wavefocus.rendering.scene.model import load_scene
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.errors import InputError
 from wavefocus.trials.design import load_trials
 
 LOADS = {"run": load_run, "rig": load_rig, "scene": load_scene, "trials": load_trials, "calibration": load_calibration}

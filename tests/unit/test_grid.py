@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_grid
-from wavefocus.config.outline import Outline, Segment
+from wavefocus.config.outline import Outline
 from wavefocus.input_files import parse_positions
 from wavefocus.storage.errors import InputError
 
@@ -48,15 +48,6 @@ def test_any_grid_fills_the_inset_stadium_and_stays_in_it(width_mm, extra_mm, ma
     assert len(np.unique(grid, axis=0)) == len(grid)
 
 
-@pytest.mark.parametrize(
-    ("margin_mm", "spacing_mm", "key"),
-    [(75, 4, "margin_mm = 75"), (14.3, 1e-9, "spacing_mm = 1e-09"), (14.3, 300, "spacing_mm = 300")],
-)
-def test_grid_without_a_possible_position_names_key_and_value(margin_mm, spacing_mm, key):
-    with pytest.raises(InputError, match=key):
-        surface_grid(PLATE, margin_mm, spacing_mm)
-
-
 @settings(max_examples=10)
 @given(spacing_mm=st.floats(8.0, 40.0), margin_mm=st.floats(0.0, 30.0))
 def test_any_hexagonal_grid_has_six_neighbours_at_one_spacing_and_fills_the_stadium(spacing_mm, margin_mm):
@@ -91,19 +82,6 @@ def test_given_outlines_then_area_depth_and_points_within_are_theirs():
     assert corner.area_mm2 == pytest.approx(1600.0)
     assert corner.contains([[10, 40], [30, 30], [40, 10]]).tolist() == [True, False, True]
     assert (surface_grid(corner, 3.0, 4.0) >= 3.0).all()
-
-
-@pytest.mark.parametrize(
-    "segments",
-    [
-        (Segment((0, 0), (1, 0)), Segment((1, 0), (0, 1))),  # open
-        (Segment((0, 0), (0, 1)), Segment((0, 1), (1, 0)), Segment((1, 0), (0, 0))),  # clockwise
-        (Segment((1, 0), (0, -1), (0, 0)), Segment((0, -1), (1, 0))),  # an arc of three quarters
-    ],
-)
-def test_given_no_outline_of_a_plate_then_it_is_refused(segments):
-    with pytest.raises(ValueError, match="outline"):
-        Outline(segments)
 
 
 def test_positions_file_is_read_in_its_own_order(tmp_path):

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import scipy.io
 
+from wavefocus import InputError, open_bank
 from wavefocus.calibration.imports.bank import import_bank
 from wavefocus.cli import parser
 from wavefocus.command_line import UsageError
 from wavefocus.options import ImportOptions
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.units import quantity, response_unit
 
 RATE_HZ, TAPS, PERIOD = 2000.0, 300, 800

@@ -12,14 +12,6 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.rig.instruments import open_instruments, openers_of
 
 
-def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there():
-    openers = openers_of(default_rig())
-    assert openers.connect is not None
-    opened, vibrometer = open_instruments(openers)
-    assert vibrometer.sensitivity_m_s_per_v == 0.125
-    assert opened.player.channels == 21
-
-
 @pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
 def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missing):
     openers = openers_of(default_rig())

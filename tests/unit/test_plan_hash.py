@@ -6,15 +6,13 @@ from typing import Annotated
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
 import wavefocus as wf
 from wavefocus.campaign.blueprint import blueprint_of
-from wavefocus.config.emulation import Emulation
-from wavefocus.config.fields import DERIVED, FREE, KEPT, Positive, plan_mark
+from wavefocus.config.fields import FREE, KEPT, Positive
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig, Sweep
-from wavefocus.configuration import Configuration, plan_differences, plan_sha256
+from wavefocus.configuration import plan_sha256
 from wavefocus.storage.bank.writer import create_bank
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "plan_hashes.json").read_text(encoding="utf-8"))
@@ -47,52 +45,8 @@ def test_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_h
     assert hashed(burst=LaterSweep(fade_s=0.02)) != hashed()
 
 
-FREE_KEYS = {
-    "Actuators": "position_mm", "Capture": "keep_raw", "Emulation": "fault_plan ni_product period_frames",
-    "Grid": "lattice margin_mm positions_file regular_positions spacing_mm",
-    "MirrorSection": "address baud device distance_mm identity limit_mrad limit_v map park_mrad port settle_s "
-        "setup slew_v_per_s tolerance_mrad volts_per_degree x_output y_output",
-    "PlayerSection": "block_frames coil_resistance_ohm device host_api interface_rate_hz limit_power_w "
-        "limit_rms_v limit_v",
-    "RecorderSection": "address device response_ranges_v tls_certificate tls_key tls_root trigger",
-    "RigConfig": "calibration emulation messages recovery rig shutter usb watch",
-    "RunConfig": "drift publication rig settled tolerance",
-    "VibrometerSection": "baud decoder driver identity least_signal_level port",
-    "Virtual": "fault_plan light room_c",
-}  # fmt: skip
-
-
-def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free():
-    marked: dict[str, set[str]] = {}
-    for model in _tables(RigConfig) | _tables(RunConfig) | {Emulation}:
-        free = {key for key, field in model.model_fields.items() if plan_mark(field) in (FREE, DERIVED)}
-        marked |= {model.__name__: free} if free else {}
-    # Written out, so that to set a key free is a decision that shows; position_mm is hashed as actuator_mm.
-    assert marked == {table: set(keys.split()) for table, keys in FREE_KEYS.items()}
-
-
-def test_keys_that_differ_are_named_with_both_values_also_where_a_bank_has_them(tmp_path):
-    own = Configuration(RunConfig.model_validate({}), RigConfig.model_validate({}), POSITION_MM)
-    run = RunConfig.model_validate({"sweep": {"stop_hz": 800.0}, "tolerance": {"correlation": 0.5}})
-    rig = RigConfig.model_validate({"recorder": {"response_range_v": 5.0}})
-    differences = plan_differences(own, Configuration(run, rig, POSITION_MM[:2]))
-    assert {one.key: (one.own, one.other) for one in differences if one.key != "position_mm"} == {
-        "sweep.stop_hz": ("500.0", "800.0"),
-        "recorder.response_range_v": ("10.0", "5.0"),
-    }
-    assert len(differences) == 3
-    assert plan_differences(own, own) == ()
+def test_keys_that_differ_from_those_of_a_bank_are_named_with_both_values(tmp_path):
     begun, other = (wf.virtual_rig(actuators=2, run={"sweep": {"stop_hz": stop_hz}}) for stop_hz in (500.0, 400.0))
     create_bank(tmp_path / "bank.h5", blueprint_of(begun.configuration).bank_header())
     with pytest.raises(wf.InputError, match=r"another plan.*sweep\.stop_hz \(500\.0, not 400\.0\)"):
         other.measure(tmp_path / "bank.h5")
-
-
-def _tables(model):
-    """A table and those that count in its plan: not those beneath a key that is free as a whole."""
-    found = {model}
-    for field in model.model_fields.values():
-        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if isinstance(kind, type) and issubclass(kind, BaseModel) and plan_mark(field) is not FREE:
-                found |= _tables(kind)
-    return found

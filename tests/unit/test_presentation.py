@@ -101,18 +101,10 @@ def test_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_al
     assert noise_v.std() == pytest.approx(0.5, rel=0.02)
 
 
-def test_given_a_presentation_that_fails_then_it_is_repeated_said_and_counted():
-    for fault, notes in (
-        (RigFault("recorder", "read", "missing_reference", position=2, purpose="presentation"), 1),
-        (RigFault("player", "wait", "underflow", position=2, purpose="presentation"), 1),
-        (RigFault("player", "wait", "unplugged", position=2, purpose="presentation", tries=2), 4),
-    ):
-        rig, said = presenter(fault), list[str]()
-        assert [rig.present("any", trial, said.append).attempts for trial in (1, 2, 3)] == [1, 2, 1]
-        assert len(said) == notes
-
-
-def test_a_fault_that_stays_is_raised_and_the_cable_of_a_silent_loopback_named():
+def test_a_fault_that_passes_is_repeated_and_one_that_stays_raised_with_its_cable():
+    underflow = RigFault("player", "wait", "underflow", position=2, purpose="presentation")
+    rig = presenter(underflow)  # tests/system/test_trials.py has others that pass
+    assert [rig.present("any", trial, lambda note: None).attempts for trial in (1, 2, 3)] == [1, 2, 1]
     for kind, raised, said in (
         ("missing_reference", InstrumentError, "loopback cable, from output 3"),
         ("short_read", TransientInstrumentError, "."),

@@ -6,7 +6,7 @@ import pytest
 
 from tests.lab_files import raw_header
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.raw.writer import DamagedError, RawWriter, create_raw, open_raw
+from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 SHAPE = (2, 300)
 STEP_V = 1 / 1024
@@ -73,15 +73,3 @@ def test_given_recordings_that_do_not_fit_then_they_are_refused_and_nothing_is_k
             with pytest.raises(InputError, match=complaint):
                 writer.commit(position, reference, wrong)
         assert not writer.recorded.any()
-
-
-def test_given_a_flipped_byte_then_that_position_alone_is_told_as_damaged(tmp_path):
-    path = made(tmp_path)
-    with RawWriter.open(path) as writer:
-        writer.commit(0, *volts(0))
-        writer.commit(1, *volts(1))
-    with h5py.File(path, "r+") as file:
-        file["reference"][0, 1, 7] ^= 1
-    with open_raw(path) as raw, pytest.raises(DamagedError, match="position 0 is damaged"):
-        raw.read(0)
-    assert holds(path, 1, 1)

@@ -107,19 +107,6 @@ def test_given_slots_that_overlap_then_they_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"groups": 6}, "groups is 6; allowed is 1 to the number of actuators, 5"),
-        ({"periods": 0}, "periods is 0"),
-        ({"taps": 121}, "taps is 121; allowed is 1 to a stagger, 120 samples"),
-    ],
-)
-def test_a_staggered_signal_refuses_what_cannot_be_played(changes, complaint):
-    with pytest.raises(InputError, match=complaint):
-        StaggeredSignal(SWEEP, **{"actuators": 5, "taps": TAPS, "stagger_samples": 120, **changes})
-
-
-@pytest.mark.parametrize(
     ("actuator", "delay_s", "gain", "period_s", "complaint"),
     [
         ([[0, 0]], [[0, 0.1]], [[1, 1]], 1.0, "plays actuator 0 twice in record 0"),

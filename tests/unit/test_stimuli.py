@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import ACTUATOR_MM, RATE_HZ, SQUARE_MM, plate_greens
-from wavefocus.drives import render
+from wavefocus import InputError, open_bank, read_drive, render, write_drive
 from wavefocus.rendering.drive.coil_limits import DriveLimits, peaks
 from wavefocus.rendering.drive.wav import Interface
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.drive_file import read_drive, write_drive
-from wavefocus.storage.errors import InputError
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.stimuli import prepare
 

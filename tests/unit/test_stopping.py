@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from wavefocus.__main__ import raise_at_interrupt
-from wavefocus.acquisition.engine.session import StopRequest
+from wavefocus.acquisition.engine.session import BY_THE_USER, StopRequest
 from wavefocus.ending import TERMINAL_GONE, EndingSignals, ended_by_file, ending_at_once, stop_on_signals
 
 
@@ -21,6 +21,8 @@ def test_the_first_interrupt_stops_the_second_ends_and_a_third_disturbs_nothing(
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
+        stop.finish_position(TERMINAL_GONE)
+    assert stop.reason == BY_THE_USER  # whoever stops it first is named
 
 
 def test_windows_then_a_closed_console_ends_it_at_once_and_no_signal_is_missing():
@@ -35,19 +37,14 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
 
 @POSIX
 @pytest.mark.may_skip("Windows has no SIGHUP")
-@pytest.mark.parametrize("nohup", [False, True])
-def test_terminal_that_is_gone_finishes_the_position_and_under_nohup_changes_nothing(nohup):
-    # Under nohup the tests inherit that it is ignored.
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if nohup else signal.SIG_DFL)
+def test_given_nohup_then_a_terminal_that_is_gone_changes_nothing():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         stop = StopRequest()
         with stop_on_signals(stop):
             signal.raise_signal(signal.SIGHUP)
-            signal.raise_signal(signal.SIGHUP)
-            assert stop.requested is not nohup
-            stop.finish_position()  # whoever stops it first is named
-        assert (stop.reason == TERMINAL_GONE) is not nohup
-        assert not nohup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            assert not stop.requested
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
 

@@ -158,8 +158,6 @@ def test_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals
     assert 0.25 <= found.reversals_threshold <= 0.5
     # One level alone has no function.
     assert psychometric_of(table_of([row()]), ANSWERS) == ()
-    with pytest.raises(ValueError, match="two or more"):
-        fit_psychometric([0.5], [3], [5], guess=0.5)
 
 
 def test_answers_then_report_shows_them_with_names_escaped_and_holds_all_it_shows(paper):

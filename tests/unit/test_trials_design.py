@@ -8,10 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from wavefocus.rendering.scene.model import Source
-from wavefocus.rendering.scene.paths import Line, Point
-from wavefocus.rendering.scene.signals import Noise
-from wavefocus.storage.errors import InputError
+from wavefocus import InputError, Line, Noise, Point, Source
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import Draws, FixedOrder, order_of, ordered
 

@@ -11,13 +11,12 @@ from tests.lab_files import setup_of
 from tests.unit.line_verification import scan_of
 from wavefocus import Drive, GreenArray, InputError, predict
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rendering.verify.extra_measurements import linearity as linearity_of
 from wavefocus.rendering.verify.extra_measurements import linearity_rows, quieter
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
 from wavefocus.rendering.verify.verdict import Tolerances, compare
-from wavefocus.storage.field_file import Field, LowPass
+from wavefocus.storage.field_file import LowPass
 
 RATE_HZ = 10_000.0
 TAPS = 600
@@ -118,22 +117,10 @@ def test_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_the_same
     assert found.attempts.tolist() == [1, 2, 1]
 
 
-def test_a_lost_recorder_or_a_reference_that_never_comes_then_the_scan_gives_up():
-    with pytest.raises(InstrumentLostError, match="recorder"):
-        scanned(ScanPlan((48, 49)), RigFault("recorder", "read", "lost", position=49))
+def test_a_reference_that_never_comes_then_the_scan_gives_up():
     faults = [RigFault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
     with pytest.raises(ReferenceMissingError):
         scanned(ScanPlan(tuple(range(9)), attempts=1), *faults)
-
-
-def test_a_drive_that_the_rig_cannot_play_is_refused():
-    drive_v = impulse_drive().drive_v
-    for wrong, message in (
-        (20 * drive_v, "at most 5 V, the player's full scale"),
-        (drive_v[:4], "4 actuators; the rig has 6"),
-    ):
-        with pytest.raises(InputError, match=message):
-            scanned(ScanPlan((3,)), drive=dataclasses.replace(impulse_drive(), drive_v=wrong))
 
 
 def test_white_noise_of_known_level_is_error_and_noise_and_leaves_no_misfit():
@@ -172,16 +159,6 @@ def test_the_focus_of_an_impulse_is_at_its_path_point_and_a_shifted_one_fails():
     failed = {check.name for check in shifted.checks if check.passed is False}
     assert {"focus to path point", "focus to predicted focus"} <= failed
     assert shifted.focus.from_intended_mm[0] == pytest.approx(8.0, abs=1.0)
-
-
-def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
-    few = Field(prediction().field[[0, 60, 90]], np.array([0, 60, 90]), RATE_HZ, prediction().start_s, "m/s")
-    outcome = compared(prediction().field, of=few)
-    passed = {check.name: check.passed for check in outcome.checks}
-    assert passed["normalised error"] is True
-    assert passed["focus to path point"] is None
-    assert passed["focal width against prediction"] is None
-    assert outcome.passed
 
 
 def test_a_coarse_grid_then_half_a_cell_s_diagonal_is_allowed_to_the_focus():

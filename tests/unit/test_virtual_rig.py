@@ -7,7 +7,7 @@ import pytest
 from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel, RecordRequest
-from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rendering.greens.source import GreenArray
 
 RATE_HZ = 10_000.0
@@ -111,16 +111,6 @@ def test_given_a_player_at_48_khz_then_the_response_is_that_of_the_same_waveform
     assert np.abs(heard[0] - heard[1]).max() < 2e-3 * np.abs(heard[0]).max()
 
 
-def test_given_the_same_take_then_the_bytes_are_the_same_whatever_came_before():
-    first, second = VirtualRig(), VirtualRig()
-    takes = [RecordLabel(7, 1, 3), RecordLabel(7, 2, 3), RecordLabel(8, 1, 0)]
-    forward = {take: record(first, drive(), take).volts.tobytes() for take in takes}
-    second.instruments.clock.sleep(12_345.678)
-    backward = {take: record(second, drive(), take).volts.tobytes() for take in reversed(takes)}
-    assert forward == backward
-    assert len(set(forward.values())) == 3
-
-
 def test_given_a_play_that_began_before_then_its_rest_is_recorded(quiet_rig):
     rig, drive_v = quiet_rig, drive(3000)
     point(rig)
@@ -131,16 +121,6 @@ def test_given_a_play_that_began_before_then_its_rest_is_recorded(quiet_rig):
     assert np.abs(heard.volts[0] - drive_v[1000:2500]).max() < 0.6 * heard.volts_per_count[0]
     expected = response_volts(rig, drive_v)[1000:2500]
     assert np.abs(heard.volts[1] - expected).max() < 0.6 * heard.volts_per_count[1]
-
-
-def test_given_a_fault_that_cannot_be_then_it_is_named():
-    for wrong, named in (
-        (("mirror", "play", "lost"), "operation of the mirror is 'play'"),
-        (("mirror", "park", "underflow"), "kind of mirror park is 'underflow'"),
-        (("player", "wait", "lost"), "needs either at_call"),
-    ):
-        with pytest.raises(ValueError, match=named):
-            RigFault(*wrong)
 
 
 def test_clock_that_is_walls_then_piece_that_comes_too_late_finds_player_dry():
