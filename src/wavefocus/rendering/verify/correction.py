@@ -82,14 +82,11 @@ def correct_drive(
             stopped = "dropouts"
             break
         found.append(state)
+        goes_on = best_index is None or _is_better(state, found[best_index], _NO_BETTER)
         if best_index is None or _is_better(state, found[best_index], 1.0):
-            better = best_index is None or _is_better(state, found[best_index], _NO_BETTER)
             best, best_index = played, number
-        else:
-            better = False
-        if not better:
-            earlier = found[:-1]
-            fits = state.error <= _NO_BETTER * min(one.error for one in earlier)
+        if not goes_on:
+            fits = state.error <= _NO_BETTER * min(one.error for one in found[:-1])
             stopped = "held out" if fits and state.held_out is not None else "no better"
             break
         if state.error**2 <= 2.0 * state.noise**2:
