@@ -69,7 +69,7 @@ class Conditions:
     @property
     def settle_s(self) -> float:
         """The longest settling time of all bands."""
-        return max((band.settle_s for band in self.watch.bands.values()), default=0.0)
+        return max((allowed.band.settle_s for allowed in self.watch.bands.values()), default=0.0)
 
     def _worst(self, name: str, levels: Sequence[float]) -> float:
         """The value that is farthest outside of its band; the median where all are inside."""

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import scipy.fft
@@ -258,7 +259,7 @@ def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None
     header = raw.header
     records = records_of(header)
     failure: InputError | None = None
-    for first in _recorded(raw, LEARNED_POSITIONS):
+    for first in islice(_recorded(raw), LEARNED_POSITIONS):
         try:
             if header.schedule.period_s > 0:
                 return _periodic(header, records, first, report)
@@ -340,20 +341,13 @@ def _estimated(estimator: PositionEstimator, position: int, recordings: Recordin
     return PositionResult(position, estimate, "")
 
 
-def _recorded(raw: RawFile, most: int) -> Iterator[Recordings]:
-    """The first positions with recordings that are sound and not silent."""
-    found = 0
+def _recorded(raw: RawFile) -> Iterator[Recordings]:
+    """Positions with recordings that are sound and not silent."""
     for position in range(raw.header.positions):
-        try:
+        with suppress(DamagedError):
             recordings = raw.read(position)
-        except DamagedError:
-            continue
-        if recordings is None or not recordings.reference_v.any():
-            continue
-        yield recordings
-        found += 1
-        if found == most:
-            return
+            if recordings is not None and recordings.reference_v.any():
+                yield recordings
 
 
 def _periodic(
