@@ -21,7 +21,7 @@ from wavefocus.acquisition.setup import (
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.calibration.timing import fit_clock
+from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import QualityLimits
@@ -342,7 +342,7 @@ def _check_loopback(setup: Setup, amplitude_v: float) -> list[Finding]:
         act = Act("edit-rig", "recorder.reference_range_v")
         return [Finding("player", "loopback level", "fail", what, remedy, act)]
     try:
-        found = fit_clock(recording.volts[0], signal_v)
+        found = ClockFitter(signal_v).fit(recording.volts[0])
     except ReferenceMissingError as missing:
         remedy = missing.remedy
         if missing.cause == "silence":

@@ -49,7 +49,10 @@ class Conditions:
         values: dict[str, float] = {}
         if REFERENCE in self.watch.bands:
             levels = [self._reference_db(play, recording) for play, recording in zip(plays, recordings, strict=True)]
-            values[REFERENCE] = self._worst(REFERENCE, levels)
+            # The value that is farthest outside of its band; the median where all are inside.
+            middle, allowed = float(np.median(levels)), self.watch.bands[REFERENCE]
+            outside = [level for level in levels if allowed.left(level)]
+            values[REFERENCE] = max(outside, key=lambda level: abs(level - middle), default=middle)
         if NOISE in self.watch.bands and self._above_hz < self._rate_hz / 2:
             # Speckle hides the surface for milliseconds of one record; what lasts is in most of them.
             values[NOISE] = float(np.median([self._noise_v(recording) for recording in recordings]))
@@ -70,12 +73,6 @@ class Conditions:
     def settle_s(self) -> float:
         """The longest settling time of all bands."""
         return max((allowed.band.settle_s for allowed in self.watch.bands.values()), default=0.0)
-
-    def _worst(self, name: str, levels: Sequence[float]) -> float:
-        """The value that is farthest outside of its band; the median where all are inside."""
-        middle = float(np.median(levels))
-        outside = [level for level in levels if self.watch.bands[name].left(level)]
-        return max(outside, key=lambda level: abs(level - middle), default=middle)
 
     def _reference_db(self, play: Play, recording: Recording) -> float:
         """Energy of the reference over that of the loopback's signal, in what counts of the record."""

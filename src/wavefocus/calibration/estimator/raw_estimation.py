@@ -261,8 +261,10 @@ def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None
     failure: InputError | None = None
     for first in islice(_recorded(raw), LEARNED_POSITIONS):
         try:
-            if header.schedule.period_s > 0:
-                return _periodic(header, records, first, report)
+            if (period_s := header.schedule.period_s) > 0:
+                base_v, ratio = _learn_base(first.reference_v[0], header)
+                report(f"a period of {period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
+                return StaggeredEstimator(base_v, records)
             return _with_silence(header, records, first, report)
         except (InputError, ReferenceMissingError) as error:
             failure = failure or InputError(f"{raw.path}: {error}")
@@ -348,15 +350,6 @@ def _recorded(raw: RawFile) -> Iterator[Recordings]:
             recordings = raw.read(position)
             if recordings is not None and recordings.reference_v.any():
                 yield recordings
-
-
-def _periodic(
-    header: RawHeader, records: Records, first: Recordings, report: Callable[[str], None]
-) -> PositionEstimator:
-    """The base signal is already running when a record starts."""
-    base_v, ratio = _learn_base(first.reference_v[0], header)
-    report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
-    return StaggeredEstimator(base_v, records)
 
 
 def _with_silence(
