@@ -232,15 +232,14 @@ def names_of(instruments: Instruments) -> tuple[str, str, str]:
     opened. InstrumentError: it says that it is another.
     """
 
-    def name(role: Role, identify: Callable[[], str]) -> str:
+    def name(role: Role) -> str:
         try:
             with naming_role(role):
-                return identify()
+                return str(getattr(instruments, role).identify())
         except TransientInstrumentError as failure:
             raise to_lost_error(failure, failure.cause) from failure
 
-    mirror, recorder, player = instruments.mirror, instruments.recorder, instruments.player
-    return name("mirror", mirror.identify), name("recorder", recorder.identify), name("player", player.identify)
+    return name("mirror"), name("recorder"), name("player")
 
 
 def silence(instruments: Instruments) -> list[InstrumentError]:

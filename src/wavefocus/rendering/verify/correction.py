@@ -237,8 +237,9 @@ class _Model:
         # lambda over the mean power of a row, from the most to the least thorough step.
         for ridge in 10.0 ** np.arange(-3.0, 2.25, 0.25):
             solved = np.linalg.solve(gram + ridge * scale * eye, right)
-            spectra: Complex128Array = np.asarray(solved if many else adjoint @ solved)[:, :, 0].T
-            step_v = self._signals(spectra, played)
+            whole = np.zeros((len(step_v), self._length // 2 + 1), np.complex128)
+            whole[:, self._bins] = (solved if many else adjoint @ solved)[:, :, 0].T
+            step_v = scipy.fft.irfft(whole, self._length)[:, : step_v.shape[1]]
             if np.square(played.drive_v + step_v).sum() <= max_energy * self._energy:
                 break
         share = self._largest_share(played.drive_v, step_v, played.sample_rate_hz, limits, max_energy)
@@ -268,9 +269,3 @@ class _Model:
 
     def _respond(self, drives: Complex128Array) -> Complex128Array:
         return np.asarray((self._green @ drives[:, :, None])[:, :, 0])
-
-    def _signals(self, spectra: Complex128Array, played: Drive) -> Float64Array:
-        """Signals of spectra at the drive's frequencies, cut to the drive's samples."""
-        whole = np.zeros((len(spectra), self._length // 2 + 1), np.complex128)
-        whole[:, self._bins] = spectra
-        return np.asarray(scipy.fft.irfft(whole, self._length)[:, : played.drive_v.shape[1]])
