@@ -12,6 +12,7 @@ import scipy.signal
 
 from tests.unit.independent_plates import places, responses
 from wavefocus.acquisition.judgement import Cure, in_band, judge
+from wavefocus.calibration.estimator.defect_finder import not_looked_at
 from wavefocus.calibration.estimator.estimate import Estimate, Records
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
@@ -34,6 +35,8 @@ def of_figures(**changed):
         "clip_count": np.zeros(4, np.int32),
         "offset_samples": np.zeros(4),
         "clock_ratio": np.ones(4),
+        "defects": not_looked_at(4),
+        "reference_db": np.full(4, np.nan, np.float32),
     }
     return Estimate(**{**figures, **changed})
 

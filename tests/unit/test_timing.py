@@ -11,7 +11,7 @@ from tests.unit.test_estimator import played as played_signals
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.resampling import resampled
-from wavefocus.calibration.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
+from wavefocus.calibration.timing import ClockFit, ClockFitter, to_playback_clock
 
 SAMPLES = 37_200
 KNOWN = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()
@@ -28,7 +28,7 @@ def test_offset_ratio_and_gain_are_found_at_60_db(offset, ppm, gain, seed):
     noise = 1e-3 * abs(gain) * np.sqrt((KNOWN**2).mean())
     recorded = gain * played(KNOWN, SAMPLES, offset, 1 + 1e-6 * ppm)
     recorded += noise * np.random.default_rng(seed).standard_normal(SAMPLES)
-    fit = fit_clock(recorded, KNOWN)
+    fit = ClockFitter(KNOWN).fit(recorded)
     assert fit.offset_samples == pytest.approx(offset, abs=0.01)
     assert fit.skew_ppm == pytest.approx(ppm, abs=0.1)
     assert fit.gain == pytest.approx(gain, rel=1e-3)
@@ -40,7 +40,7 @@ def test_short_signal_is_found_anywhere_in_long_record_and_rest_does_not_count(o
     known = sweep(3000, 1000.0)
     recorded = played(np.pad(known, (0, 60_000)), 60_000, offset, 1 + 200e-6)
     recorded += 1e-3 * np.sqrt(0.5) * np.random.default_rng(3).standard_normal(recorded.size)
-    fit = fit_clock(recorded, known)
+    fit = ClockFitter(known).fit(recorded)
     assert fit.offset_samples == pytest.approx(offset, abs=0.01)
     assert fit.skew_ppm == pytest.approx(200, abs=0.5)
     assert fit.residual_db == pytest.approx(-60, abs=1)
@@ -51,7 +51,8 @@ def test_a_signal_of_half_a_minute_is_found_at_a_large_skew():
     ppm = -400.0
     known = sweep(300_000, 1000.0)
     around = resampled(np.pad(known, (500, 1500))[None], 0.0, 1 / (1 + 1e-6 * ppm), known.size + 1800)[0]
-    fit = fit_clock(around + 1e-3 * np.sqrt(0.5) * np.random.default_rng(4).standard_normal(around.size), known)
+    around += 1e-3 * np.sqrt(0.5) * np.random.default_rng(4).standard_normal(around.size)
+    fit = ClockFitter(known).fit(around)
     assert fit.skew_ppm == pytest.approx(ppm, abs=1e-3)
     assert fit.residual_db == pytest.approx(-60, abs=1)
 
@@ -61,7 +62,7 @@ def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor):
     recorded = played(KNOWN, SAMPLES + KNOWN.size, 300.0, 1 / factor)
     recorded += 1e-3 * np.random.default_rng(1).standard_normal(recorded.size)
     with pytest.raises(ReferenceMissingError) as missing:
-        fit_clock(recorded, KNOWN)
+        ClockFitter(KNOWN).fit(recorded)
     assert missing.value.cause == "rate"
     assert 1 / missing.value.ratio == pytest.approx(factor, rel=1e-4)
 
@@ -78,7 +79,7 @@ def test_what_is_not_the_whole_signal_is_called_by_its_cause(level, offset, caus
     if offset is not None:
         recorded += played(KNOWN, SAMPLES, offset, 1.0)
     with pytest.raises(ReferenceMissingError, match=told) as missing:
-        fit_clock(recorded, KNOWN)
+        ClockFitter(KNOWN).fit(recorded)
     assert missing.value.cause == cause
 
 

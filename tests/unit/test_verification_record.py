@@ -142,17 +142,17 @@ def test_given_both_fields_then_the_pair_gives_them_within_the_band_if_of_one_sc
     compared = verification.fields
     pair = read_pair(folder / "prediction.h5", folder / "scan.h5", compared.band_hz)
     for number, instant in enumerate(compared.instant):
-        predicted, scanned = pair.at_sample(pair.sample_at(instant.sample / RATE_HZ))
+        predicted, scanned = pair.fields[:, :, pair.sample_at(instant.sample / RATE_HZ)]
         np.testing.assert_allclose(predicted[compared.position_index], compared.predicted_snapshot[number], atol=1e-5)
         np.testing.assert_allclose(scanned[compared.position_index], compared.scanned_snapshot[number], atol=1e-5)
     assert np.isnan(scanned[NOT_SCANNED])
     at = int(compared.position_index[40])
     known = np.isfinite(read_record(record_file).position_error)
     loudest, difference = pair.loudest(np.arange(pair.samples), known)
-    assert 0.0 < difference < loudest <= np.abs([pair.at_position(row) for row in np.flatnonzero(known)]).max()
+    assert 0.0 < difference < loudest <= np.abs(pair.fields[:, known]).max()
     assert pair.loudest(np.arange(pair.samples), np.zeros(len(GRID_MM), bool)) == (0.0, 0.0)
     unlimited = read_pair(folder / "prediction.h5", folder / "scan.h5", None)
-    np.testing.assert_array_equal(unlimited.at_position(at)[0], prediction.field[at].astype(np.float32))
+    np.testing.assert_array_equal(unlimited.fields[0, at], prediction.field[at].astype(np.float32))
     # Of two verifications.
     write_field(folder / "late.h5", dataclasses.replace(scan, start_s=scan.start_s + 1.0))
     with pytest.raises(InputError, match="start_s"):

@@ -1,16 +1,16 @@
 """Calibrating the mirror: from marks on the surface, where the operator jogs the beam, to the map of its angles."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from msgspec.structs import replace
 
 from wavefocus.acquisition.grid import read_rows
 from wavefocus.acquisition.setup import Setup, naming_role
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, MirrorMapFit, fit_mirror_map
-from wavefocus.config.messages.rig_checks import Answer, MapView
+from wavefocus.config.messages.rig_checks import Answer, AskJog, MapView
 from wavefocus.storage.errors import InputError, WavefocusError
 
 
@@ -24,25 +24,6 @@ VIBROMETER, SUM, BOTH = "vibrometer", "sum", "both"
 def output(channel: int) -> str:
     """The word for an output of the player, plugged into the response input."""
     return f"output {channel}"
-
-
-@dataclass(frozen=True, slots=True)
-class JogView:
-    """What a person sees while bringing the beam onto a mark.
-
-    number, of: Which mark this is, from 1, and how many there are.
-    place_mm: Where the mark lies on the surface.
-    at_mrad: Where the mirror stands now.
-    note: What came of the last step, where it was not done; else empty.
-    moved: The beam was moved for this mark.
-    """
-
-    number: int
-    of: int
-    place_mm: tuple[float, float]
-    at_mrad: tuple[float, float]
-    note: str = ""
-    moved: bool = False
 
 
 class Operator(Protocol):
@@ -60,7 +41,7 @@ class Operator(Protocol):
         """
         ...
 
-    def jog(self, view: JogView) -> Answer:
+    def jog(self, view: AskJog) -> Answer:
         """Say how the beam is to move next (``by`` or ``to``), or that it is ``here``."""
         ...
 
@@ -132,10 +113,10 @@ def measure_mirror(
     moved: set[int] = set()
 
     def meet(mark: int, start: Place) -> Place:
-        met = _met(setup, JogView(mark + 1, len(marks_mm), marks_mm[mark], start), limit_mrad, operator)
-        if met.moved:
-            moved.add(mark)
-        return met.at_mrad
+        view = AskJog(mark + 1, len(marks_mm), marks_mm[mark], start)
+        at_mrad, is_moved = _met(setup, view, limit_mrad, operator)
+        moved.update({mark} if is_moved else ())
+        return at_mrad
 
     for mark, place_mm in enumerate(marks_mm):
         found.append(meet(mark, _approach(setup.mirror_map, marks_mm[:mark], found, place_mm)))
@@ -161,15 +142,15 @@ def measure_mirror(
             return fitted
 
 
-def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> JogView:
-    """Let the operator bring the beam onto one mark; the view of it when it is there."""
+def _met(setup: Setup, view: AskJog, limit_mrad: float, operator: Operator) -> tuple[Place, bool]:
+    """Let the operator bring the beam onto one mark: where the mirror stands then, and whether it was moved for it."""
     x_mrad, y_mrad = np.clip(view.at_mrad, -limit_mrad, limit_mrad).tolist()
-    view = replace(view, at_mrad=(x_mrad, y_mrad))
+    view, moved = replace(view, at_mrad=(x_mrad, y_mrad)), False
     _point(setup, view.at_mrad)
     while True:
         step = operator.jog(view)
         if step.answer == "here":
-            return view
+            return view.at_mrad, moved
         wanted = (step.x_mrad, step.y_mrad)
         if step.answer == "by":
             wanted = (view.at_mrad[0] + step.x_mrad, view.at_mrad[1] + step.y_mrad)
@@ -177,7 +158,7 @@ def _met(setup: Setup, view: JogView, limit_mrad: float, operator: Operator) -> 
             note = f"({wanted[0]:.3f}, {wanted[1]:.3f}) mrad is beyond the limit of {limit_mrad:g} mrad: not moved"
             view = replace(view, note=note)
             continue
-        view = replace(view, at_mrad=wanted, note="", moved=view.moved or step != Answer("by"))
+        view, moved = replace(view, at_mrad=wanted, note=""), moved or step != Answer("by")
         _point(setup, wanted)
 
 

@@ -21,7 +21,7 @@ from wavefocus.acquisition.setup import (
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.calibration.timing import fit_clock
+from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import QualityLimits
@@ -33,6 +33,21 @@ from wavefocus.drivers.timeouts import CallThread, HungError
 Answer = TypeVar("Answer")
 
 HUNG_REMEDY = "unplug it and plug it in again, or switch it off and on; then run wavefocus doctor again"
+
+
+def finding(
+    instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "", act: Act | None = None
+) -> Finding:
+    """A finding; what would put it right is left out where nothing is wrong."""
+    return (
+        Finding(instrument, check, verdict, what)
+        if verdict == "ok"
+        else Finding(instrument, check, verdict, what, remedy, act)
+    )
+
+
+def _worse(verdict: Verdict, *, unless: bool) -> Verdict:
+    return "ok" if unless else verdict
 
 
 class RigFindings:
@@ -48,8 +63,8 @@ class RigFindings:
     def add(
         self, instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "", act: Act | None = None
     ) -> None:
-        """Report a finding."""
-        self._publish(Finding(instrument, check, verdict, what, remedy, act))
+        """Report a finding, see `finding`."""
+        self._publish(finding(instrument, check, verdict, what, remedy, act))
 
     def ask(self, instrument: str, check: str, question: Callable[[], Answer], deadline_s: float) -> Answer | None:
         """Ask an instrument; once more after a passing fault; None where there is no answer: a finding says why."""
@@ -136,7 +151,10 @@ class _Examination(RigFindings):
         if vibrometer is not None:
             words = f"{vibrometer.identity}, {vibrometer.sensitivity_m_s_per_v:g} m/s per V"
             self.add("vibrometer", "identity", "ok", words)
-            self._check_light(vibrometer.signal_level)
+            if (level := vibrometer.signal_level) is not None:
+                remedy = "focus the laser, clean its window, put reflective film on the surface"
+                verdict = _worse("warn", unless=level >= WEAK_LIGHT)
+                self.add("vibrometer", "signal level", verdict, f"{100 * level:.0f} % of full", remedy)
         self._mirror = self.ask("mirror", "opening", openers.mirror, OPEN_S)
         self._recorder = self.ask("recorder", "opening", openers.recorder, OPEN_S)
         self._player = self.ask("player", "opening", openers.player, OPEN_S)
@@ -146,13 +164,6 @@ class _Examination(RigFindings):
                 self.add(name, "identity", "ok", sentence)
                 self.identities[name] = role.identity
         return vibrometer or VibrometerReading(1.0, "", None, None, "")
-
-    def _check_light(self, level: float | None) -> None:
-        if level is None:
-            return
-        weak = level < WEAK_LIGHT
-        remedy = "focus the laser, clean its window, put reflective film on the surface" if weak else ""
-        self.add("vibrometer", "signal level", "warn" if weak else "ok", f"{100 * level:.0f} % of full", remedy)
 
     def _check_mirror(self, setup: Setup) -> bool:
         """Send the mirror to the corners of the surface and back to its middle; True where it went there."""
@@ -177,12 +188,10 @@ class _Examination(RigFindings):
             astray += found
         what = f"{len(angles) - 1} corners and the middle reached, "
         what += f"read back within {max(astray):.3f} mrad" if astray else "not read back: it reports no position"
-        if astray and max(astray) > MAX_ASTRAY_MRAD:
-            remedy = "see that nothing holds the mirror, and that its units are those of the rig file"
-            self.add("mirror", "corners", "fail", what, remedy)
-            return False
-        self.add("mirror", "corners", "ok", what)
-        return True
+        meets = max(astray, default=0.0) <= MAX_ASTRAY_MRAD
+        remedy = "see that nothing holds the mirror, and that its units are those of the rig file"
+        self.add("mirror", "corners", _worse("fail", unless=meets), what, remedy)
+        return meets
 
     def _check_delay(self, setup: Setup) -> None:
         """Compare the stated delay between the inputs with the device's conversion clock."""
@@ -192,26 +201,22 @@ class _Examination(RigFindings):
         device_s = self.ask("recorder", "input delay", partial(recorder.sampling_delay_s, rate_hz), ANSWER_S)
         if device_s is None:
             return
+        as_stated = abs(device_s - stated_s) <= MAX_DELAY_DIFFERENCE_S
         what = f"the response is sampled {1e6 * device_s:.2f} us after the reference at {rate_hz:g} Hz"
-        if abs(device_s - stated_s) <= MAX_DELAY_DIFFERENCE_S:
-            self.add("recorder", "input delay", "ok", what)
-            return
-        what += f"; stated are {1e6 * stated_s:.2f} us"
+        what += "" if as_stated else f"; stated are {1e6 * stated_s:.2f} us"
         remedy = f"write {device_s:.4g} into recorder.inter_channel_delay_s, or run wavefocus calibrate --only inputs"
         act = Act("edit-rig", "recorder.inter_channel_delay_s")
-        self.add("recorder", "input delay", "warn", what, remedy, act)
+        self.add("recorder", "input delay", _worse("warn", unless=as_stated), what, remedy, act)
 
     def _check_outputs(self, setup: Setup) -> None:
         if self._player is None:
             self.add("player", "outputs", "skipped", "the player is not there")
             return
         there, needed = self._player.channels, 1 + max((*setup.actuator_channels, setup.loopback_channel))
-        if there >= needed:
-            self.add("player", "outputs", "ok", f"{there}, {needed} needed")
-            return
+        what = f"{there}, {needed} needed" if there >= needed else f"it has {there}, {needed} are wired"
         remedy = "choose the interface with enough outputs, or correct player.channels"
-        act = Act("edit-rig", "player.channels")
-        self.add("player", "outputs", "fail", f"it has {there}, {needed} are wired", remedy, act)
+        verdict = _worse("fail", unless=there >= needed)
+        self.add("player", "outputs", verdict, what, remedy, Act("edit-rig", "player.channels"))
 
     def _check_sound(self, setup: Setup, *, points: bool) -> None:
         """Records of silence, of the loopback and of actuators, as far as the instruments for them are there."""
@@ -257,15 +262,11 @@ class _Examination(RigFindings):
 
     def _put_to_rest(self) -> None:
         """Mute, park and release whatever is open; only failures are reported."""
-        steps: list[tuple[str, Callable[[], None]]] = []
-        if self._player is not None:
-            steps += [("player", self._player.mute), ("player", self._player.close)]
-        if self._recorder is not None:
-            steps += [("recorder", self._recorder.abort), ("recorder", self._recorder.close)]
-        if self._mirror is not None:
-            steps += [("mirror", self._mirror.park), ("mirror", self._mirror.close)]
-        for name, step in steps:
-            self.ask(name, "putting it to rest", step, ANSWER_S)
+        for name, role, quieten in (
+            ("player", self._player, "mute"), ("recorder", self._recorder, "abort"), ("mirror", self._mirror, "park")
+        ):  # fmt: skip
+            for step in (quieten, "close") if role is not None else ():
+                self.ask(name, "putting it to rest", getattr(role, step), ANSWER_S)
 
 
 # Corners that the mirror is tried at: of the largest rectangle on the surface, a little within.
@@ -321,15 +322,13 @@ def _check_silence(recorder: Recorder, range_v: tuple[float, float]) -> list[Fin
         volts = recording.volts[channel].astype(np.float64)
         noise_v, offset_v, step_v = float(volts.std()), float(volts.mean()), recording.volts_per_count[channel]
         what = f"{1e3 * noise_v:.3g} mV rms, {1e3 * offset_v:+.3g} mV offset; step {1e3 * step_v:.3g} mV"
-        verdict: Verdict = "ok"
-        remedy, act = "", None
+        judged: tuple[Verdict, str, str, Act | None] = "ok", what, "", None
         if recording.over_range[channel]:
-            verdict, what = "fail", f"{what}; it reaches {range_v[channel]:g} V"
-            remedy = "check what is plugged in there"
+            judged = "fail", f"{what}; it reaches {range_v[channel]:g} V", "check what is plugged in there", None
         elif noise_v == 0.0:
-            verdict, what = "warn", f"{what}: not even noise"
-            remedy, act = "check cable and terminal configuration", Act("edit-rig", "recorder.terminal")
-        findings.append(Finding("recorder", f"{name} noise", verdict, what, remedy, act))
+            act = Act("edit-rig", "recorder.terminal")
+            judged = "warn", f"{what}: not even noise", "check cable and terminal configuration", act
+        findings.append(finding("recorder", f"{name} noise", *judged))
     return findings
 
 
@@ -347,36 +346,26 @@ def _check_loopback(setup: Setup, amplitude_v: float) -> list[Finding]:
         act = Act("edit-rig", "recorder.reference_range_v")
         return [Finding("player", "loopback level", "fail", what, remedy, act)]
     try:
-        found = fit_clock(recording.volts[0], signal_v)
+        found = ClockFitter(signal_v).fit(recording.volts[0])
     except ReferenceMissingError as missing:
         remedy = missing.remedy
         if missing.cause == "silence":
             remedy = f"check the cable from output {channel} of the player to the recorder's reference input"
         check = "clock ratio" if missing.cause == "rate" else "loopback level"
         return [Finding("player", check, "fail", str(missing), remedy)]
-    latency_s = found.offset_samples / SAMPLE_RATE_HZ - setup.pre_roll_s
+    latency_s, ppm = found.offset_samples / SAMPLE_RATE_HZ - setup.pre_roll_s, found.skew_ppm
+    in_time = _worse("warn", unless=latency_s <= LATENCY_SHARE * setup.post_roll_s)
+    latency = f"{1e3 * latency_s:.1f} ms, {1e3 * setup.post_roll_s:.0f} ms of post-roll to cover it"
+    larger, act = "raise recorder.post_roll_s, or choose a smaller buffer", Act("edit-rig", "recorder.post_roll_s")
+    clock = f"the recorder's clock runs {abs(ppm):.1f} ppm {'slower' if ppm < 0 else 'faster'} than the player's"
+    rates = "check the sample rates set at the interface; the estimator allows 500 ppm"
+    purity = f"{-found.residual_db:z.0f} dB above noise and distortion"
+    clean = _worse("warn", unless=found.residual_db <= GOOD_RESIDUAL_DB)
     return [
         _level(found.gain / setup.reference_gain, amplitude_v, channel),
-        _figure(
-            "latency",
-            f"{1e3 * latency_s:.1f} ms, {1e3 * setup.post_roll_s:.0f} ms of post-roll to cover it",
-            latency_s <= LATENCY_SHARE * setup.post_roll_s,
-            "raise recorder.post_roll_s, or choose a smaller buffer",
-            Act("edit-rig", "recorder.post_roll_s"),
-        ),
-        _figure(
-            "clock ratio",
-            f"the recorder's clock runs {abs(found.skew_ppm):.1f} ppm "
-            f"{'slower' if found.skew_ppm < 0 else 'faster'} than the player's",
-            abs(found.skew_ppm) <= GOOD_PPM,
-            "check the sample rates set at the interface; the estimator allows 500 ppm",
-        ),
-        _figure(
-            "loopback purity",
-            f"{-found.residual_db:z.0f} dB above noise and distortion",
-            found.residual_db <= GOOD_RESIDUAL_DB,
-            "look for hum, a loose cable or a range much too wide",
-        ),
+        finding("player", "latency", in_time, latency, larger, act),
+        finding("player", "clock ratio", _worse("warn", unless=abs(ppm) <= GOOD_PPM), clock, rates),
+        finding("player", "loopback purity", clean, purity, "look for hum, a loose cable or a range much too wide"),
         crosstalk_finding(leak_of(setup, recording, SAMPLE_RATE_HZ, BAND_HZ)),
     ]
 
@@ -417,20 +406,15 @@ def _sweep_v(amplitude_v: float) -> Float64Array:
     return PlayedExcitation(SAMPLE_RATE_HZ, *BAND_HZ, SWEEP_S, DECAY_S, amplitude_v, averages=1).signal_v()
 
 
-def _figure(check: str, what: str, good: bool, remedy: str, act: Act | None = None) -> Finding:
-    """A figure of the loopback that is good, or worth a warning."""
-    return Finding("player", check, "ok", what) if good else Finding("player", check, "warn", what, remedy, act)
-
-
 def _level(gain: float, amplitude_v: float, channel: int) -> Finding:
     what = f"{abs(gain) * amplitude_v:.4g} V for {amplitude_v:.4g} V asked"
     if gain < 0:
-        return _figure("loopback level", f"{what}, upside down", False, f"swap the wires of output {channel}")
-    off = abs(gain - 1)
-    if off <= BAD_LEVEL:
-        return Finding("player", "loopback level", "ok", what)
+        return Finding(
+            "player", "loopback level", "warn", f"{what}, upside down", f"swap the wires of output {channel}"
+        )
     remedy = "run wavefocus calibrate --only outputs, or correct player.full_scale_v and recorder.reference_gain"
-    return Finding("player", "loopback level", "fail", what, remedy, Act("calibrate", "outputs"))
+    verdict = _worse("fail", unless=abs(gain - 1) <= BAD_LEVEL)
+    return finding("player", "loopback level", verdict, what, remedy, Act("calibrate", "outputs"))
 
 
 def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:
@@ -439,9 +423,9 @@ def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:
     if not math.isfinite(snr_db[best]) or snr_db[best] < MIN_SNR_DB:
         remedy = "check that the beam is on the surface and in focus, the vibrometer's cable, and the amplifiers"
         return [Finding("vibrometer", "response", "fail", what, remedy)]
-    verdict: Verdict = "ok" if snr_db[best] >= GOOD_SNR_DB else "warn"
-    remedy = "" if verdict == "ok" else "focus the laser, put reflective film on the surface, or drive louder"
-    findings: list[Finding] = [Finding("vibrometer", "response", verdict, what, remedy)]
+    remedy = "focus the laser, put reflective film on the surface, or drive louder"
+    verdict = _worse("warn", unless=snr_db[best] >= GOOD_SNR_DB)
+    findings = [finding("vibrometer", "response", verdict, what, remedy)]
     for actuator, ratio_db in snr_db.items():
         if ratio_db < MIN_SNR_DB:
             what = f"actuator {actuator} is hardly above the noise ({ratio_db:z.0f} dB)"

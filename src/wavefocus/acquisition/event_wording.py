@@ -4,60 +4,43 @@ import math
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.evidence import SIGMAS
-from wavefocus.config.messages import tag
-from wavefocus.config.messages.campaign import (
-    ConditionsSeen,
-    CrosstalkMeasured,
-    Drift,
-    Event,
-    Fault,
-    PassStarted,
-    PositionCommitted,
-    PositionKept,
-    PositionRepeated,
-    PositionStarted,
-    ReconnectTried,
-    ScheduleSettled,
-    SessionEnded,
-    SessionStarted,
-    StateChanged,
-)
+from wavefocus.config.messages import campaign, tag
 from wavefocus.storage.bank.ledger import row_ranges, status_words
 
 
-def sentence(event: Event) -> str:
+def sentence(event: campaign.Event) -> str:
     """An event in words, without a full stop; its name where there is nothing to add, as for progress."""
     match event:
-        case SessionStarted():
+        case campaign.SessionStarted():
             return (
                 f"{event.bank}: {event.done} of {event.positions} positions are in, {event.to_do} to do "
                 f"with {event.actuators} actuators; planned: {hours(event.planned_s)}"
             )
-        case ScheduleSettled():
+        case campaign.ScheduleSettled():
             return f"schedule: {event.chosen}: {event.reason}"
-        case StateChanged():
+        case campaign.StateChanged():
             return f"{event.state}: {event.reason}"
-        case PositionStarted():
+        case campaign.PositionStarted():
             again = f", attempt {event.attempt}" if event.attempt > 1 else ""
             return f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
-        case PositionCommitted():
+        case campaign.PositionCommitted():
             figures = ("record's signal-to-noise ratio", event.snr_db), ("residual", event.residual_db)
             known = [f"{words} {value:.1f} dB" for words, value in figures if math.isfinite(value)]
             parts = ", ".join([status_words(event.status).replace("+", ", "), *known])
             return f"position {event.position} is measured: {parts}{f': {event.reason}' if event.reason else ''}"
-        case PositionRepeated():
+        case campaign.PositionRepeated():
             return f"position {event.position} is measured again{_otherwise(event)}: {event.reason}"
-        case PositionKept():
+        case campaign.PositionKept():
             return f"position {event.position} stays as the bank has it: {event.reason}"
-        case PassStarted():
+        case campaign.PassStarted():
             rows_text = row_ranges(event.positions)
             return f"{len(event.positions)} positions that are not valid are measured again: {rows_text}"
-        case Fault():
+        case campaign.Fault():
             then = "trying again" if event.retried else "not tried again"
             return f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})"
-        case ReconnectTried():
+        case campaign.ReconnectTried():
             return _reconnect(event)
-        case CrosstalkMeasured():
+        case campaign.CrosstalkMeasured():
             if not event.named:
                 word = "at" if event.sigmas >= SIGMAS else "below"
                 return (
@@ -66,7 +49,7 @@ def sentence(event: Event) -> str:
             if not event.marked:
                 return event.reason
             return f"{event.reason}; positions {row_ranges(event.marked)} are poor, and so are the next while it lasts"
-        case Drift():
+        case campaign.Drift():
             cause = f" ({event.cause})" if event.cause else ""
             if math.isfinite(event.change):
                 cause += f"; rows measured now differ by {100 * event.change:.1f} % from the first"
@@ -75,9 +58,9 @@ def sentence(event: Event) -> str:
                 f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "
                 f"{event.verdict}{cause}"
             )
-        case ConditionsSeen():
+        case campaign.ConditionsSeen():
             return f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
-        case SessionEnded():
+        case campaign.SessionEnded():
             counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
             return (
                 f"{event.state}: {event.done} of {event.total} positions ({counts}); "
@@ -86,13 +69,13 @@ def sentence(event: Event) -> str:
     return tag(event)
 
 
-def _otherwise(event: PositionRepeated) -> str:
+def _otherwise(event: campaign.PositionRepeated) -> str:
     range_text = "" if event.response_range_v is None else f" with a range of {event.response_range_v:g} V"
     moved_mm = math.hypot(*event.moved_mm)
     return range_text + (f" {moved_mm:.2g} mm aside" if moved_mm else "")
 
 
-def _reconnect(event: ReconnectTried) -> str:
+def _reconnect(event: campaign.ReconnectTried) -> str:
     """One try for a fresh connection, and when the next one is."""
     if event.connected:
         return f"{event.instrument}: connected again (try {event.number})"

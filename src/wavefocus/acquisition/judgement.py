@@ -1,5 +1,6 @@
 """Point quality: from the estimator's figures to named defects, what can cure them, and the bank's status bits."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -119,20 +120,19 @@ def _named(
     """
     figures, unnamed, found = estimate.defects, ~dead, list[RecordDefect]()
 
-    def name(worst: NDArray[np.intp], title: str, sentence: str, cure: Cure, **more: object) -> None:
+    def name(worst: tuple[int, ...], title: str, sentence: str, cure: Cure, **more: object) -> None:
         record = {figure: figures[figure][worst[0]].item() for figure in figures.dtype.names or ()}
         words = sentence.format(records=_listed(worst), **record, **more)
-        found.append(RecordDefect(title, tuple(worst.tolist()), words, cure, over_range=title == "clipping"))
-        unnamed[worst] = False
+        found.append(RecordDefect(title, worst, words, cure, over_range=title == "clipping"))
+        unnamed[list(worst)] = False
 
     if np.any(dead):
-        name(np.flatnonzero(dead), "dead channel", _DEAD, Cure.REPEAT)
+        name(_worst_first(dead, dead * 1.0), "dead channel", _DEAD, Cure.REPEAT)
     for figure, (title, sentence, cure) in _KINDS.items():
         limit_db = {"harmonic_db": limits.poor_harmonic_db, "slip_db": SLIP_DB}.get(figure, limits.poor_residual_db)
-        beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db))
-        if not beyond.size:
+        worst = _worst_first(unnamed & (figures[figure] > limit_db), figures[figure])
+        if not worst:
             continue
-        worst = beyond[np.argsort(-figures[figure][beyond])]
         line_hz = float(figures["line_hz"][worst[0]])
         mains = next((base for base in MAINS_HZ if _is_multiple(line_hz, base)), None) if title == "tone" else None
         if mains is not None:
@@ -140,24 +140,16 @@ def _named(
             harmonic = f" ({multiple} times {mains:g} Hz)" if multiple > 1 else ""
             name(worst, "hum", _HUM, cure, hum_hz=multiple * mains, harmonic=harmonic)
         else:
-            name(worst, title, sentence, Cure.MOVE if title == "dropout" and worst.size > 1 else cure)
-    silent = np.flatnonzero(unnamed & _silent(estimate, distance_mm))
-    if silent.size:
-        name(silent, "silent", _SILENT, Cure.NOTHING)
+            name(worst, title, sentence, Cure.MOVE if title == "dropout" and len(worst) > 1 else cure)
+    if distance_mm is not None:
+        # No response where several farther actuators have a clear one; without light the vibrometer is louder.
+        strong = np.sort(distance_mm[(estimate.snr_db > CLEAR_DB) & np.isfinite(distance_mm)])
+        nearer = distance_mm < (strong[-MAJORITY] if strong.size >= MAJORITY else -np.inf)
+        with_light = estimate.noise_v < 10 ** (HEARD_DB / 20) * np.median(estimate.noise_v)
+        silent = unnamed & (estimate.snr_db < HEARD_DB) & nearer & with_light
+        if silent.any():
+            name(_worst_first(silent, silent * 1.0), "silent", _SILENT, Cure.NOTHING)
     return found
-
-
-def _silent(estimate: Estimate, distance_mm: Float64Array | None) -> BoolArray:
-    """Records without a response where several farther actuators have a clear one, and noise as the others have it."""
-    none = np.zeros(estimate.snr_db.size, dtype=bool)
-    if distance_mm is None:
-        return none
-    strong = np.sort(distance_mm[(estimate.snr_db > CLEAR_DB) & np.isfinite(distance_mm)])
-    if strong.size < MAJORITY:
-        return none
-    # Without light the vibrometer is louder.
-    with_light = estimate.noise_v < 10 ** (HEARD_DB / 20) * np.median(estimate.noise_v)
-    return np.asarray((estimate.snr_db < HEARD_DB) & (distance_mm < strong[-MAJORITY]) & with_light)
 
 
 def _is_multiple(line_hz: float, base_hz: float) -> bool:
@@ -165,10 +157,9 @@ def _is_multiple(line_hz: float, base_hz: float) -> bool:
     return multiple >= 1 and abs(line_hz - multiple * base_hz) < MAINS_TOLERANCE_HZ
 
 
-def _listed(which: NDArray[np.intp]) -> str:
+def _listed(which: tuple[int, ...]) -> str:
     """The records for a sentence, the first of them by name."""
-    others = which.size - 1
-    first = f"actuator {int(which[0])}'s record"
+    others, first = len(which) - 1, f"actuator {which[0]}'s record"
     return first if not others else f"{first} and {others} more" if others > 1 else f"{first} and one more"
 
 
@@ -299,10 +290,9 @@ def judge(
     score = float(np.max(np.where(finite, excess_db, np.inf)))
     defects = [*_over_range(estimate, over_range), *_named(estimate, limits, distance_mm, dead)]
     named = np.isin(np.arange(dead.size), [actuator for defect in defects for actuator in defect.actuators])
-    if not finite.all():
-        which = tuple(np.flatnonzero(~finite).tolist())
-        sentence = f"the figures of actuator {which[0]}'s record are not numbers"
-        defects.append(RecordDefect("no figures", which, sentence, Cure.REPEAT))
+    if unknown := tuple(np.flatnonzero(~finite).tolist()):
+        sentence = f"the figures of actuator {unknown[0]}'s record are not numbers"
+        defects.append(RecordDefect("no figures", unknown, sentence, Cure.REPEAT))
     defects += _unexplained(estimate, excess_db, usable & ~named, limits)
     defects += _low_signal(estimate, usable, limits)
     defects += _reference_level(estimate, before_db, limits, calibrated=calibrated)
@@ -328,76 +318,71 @@ def differing(actuators: tuple[int, ...], apart: str, score: float, *, replaceab
     return poor("neighbours", sentence, Cure.AGAIN, actuators, score)
 
 
-def _over_range(estimate: Estimate, over_range: bool) -> list[RecordDefect]:
-    clipped = np.flatnonzero(estimate.clip_count)
-    if not (over_range or clipped.size):
-        return []
-    worst = tuple(clipped[np.argsort(-estimate.clip_count[clipped])].tolist())
-    who = f"actuator {worst[0]}'s record" if worst else "a record"
-    sentence = (
-        f"{who} reached the end of the input range, or is cut flat below it: where no larger range helps, lower "
-        "sweep.amplitude_v or choose a wider range at the vibrometer"
-    )
-    return [RecordDefect("over-range", worst, sentence, Cure.RANGE, over_range=True)]
+def _worst_first(which: BoolArray, badness: NDArray[np.floating]) -> tuple[int, ...]:
+    """Records that are marked, the worst first."""
+    marked = np.flatnonzero(which)
+    return tuple(marked[np.argsort(-badness[marked], kind="stable")].tolist())
+
+
+def _over_range(estimate: Estimate, over_range: bool) -> Iterator[RecordDefect]:
+    worst = _worst_first(estimate.clip_count > 0, estimate.clip_count.astype(np.float64))
+    if over_range or worst:
+        who = f"actuator {worst[0]}'s record" if worst else "a record"
+        sentence = (
+            f"{who} reached the end of the input range, or is cut flat below it: where no larger range helps, lower "
+            "sweep.amplitude_v or choose a wider range at the vibrometer"
+        )
+        yield RecordDefect("over-range", worst, sentence, Cure.RANGE, over_range=True)
 
 
 def _unexplained(
     estimate: Estimate, excess_db: Float64Array, unnamed: BoolArray, limits: QualityLimits
-) -> list[RecordDefect]:
+) -> Iterator[RecordDefect]:
     """Records that are bad without telling why."""
     suspect = unnamed & (excess_db > limits.excess_noise_db) & (estimate.residual_db > limits.poor_residual_db)
-    if not np.any(suspect):
-        return []
-    which = np.flatnonzero(suspect)
-    which = which[np.argsort(-excess_db[which])]
-    worst = int(which[0])
-    if estimate.residual_db[worst] > 10 * np.log10(MOST):
-        sentence = (
-            f"actuator {worst}'s record is only noise, {excess_db[worst]:.1f} dB above the position's quietest "
-            "record: no light came back to the vibrometer, or its cable is loose"
-        )
-        return [RecordDefect("dropout", tuple(which.tolist()), sentence, Cure.MOVE)]
+    which = _worst_first(suspect, excess_db)
+    if not which:
+        return
+    worst, residual_db = which[0], estimate.residual_db[which[0]]
+    above = f"{excess_db[worst]:.1f} dB above the position's quietest record"
+    if residual_db > 10 * np.log10(MOST):
+        why = "no light came back to the vibrometer, or its cable is loose"
+        yield RecordDefect("dropout", which, f"actuator {worst}'s record is only noise, {above}: {why}", Cure.MOVE)
+        return
     sentence = (
-        f"actuator {worst} leaves {estimate.residual_db[worst]:.1f} dB unexplained, "
-        f"{excess_db[worst]:.1f} dB above the position's quietest record: if it stays, focus the laser, "
-        "treat the surface, and check contacts and the USB port"
+        f"actuator {worst} leaves {residual_db:.1f} dB unexplained, {above}: if it stays, focus the laser, treat the "
+        "surface, and check contacts and the USB port"
     )
-    return [RecordDefect("unexplained", tuple(which.tolist()), sentence, Cure.MOVE if which.size > 1 else Cure.REPEAT)]
+    yield RecordDefect("unexplained", which, sentence, Cure.MOVE if len(which) > 1 else Cure.REPEAT)
 
 
 def _reference_level(
     estimate: Estimate, before_db: float | None, limits: QualityLimits, *, calibrated: bool
-) -> list[RecordDefect]:
+) -> Iterator[RecordDefect]:
     """Records whose reference is not as loud as it was: their Green's functions would be wrong by as much."""
     levels_db = estimate.reference_db.astype(np.float64)
     if not np.any(np.isfinite(levels_db)):
-        return []
+        return
     before_db = float(np.nanmedian(levels_db)) if before_db is None else before_db
     # Ratio to the limit; NaN (not measured) counts as 0.
     from_calibration = calibrated * np.nan_to_num(np.abs(levels_db)) / (CALIBRATION_SPARE * limits.reference_db)
     from_before = np.nan_to_num(np.abs(levels_db - before_db)) / limits.reference_db
-    worst_first = np.argsort(-np.maximum(from_calibration, from_before), kind="stable")
-    which = worst_first[np.maximum(from_calibration, from_before)[worst_first] > 1.0]
-    if not which.size:
-        return []
-    worst = int(which[0])
-    beyond = from_calibration[worst] > 1.0
-    than, off_db = ("its calibration", levels_db[worst]) if beyond else ("before", levels_db[worst] - before_db)
-    steady = "; if it is so in every record, run wavefocus calibrate, or correct recorder.reference_gain"
-    sentence = (
-        f"the reference is {abs(off_db):.2f} dB {'below' if off_db < 0 else 'above'} {than} in "
-        f"{_listed(which)}: check the loopback cable, the output's level and the input range"
-        f"{steady if beyond else ''}"
-    )
-    return [RecordDefect(REFERENCE_LEVEL, tuple(which.tolist()), sentence, Cure.AGAIN)]
+    beyond = np.maximum(from_calibration, from_before)
+    if which := _worst_first(beyond > 1.0, beyond):
+        steady, than, off_db = "", "before", levels_db[which[0]] - before_db
+        if from_calibration[which[0]] > 1.0:
+            steady = "; if it is so in every record, run wavefocus calibrate, or correct recorder.reference_gain"
+            than, off_db = "its calibration", levels_db[which[0]]
+        sentence = (
+            f"the reference is {abs(off_db):.2f} dB {'below' if off_db < 0 else 'above'} {than} in "
+            f"{_listed(which)}: check the loopback cable, the output's level and the input range{steady}"
+        )
+        yield RecordDefect(REFERENCE_LEVEL, which, sentence, Cure.AGAIN)
 
 
-def _low_signal(estimate: Estimate, usable: BoolArray, limits: QualityLimits) -> list[RecordDefect]:
-    if not np.any(usable):
-        return []
-    best_db = float(np.max(estimate.snr_db[usable]))
-    if best_db >= limits.poor_snr_db:
-        return []
-    ratio = f"{best_db:.1f} dB signal-to-noise ratio (the record's, not the row's error)"
-    sentence = f"the best record has {ratio if best_db > 0 else 'no signal above its noise'}"
-    return [RecordDefect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)]
+def _low_signal(estimate: Estimate, usable: BoolArray, limits: QualityLimits) -> Iterator[RecordDefect]:
+    best_db = float(np.max(estimate.snr_db[usable], initial=-np.inf))
+    if usable.any() and best_db < limits.poor_snr_db:
+        ratio = f"{best_db:.1f} dB signal-to-noise ratio (the record's, not the row's error)"
+        sentence = f"the best record has {ratio if best_db > 0 else 'no signal above its noise'}"
+        yield RecordDefect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,7 +25,7 @@ from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import Role
 
 if TYPE_CHECKING:
-    from wavefocus.config.rig import RigConfig
+    from wavefocus.config.rig import BandSection, RigConfig
     from wavefocus.config.rig_instruments import RecorderSection
 
 Sensor = Callable[[], float]
@@ -39,30 +38,26 @@ class AllowedRange:
 
     words: What it is, for people: ``"reference level"``.
     unit: Of all limits.
-    leaves_below, leaves_above: Beyond these measuring is suspended; infinite where there is no limit.
-    returns_above, returns_below: Within these it may go on: inside the limits above, so that nothing flutters.
-    settle_s: How long it must have been back before measuring goes on.
+    band: Limits beyond which measuring is suspended, and those within which it goes on.
     """
 
     words: str
     unit: str
-    leaves_below: float = -math.inf
-    leaves_above: float = math.inf
-    returns_above: float = -math.inf
-    returns_below: float = math.inf
-    settle_s: float = 0.0
+    band: BandSection
 
     def left(self, value: float) -> str:
         """Why this value is no good, in words; empty where it is."""
-        if value < self.leaves_below:
-            return f"{self.words} {value:.3g} {self.unit} is below {self.leaves_below:g} {self.unit}"
-        if value > self.leaves_above:
-            return f"{self.words} {value:.3g} {self.unit} is above {self.leaves_above:g} {self.unit}"
+        least, most = self.band.leaves_below, self.band.leaves_above
+        if least is not None and value < least:
+            return f"{self.words} {value:.3g} {self.unit} is below {least:g} {self.unit}"
+        if most is not None and value > most:
+            return f"{self.words} {value:.3g} {self.unit} is above {most:g} {self.unit}"
         return ""
 
     def is_back(self, value: float) -> bool:
         """Whether this value lets measuring go on."""
-        return self.returns_above <= value <= self.returns_below
+        least, most = self.band.returns_above, self.band.returns_below
+        return (least is None or value >= least) and (most is None or value <= most)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,15 +232,14 @@ def names_of(instruments: Instruments) -> tuple[str, str, str]:
     opened. InstrumentError: it says that it is another.
     """
 
-    def name(role: Role, identify: Callable[[], str]) -> str:
+    def name(role: Role) -> str:
         try:
             with naming_role(role):
-                return identify()
+                return str(getattr(instruments, role).identify())
         except TransientInstrumentError as failure:
             raise to_lost_error(failure, failure.cause) from failure
 
-    mirror, recorder, player = instruments.mirror, instruments.recorder, instruments.player
-    return name("mirror", mirror.identify), name("recorder", recorder.identify), name("player", player.identify)
+    return name("mirror"), name("recorder"), name("player")
 
 
 def silence(instruments: Instruments) -> list[InstrumentError]:

@@ -233,7 +233,8 @@ class KnownSignalClock:
 
         Returns KnownSignalFit: the best there is; its `explained` shows how good it is.
         """
-        values, place = _inside(decimated)
+        inside, values = decimated.inside, decimated.values[0, decimated.inside].astype(np.float64)
+        place = decimated.first + decimated.step * np.arange(inside.start, inside.stop)
         # One period is enough to begin with, and lets the search take wider steps.
         short = math.ceil(self.period / decimated.step)
         short = values.size if values.size < 1.5 * short else short
@@ -363,10 +364,3 @@ def _least_squares(gram: Float64Array, matched: Float64Array) -> tuple[Float64Ar
     size = np.sqrt(np.diag(gram)) + 1e-300
     shares = np.linalg.lstsq(gram / np.outer(size, size), matched / size, rcond=1e-10)[0]
     return shares / size, float(matched / size @ shares)
-
-
-def _inside(decimated: Decimated) -> tuple[Float64Array, Int64Array]:
-    """Values that count, and the samples of the recording at which they lie."""
-    inside = decimated.inside
-    place = decimated.first + decimated.step * np.arange(inside.start, inside.stop)
-    return decimated.values[0, inside].astype(np.float64), place

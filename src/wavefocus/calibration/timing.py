@@ -305,18 +305,6 @@ class ClockFitter:
         return scipy.fft.rfft(cut), first
 
 
-def fit_clock(recorded_v: ArrayLike, known_v: ArrayLike, *, max_ppm: float = 500.0) -> ClockFit:
-    """Find a known signal in one recording; for many recordings of one signal see `ClockFitter`.
-
-    recorded_v, (samples,): Reference channel in volts, on the DAQ clock.
-    known_v, (known,): What was played in volts, on the playback clock, its silences included; known <= samples.
-    max_ppm: Largest skew of the clocks looked for, in parts per million, > 0.
-
-    Raises InputError, ReferenceMissingError: as `ClockFitter` and its `fit`.
-    """
-    return ClockFitter(known_v, max_ppm=max_ppm).fit(recorded_v)
-
-
 def to_playback_clock(
     recorded: ArrayLike, fit: ClockFit, samples: int, first: int = 0, delay_samples: float = 0.0
 ) -> Float32Array | Float64Array:

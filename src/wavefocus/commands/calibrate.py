@@ -9,7 +9,9 @@ from contextlib import suppress
 from datetime import date
 from pathlib import Path
 
-from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, VIBROMETER, JogView, Operator
+from msgspec.structs import replace
+
+from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, VIBROMETER, Operator
 from wavefocus.acquisition.manual import ManualMeasurements
 from wavefocus.acquisition.setup import Setup
 from wavefocus.config.calibration import CalibrationRecord, name_calibration, write_calibration
@@ -70,7 +72,7 @@ class TerminalOperator:
             say(f"{cable(source)}, then press Enter")
             line = self._answer("a cable was plugged").strip()
 
-    def jog(self, view: JogView) -> Answer:
+    def jog(self, view: AskJog) -> Answer:
         """Read how the beam is to move; what is not understood is asked again."""
         if view.note:
             say(view.note)
@@ -136,10 +138,9 @@ class _LinesOperator:
         self._publish(AskConnect(source, cable(source)))
         self._answer("a cable was plugged", "connect")
 
-    def jog(self, view: JogView) -> Answer:
+    def jog(self, view: AskJog) -> Answer:
         """Say how the beam is to move."""
-        at_mm = self._place_mm(*view.at_mrad)
-        self._publish(AskJog(view.number, view.of, view.place_mm, view.at_mrad, at_mm, view.note))
+        self._publish(replace(view, at_mm=self._place_mm(*view.at_mrad)))
         return self._answer(f"mark {view.number} of {view.of} was met", "jog", listens=True)
 
     def judge(self, view: MapView) -> Answer:

@@ -22,7 +22,6 @@ from wavefocus.acquisition.calibrate_channels import (
 )
 from wavefocus.acquisition.calibrate_mirror import (
     VIBROMETER,
-    JogView,
     NotMeasuredError,
     Operator,
     Place,
@@ -49,7 +48,7 @@ from wavefocus.config.calibration import (
 )
 from wavefocus.config.fields import Table
 from wavefocus.config.messages.operate import Role
-from wavefocus.config.messages.rig_checks import Answer, MapView
+from wavefocus.config.messages.rig_checks import Answer, AskJog, MapView
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
@@ -313,7 +312,7 @@ class Cables:
         if self.source != VIBROMETER:
             self.connect(VIBROMETER)
 
-    def jog(self, view: JogView) -> Answer:
+    def jog(self, view: AskJog) -> Answer:
         return self._operator.jog(view)
 
     def judge(self, view: MapView) -> Answer:

@@ -1,6 +1,5 @@
 """Instruments that are open, watched, bounded in time and put to rest at the end; the delay between their inputs."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -161,25 +160,13 @@ def range_band(sensitivity_m_s_per_v: float) -> AllowedRange:
     """The range that a session began with, and no other."""
     least, most = ((1 + off) * sensitivity_m_s_per_v for off in (-SAME_SENSITIVITY, SAME_SENSITIVITY))
     words = f"vibrometer range (set to {sensitivity_m_s_per_v:g} m/s per V at the start)"
-    return AllowedRange(words, "m/s per V", least, most, least, most)
+    within = {"leaves_below": least, "returns_above": least, "returns_below": most, "leaves_above": most}
+    return AllowedRange(words, "m/s per V", BandSection(**within, settle_s=0.0))
 
 
 def in_time_or_failed(name: str, sensor: Sensor, limit_s: float) -> Sensor:
     """A sensor that answers in time or counts as one that does not answer."""
     return partial(in_time, f"sensor {name}", "reading", sensor, limit_s)
-
-
-def band_of(section: BandSection, words: str, unit: str) -> AllowedRange:
-    """The band that the engine watches; a limit that is left out is infinite."""
-    return AllowedRange(
-        words,
-        unit,
-        leaves_below=-math.inf if section.leaves_below is None else section.leaves_below,
-        leaves_above=math.inf if section.leaves_above is None else section.leaves_above,
-        returns_above=-math.inf if section.returns_above is None else section.returns_above,
-        returns_below=math.inf if section.returns_below is None else section.returns_below,
-        settle_s=section.settle_s,
-    )
 
 
 def watch_of(
@@ -189,14 +176,14 @@ def watch_of(
     section, watched = rig.watch, WatchedVibrometer(rig.vibrometer)
     bands: dict[str, AllowedRange] = {}
     sensors: dict[str, Sensor] = {}
-    for name, of_name, words, unit in (
+    for name, band, words, unit in (
         ("reference", section.reference, "reference level", "dB"),
         ("noise", section.noise, "vibrometer noise", "V"),
         ("light", section.light, "vibrometer signal level", "of full"),
         ("room", section.room, "room temperature", "degrees C"),
     ):
-        if of_name is not None:
-            bands[name] = band_of(of_name, words, unit)
+        if band is not None:
+            bands[name] = AllowedRange(words, unit, band)
     for name in sorted(bands.keys() & {"light", "room"}):
         if rig.is_virtual:
             sensors[name] = virtual_sensors[name]

@@ -38,27 +38,30 @@ class Conditions:
         self._setup = setup
         self._rate_hz = excitation.sample_rate_hz
         self._above_hz = ABOVE_BAND * excitation.stop_hz
-        self.silent_sensors: dict[str, InstrumentError] = {}
-        """Sensors that did not answer at the last look, and what they said."""
 
-    def values(self, plays: Sequence[Play], recordings: Sequence[Recording]) -> dict[str, float]:
-        """Values after these records; a sensor that fails is listed in `silent_sensors`.
+    def values(
+        self, plays: Sequence[Play], recordings: Sequence[Recording], failed: Callable[[InstrumentError], object]
+    ) -> dict[str, float]:
+        """Values after these records, without those of sensors that do not answer.
 
         plays, recordings: What was played, and what was recorded of it.
+        failed: Called with the failure of each sensor.
         """
         values: dict[str, float] = {}
         if REFERENCE in self.watch.bands:
             levels = [self._reference_db(play, recording) for play, recording in zip(plays, recordings, strict=True)]
-            values[REFERENCE] = self._worst(REFERENCE, levels)
+            # The value that is farthest outside of its band; the median where all are inside.
+            middle, allowed = float(np.median(levels)), self.watch.bands[REFERENCE]
+            outside = [level for level in levels if allowed.left(level)]
+            values[REFERENCE] = max(outside, key=lambda level: abs(level - middle), default=middle)
         if NOISE in self.watch.bands and self._above_hz < self._rate_hz / 2:
             # Speckle hides the surface for milliseconds of one record; what lasts is in most of them.
             values[NOISE] = float(np.median([self._noise_v(recording) for recording in recordings]))
-        self.silent_sensors.clear()
         for name, sensor in self.watch.sensors.items():
             try:
                 values[name] = sensor()
             except InstrumentError as failure:
-                self.silent_sensors[name] = failure
+                failed(failure)
         return values
 
     def left(self, values: Mapping[str, float]) -> str:
@@ -69,13 +72,7 @@ class Conditions:
     @property
     def settle_s(self) -> float:
         """The longest settling time of all bands."""
-        return max((band.settle_s for band in self.watch.bands.values()), default=0.0)
-
-    def _worst(self, name: str, levels: Sequence[float]) -> float:
-        """The value that is farthest outside of its band; the median where all are inside."""
-        middle = float(np.median(levels))
-        outside = [level for level in levels if self.watch.bands[name].left(level)]
-        return max(outside, key=lambda level: abs(level - middle), default=middle)
+        return max((allowed.band.settle_s for allowed in self.watch.bands.values()), default=0.0)
 
     def _reference_db(self, play: Play, recording: Recording) -> float:
         """Energy of the reference over that of the loopback's signal, in what counts of the record."""
@@ -286,8 +283,7 @@ class Suspension:
         if not self._conditions.watch.bands:
             return ""
         plays = self._plays * (len(recordings) // len(self._plays))
-        reason = self._conditions.left(self._conditions.values(plays, recordings))
-        self._report_silent_sensors(attempt)
+        reason = self._conditions.left(self._values(attempt, plays, recordings))
         if not reason:
             self._last_good = attempt.position
         elif self._last_good not in (None, attempt.position) and not self._conditions.left(self._probe(attempt)):
@@ -333,9 +329,13 @@ class Suspension:
         except InstrumentError as failure:
             self._session.fault(failure, probing, retried=False)
             raise
-        values = self._conditions.values(self._plays[:1], [recording])
-        self._report_silent_sensors(attempt)
-        return values
+        return self._values(attempt, self._plays[:1], [recording])
+
+    def _values(self, attempt: Attempt, plays: Sequence[Play], recordings: Sequence[Recording]) -> Mapping[str, float]:
+        """Publish sensors that do not answer; measuring goes on without them."""
+        return self._conditions.values(
+            plays, recordings, lambda failure: self._session.fault(failure, attempt, retried=True)
+        )
 
     def _rest(self) -> None:
         """Mute and park; an instrument that fails at that is met again, and waited for, when it is needed."""
@@ -347,8 +347,3 @@ class Suspension:
             failures.append(failure)
         for fault in failures:
             self._session.fault(fault, None, retried=True)
-
-    def _report_silent_sensors(self, attempt: Attempt) -> None:
-        """Publish sensors that do not answer; measuring goes on without them."""
-        for failure in self._conditions.silent_sensors.values():
-            self._session.fault(failure, attempt, retried=True)

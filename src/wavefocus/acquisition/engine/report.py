@@ -10,16 +10,8 @@ from wavefocus.acquisition.judgement import Judgement
 from wavefocus.acquisition.plan import CampaignPace, Measurement, Plan, sentinel_of
 from wavefocus.acquisition.setup import Setup, identities_of
 from wavefocus.calibration import Int64Array
-from wavefocus.config.messages.campaign import (
-    PassStarted,
-    PositionCommitted,
-    PositionKept,
-    PositionRepeated,
-    Progress,
-    SessionEnded,
-    SessionStarted,
-    State,
-)
+from wavefocus.config.messages import campaign
+from wavefocus.config.messages.campaign import SessionEnded, State
 from wavefocus.storage.bank.ledger import status_counts
 from wavefocus.storage.bank.writer import BankWriter
 
@@ -38,7 +30,7 @@ class CampaignReport:
         size = self._plan.positions, self._plan.actuators, self._done(), len(rows)
         planned_s = self._plan.campaign_s(rows, self._setup)
         devices = identities_of(self._setup.instruments)
-        self._session.publish(SessionStarted, str(self._bank.path), *size, planned_s, instruments, devices)
+        self._session.publish(campaign.SessionStarted, str(self._bank.path), *size, planned_s, instruments, devices)
         self._session.enter(State.RUNNING, f"{len(rows)} positions to do")
         rig_s, wall_s = self._session.working_s()
         self._pace = CampaignPace(rig_s), CampaignPace(wall_s)
@@ -46,7 +38,7 @@ class CampaignReport:
     def begin_pass(self, positions: tuple[int, ...]) -> None:
         """A pass over all that is not valid begins."""
         self._second_looks = 0  # from here on they are among those that are left
-        self._session.publish(PassStarted, positions)
+        self._session.publish(campaign.PassStarted, positions)
 
     def done(self, what: Measurement, looks: int = 1) -> None:
         """An attempt has all its records, or was given up; or the sentinel or the leak was measured."""
@@ -56,7 +48,7 @@ class CampaignReport:
     def repeat(self, result: AttemptResult, following: Attempt) -> None:
         """An attempt was not good enough; the next one follows."""
         why = result.attempt.position, result.attempt.number, result.judgement.reason, result.defect_names
-        self._session.publish(PositionRepeated, *why, following.response_range_v, following.moved_mm)
+        self._session.publish(campaign.PositionRepeated, *why, following.response_range_v, following.moved_mm)
 
     def position_done(self, result: AttemptResult, left: int, *, recording: bool) -> None:
         """A position is done with for this session; `left` are not begun yet, and one may be recorded just now."""
@@ -65,7 +57,7 @@ class CampaignReport:
             self._committed(attempt, result.judgement, result.figures)
         else:
             reason = result.judgement.reason
-            self._session.publish(PositionKept, attempt.position, attempt.number, reason, result.defect_names)
+            self._session.publish(campaign.PositionKept, attempt.position, attempt.number, reason, result.defect_names)
         for pace in self._pace:
             pace.position_settled(attempt.of_session)
         self._progress(left, recording=recording)
@@ -84,19 +76,20 @@ class CampaignReport:
         names = tuple(defect.name for defect in judgement.defects)
         counts = attempt.position, int(judgement.status), int(self._bank.attempts[attempt.position])
         tried = attempt.response_range_v, attempt.moved_mm
-        self._session.publish(PositionCommitted, *counts, *figures, judgement.reason, names, *tried)
+        self._session.publish(campaign.PositionCommitted, *counts, *figures, judgement.reason, names, *tried)
 
     def _progress(self, left: int, *, recording: bool) -> None:
         left += self._second_looks
-        (rig, wall), (rig_s, wall_s) = self._pace, self._session.working_s()
-        passes = 0
+        passes, session = 0, self._session
         if sentinel_of(self._plan, self._bank.status) is not None:
-            passes = max(1, self._plan.drift.passes(left + 1, rig.position_s))  # it is measured last, too
-        remaining_s = rig.remaining_s(left, passes, rig_s if recording else None)
-        wall_remaining_s = wall.remaining_s(left, passes, wall_s if recording else None)
-        per_hour = [3600.0 / pace.position_s if pace.position_s > 0 else 0.0 for pace in (rig, wall)]
-        done = self._done(), self._plan.positions
-        self._session.publish(Progress, *done, self._session.time_s(), remaining_s, wall_remaining_s, *per_hour)
+            passes = max(1, self._plan.drift.passes(left + 1, self._pace[0].position_s))  # it is measured last, too
+        remaining_s = [
+            pace.remaining_s(left, passes, working_s if recording else None)
+            for pace, working_s in zip(self._pace, session.working_s(), strict=True)
+        ]
+        per_hour = [3600.0 / pace.position_s if pace.position_s > 0 else 0.0 for pace in self._pace]
+        done = self._done(), self._plan.positions, session.time_s()
+        session.publish(campaign.Progress, *done, *remaining_s, *per_hour)
 
     def _done(self) -> int:
         return int(np.count_nonzero(self._bank.status))

@@ -212,6 +212,7 @@ def worst_of(defects: NDArray[np.void]) -> np.void:
     return worst
 
 
+@dataclass(frozen=True, slots=True)
 class DefectFinder:
     """Looks at sequential records.
 
@@ -225,20 +226,14 @@ class DefectFinder:
     is_swept: Whether each moment has one frequency, so that its harmonics are not played.
     """
 
-    def __init__(
-        self,
-        in_band: slice,
-        first_bin: int,
-        period: int,
-        averages: int,
-        sample_rate_hz: float,
-        taps: int,
-        *,
-        freedom: float,
-        is_swept: bool,
-    ) -> None:
-        self._in_band, self._first_bin, self._period, self._averages = in_band, first_bin, period, averages
-        self._rate_hz, self._taps, self._freedom, self._is_swept = sample_rate_hz, taps, freedom, is_swept
+    in_band: slice
+    first_bin: int
+    period: int
+    averages: int
+    sample_rate_hz: float
+    taps: int
+    freedom: float
+    is_swept: bool
 
     def find(
         self,
@@ -260,7 +255,7 @@ class DefectFinder:
 
         Returns a structured array (records,), as `DEFECTS`; `slip_db` is not looked at.
         """
-        here, whole = self._in_band, np.maximum(answered_energy, FLOOR)
+        here, whole = self.in_band, np.maximum(answered_energy, FLOOR)
         defects = np.zeros(len(whole), DEFECTS)
         for name in ("burst_db", "line_db", "tail_db", "misfit_db", "unsteady_db"):
             defects[name] = -np.inf
@@ -269,16 +264,16 @@ class DefectFinder:
         missed_power = energy(missed) * energy(reference).sum(axis=1)
         power = missed_power + energy(differing).sum(axis=1)
         left = missed_power[:, here].sum(axis=1, dtype=np.float64)
-        noise, apart = left / max(self._freedom, FLOOR), left / self._averages
-        if self._averages == 1:
+        noise, apart = left / max(self.freedom, FLOOR), left / self.averages
+        if self.averages == 1:
             defects["unsteady_db"] = defects["misfit_db"] = defects["tail_db"] = np.nan
         else:
-            apart = (power - missed_power)[:, here].sum(axis=1, dtype=np.float64) / (self._averages - 1)
-            if 2 * (here.stop - here.start) * self._freedom > MIN_FREE:
+            apart = (power - missed_power)[:, here].sum(axis=1, dtype=np.float64) / (self.averages - 1)
+            if 2 * (here.stop - here.start) * self.freedom > MIN_FREE:
                 self._compare(noise, apart, missed[:, here], left, whole, defects)
                 self._excuse_rounding(response_v, levels, defects)
-        loud = np.flatnonzero(self._is_swept & (whole > 10 ** (CLEAR_DB / 10) * np.minimum(apart, noise)))
-        harmonic_db = _third_harmonic_db(response_v, levels.loudest, loud, self._rate_hz, self._period)
+        loud = np.flatnonzero(self.is_swept & (whole > 10 ** (CLEAR_DB / 10) * np.minimum(apart, noise)))
+        harmonic_db = _third_harmonic_db(response_v, levels.loudest, loud, self.sample_rate_hz, self.period)
         defects["harmonic_db"][loud] = harmonic_db
         residual = (missed[:, None] * reference + differing)[..., here]
         self._concentrated(residual, power, whole, defects)
@@ -295,13 +290,13 @@ class DefectFinder:
     ) -> None:
         """What the fit leaves against what the sweeps differ by: noise makes them alike."""
         apart = differing > DIFFER * noise
-        defects["unsteady_db"][apart] = _db(self._averages * differing[apart], whole[apart])
+        defects["unsteady_db"][apart] = _db(self.averages * differing[apart], whole[apart])
         missing = noise > DIFFER * differing
         defects["misfit_db"][missing] = _db(left[missing], whole[missing])
         delays = energy(scipy.fft.ifft(missed[missing], axis=1))
-        cell = self._period / missed.shape[1]  # samples of delay
+        cell = self.period / missed.shape[1]  # samples of delay
         # A quarter of the delays beyond the taps: a tone has a quarter of its energy there, a tail nearly all.
-        after = slice(int(self._taps / cell), int((0.75 * self._taps + 0.25 * self._period) / cell) + 1)
+        after = slice(int(self.taps / cell), int((0.75 * self.taps + 0.25 * self.period) / cell) + 1)
         late = np.zeros_like(missing)
         late[missing] = delays[:, after].sum(axis=1) > MOST * delays.sum(axis=1)
         defects["tail_db"][late] = defects["misfit_db"][late]
@@ -318,18 +313,18 @@ class DefectFinder:
         self, residual: Complex64Array, power: Float32Array, whole: Float64Array, defects: NDArray[np.void]
     ) -> None:
         """Whether most of what is left is a tone, or lies in one moment."""
-        here = self._in_band
+        here = self.in_band
         left = power[:, here].sum(axis=1, dtype=np.float64)
         share, _, highest = find_tone(power, here)
         is_tone = share > MOST
-        defects["line_hz"] = (self._first_bin + highest) * self._rate_hz / self._period
+        defects["line_hz"] = (self.first_bin + highest) * self.sample_rate_hz / self.period
         defects["line_db"][is_tone] = _db(left[is_tone], whole[is_tone])
         # At the band's edge what leaks looks like a long response.
         beyond = (highest < here.start) | (highest >= here.stop)
         defects["tail_db"][is_tone & beyond & (power.max(axis=1) > left)] = -np.inf
         length = residual.shape[-1]
         moments = energy(scipy.fft.ifft(residual, axis=-1)).reshape(len(left), -1)
-        step = self._period / length / self._rate_hz
+        step = self.period / length / self.sample_rate_hz
         share, _, defects["burst_s"] = find_moment(moments, step)
         is_burst = ~is_tone & (share > MOST)
         defects["burst_db"][is_burst] = _db(left[is_burst], whole[is_burst])

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Float32Array, Float64Array
-from wavefocus.calibration.estimator.defect_finder import not_looked_at, worst_of
+from wavefocus.calibration.estimator.defect_finder import worst_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Schedule
 
@@ -53,9 +53,9 @@ class Estimate:
     offset_samples, float64 (records,): DAQ sample at which the first sweep starts.
     clock_ratio, float64 (records,): DAQ rate over playback rate.
     defects, structured (records,): What stands out of the residuals beyond chance, as
-        `wavefocus.calibration.estimator.defect_finder.DEFECTS` has it; not examined by default.
+        `wavefocus.calibration.estimator.defect_finder.DEFECTS` has it.
     reference_db, float32 (records,): Level in band of the recorded reference over that of the played signal at the
-        calibrated `reference_gain`, in dB: 0 where the rig is as it was calibrated. NaN by default.
+        calibrated `reference_gain`, in dB: 0 where the rig is as it was calibrated.
     """
 
     green: Float32Array
@@ -67,26 +67,19 @@ class Estimate:
     clip_count: NDArray[np.int32]
     offset_samples: Float64Array
     clock_ratio: Float64Array
-    defects: NDArray[np.void] = field(default_factory=lambda: not_looked_at(0))
-    reference_db: Float32Array = field(default_factory=lambda: np.zeros(0, np.float32))
-
-    def __post_init__(self) -> None:
-        rows = self.snr_db.size
-        if self.reference_db.size != rows:
-            object.__setattr__(self, "reference_db", np.full(rows, np.nan, np.float32))
-        if self.defects.size != rows:
-            object.__setattr__(self, "defects", not_looked_at(rows))
+    defects: NDArray[np.void]
+    reference_db: Float32Array
 
     @classmethod
     def of_slots(
-        cls, green: Float32Array, snr_db: Float32Array, *, defects: NDArray[np.void] | None = None, **figures: float
+        cls, green: Float32Array, snr_db: Float32Array, *, defects: NDArray[np.void], **figures: float
     ) -> Estimate:
         """The estimate of one record, whose other figures are the same for all of its slots."""
         kinds = {"clip_count": np.int32, "offset_samples": np.float64, "clock_ratio": np.float64}
         each = {
             name: np.full(len(green), figure, dtype=kinds.get(name, np.float32)) for name, figure in figures.items()
         }
-        return cls(green, snr_db, defects=not_looked_at(len(green)) if defects is None else defects, **each)
+        return cls(green, snr_db, defects=defects, **each)
 
     @classmethod
     def joined(cls, parts: Sequence[Estimate]) -> Estimate:

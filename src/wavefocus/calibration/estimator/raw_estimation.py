@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import scipy.fft
@@ -258,10 +259,12 @@ def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None
     header = raw.header
     records = records_of(header)
     failure: InputError | None = None
-    for first in _recorded(raw, LEARNED_POSITIONS):
+    for first in islice(_recorded(raw), LEARNED_POSITIONS):
         try:
-            if header.schedule.period_s > 0:
-                return _periodic(header, records, first, report)
+            if (period_s := header.schedule.period_s) > 0:
+                base_v, ratio = _learn_base(first.reference_v[0], header)
+                report(f"a period of {period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
+                return StaggeredEstimator(base_v, records)
             return _with_silence(header, records, first, report)
         except (InputError, ReferenceMissingError) as error:
             failure = failure or InputError(f"{raw.path}: {error}")
@@ -340,29 +343,13 @@ def _estimated(estimator: PositionEstimator, position: int, recordings: Recordin
     return PositionResult(position, estimate, "")
 
 
-def _recorded(raw: RawFile, most: int) -> Iterator[Recordings]:
-    """The first positions with recordings that are sound and not silent."""
-    found = 0
+def _recorded(raw: RawFile) -> Iterator[Recordings]:
+    """Positions with recordings that are sound and not silent."""
     for position in range(raw.header.positions):
-        try:
+        with suppress(DamagedError):
             recordings = raw.read(position)
-        except DamagedError:
-            continue
-        if recordings is None or not recordings.reference_v.any():
-            continue
-        yield recordings
-        found += 1
-        if found == most:
-            return
-
-
-def _periodic(
-    header: RawHeader, records: Records, first: Recordings, report: Callable[[str], None]
-) -> PositionEstimator:
-    """The base signal is already running when a record starts."""
-    base_v, ratio = _learn_base(first.reference_v[0], header)
-    report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
-    return StaggeredEstimator(base_v, records)
+            if recordings is not None and recordings.reference_v.any():
+                yield recordings
 
 
 def _with_silence(

@@ -160,15 +160,9 @@ class SequentialEstimator:
         self._share = (self._in_band.stop - self._in_band.start) / hertz.size
         self._weight = np.sqrt(2 * relative / period).astype(np.float32)[self._in_band]
         self._defects = DefectFinder(
-            self._in_band,
-            self._cutter.bins.start,
-            period,
-            excitation.averages,
-            excitation.sample_rate_hz,
-            taps,
-            freedom=1 - self._fit.rank / self._fit.elements,
-            is_swept=self._cutter.is_swept,
-        )
+            self._in_band, self._cutter.bins.start, period, excitation.averages, excitation.sample_rate_hz, taps,
+            freedom=1 - self._fit.rank / self._fit.elements, is_swept=self._cutter.is_swept,
+        )  # fmt: skip
         late = channels.inter_channel_delay_s * excitation.sample_rate_hz
         self._in_time = np.exp(-1j * omega * late).astype(np.complex64)
         self._scale = channels.reference_gain * channels.response_per_volt

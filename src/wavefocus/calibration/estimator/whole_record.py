@@ -7,7 +7,7 @@ import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, RIDGE, circulant_inverse, conjugate_gradients
-from wavefocus.calibration.estimator.defect_finder import measure_levels
+from wavefocus.calibration.estimator.defect_finder import measure_levels, not_looked_at
 from wavefocus.calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.resampling import resampled
@@ -74,6 +74,8 @@ class WholeRecordEstimator:
         return Estimate.of_slots(
             (green * (channels.reference_gain * channels.response_per_volt)).astype(np.float32),
             decibel(np.maximum(whole - noise, 0) * shares, noise),
+            defects=not_looked_at(len(green)),
+            reference_db=np.nan,
             residual_db=float(decibel(left, whole)),
             coherence=np.nan,
             peak_v=float(levels.response_v.max()),

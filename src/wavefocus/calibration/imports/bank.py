@@ -251,20 +251,15 @@ def _swapped(measured: Measured, source: Path) -> Measured:
 
 def _record(measured: Measured, position: int, residual_db: Float64Array | None) -> PointRecord:
     """Status and quality of a position, as the file has them."""
-    unknown = np.full(measured.shape[1], np.nan)
     figures: dict[str, Any] = {name: values[position] for name, values in measured.quality.items()}
+    unknown = np.full(measured.shape[1], np.nan)
+    each = {name: figures.get(name, unknown) for name in ("snr_db", "residual_db", "coherence", "peak_v")}
+    each |= {} if residual_db is None else {"residual_db": residual_db.astype(np.float32)}
+    each |= {name: float(figures.get(name, np.nan)) for name in ("moved_mm", "reference_db")}
     status = int(Status.VALID) if measured.status is None else int(measured.status[position])
-    attempts = figures.pop("attempts", 1)
-    return PointRecord(
-        status=status or int(Status.VALID),
-        attempts=int(attempts) if np.isfinite(attempts) and 0 <= attempts < 1 << 24 else 1,
-        snr_db=figures.get("snr_db", unknown),
-        residual_db=figures.get("residual_db", unknown) if residual_db is None else residual_db.astype(np.float32),
-        coherence=figures.get("coherence", unknown),
-        peak_v=figures.get("peak_v", unknown),
-        moved_mm=float(figures.get("moved_mm", np.nan)),
-        reference_db=float(figures.get("reference_db", np.nan)),
-    )
+    attempts = figures.get("attempts", 1)
+    attempts = int(attempts) if np.isfinite(attempts) and 0 <= attempts < 1 << 24 else 1
+    return PointRecord(status=status or int(Status.VALID), attempts=attempts, **each)
 
 
 def _facts(

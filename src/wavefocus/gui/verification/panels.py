@@ -209,11 +209,11 @@ class MapsPanel(FilmPlayer):
             return np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
 
         def frames(sample: int) -> list[Frame]:
-            predicted, scanned = pair.at_sample(sample)
+            predicted, scanned = np.array(pair.fields[:, :, sample])
             return [predicted, scanned, np.where(record.compared, scanned - predicted, np.nan)]
 
         def response(place: int) -> tuple[str, list[Real]]:
-            (x_mm, y_mm), (predicted, scanned) = record.position_mm[place], pair.at_position(place)
+            (x_mm, y_mm), (predicted, scanned) = record.position_mm[place], np.array(pair.fields[:, place])
             title = f"position {record.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
             return f"{title}: {_figures_text(record, place)}", [predicted, scanned, scanned - predicted]
 

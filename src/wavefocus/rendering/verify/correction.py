@@ -82,14 +82,11 @@ def correct_drive(
             stopped = "dropouts"
             break
         found.append(state)
+        goes_on = best_index is None or _is_better(state, found[best_index], _NO_BETTER)
         if best_index is None or _is_better(state, found[best_index], 1.0):
-            better = best_index is None or _is_better(state, found[best_index], _NO_BETTER)
             best, best_index = played, number
-        else:
-            better = False
-        if not better:
-            earlier = found[:-1]
-            fits = state.error <= _NO_BETTER * min(one.error for one in earlier)
+        if not goes_on:
+            fits = state.error <= _NO_BETTER * min(one.error for one in found[:-1])
             stopped = "held out" if fits and state.held_out is not None else "no better"
             break
         if state.error**2 <= 2.0 * state.noise**2:
@@ -240,8 +237,9 @@ class _Model:
         # lambda over the mean power of a row, from the most to the least thorough step.
         for ridge in 10.0 ** np.arange(-3.0, 2.25, 0.25):
             solved = np.linalg.solve(gram + ridge * scale * eye, right)
-            spectra: Complex128Array = np.asarray(solved if many else adjoint @ solved)[:, :, 0].T
-            step_v = self._signals(spectra, played)
+            whole = np.zeros((len(step_v), self._length // 2 + 1), np.complex128)
+            whole[:, self._bins] = (solved if many else adjoint @ solved)[:, :, 0].T
+            step_v = scipy.fft.irfft(whole, self._length)[:, : step_v.shape[1]]
             if np.square(played.drive_v + step_v).sum() <= max_energy * self._energy:
                 break
         share = self._largest_share(played.drive_v, step_v, played.sample_rate_hz, limits, max_energy)
@@ -271,9 +269,3 @@ class _Model:
 
     def _respond(self, drives: Complex128Array) -> Complex128Array:
         return np.asarray((self._green @ drives[:, :, None])[:, :, 0])
-
-    def _signals(self, spectra: Complex128Array, played: Drive) -> Float64Array:
-        """Signals of spectra at the drive's frequencies, cut to the drive's samples."""
-        whole = np.zeros((len(spectra), self._length // 2 + 1), np.complex128)
-        whole[:, self._bins] = spectra
-        return np.asarray(scipy.fft.irfft(whole, self._length)[:, : played.drive_v.shape[1]])

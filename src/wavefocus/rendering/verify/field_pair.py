@@ -70,13 +70,12 @@ class CancelledError(Exception):
 class FieldPair:
     """Two fields of equal positions, rate, start and length, limited to one band.
 
-    predicted, scanned, float32 (positions, samples): The fields; a row of `scanned` is NaN where there is no scan.
+    fields, float32 (2, positions, samples): Prediction and scan, whose rows are NaN where there is no scan.
     position_index, int64 (positions,): Bank rows.
     sample_rate_hz, start_s, response_unit: Of both.
     """
 
-    predicted: Float32Array
-    scanned: Float32Array
+    fields: Float32Array
     position_index: Int64Array
     sample_rate_hz: float
     start_s: float
@@ -85,15 +84,7 @@ class FieldPair:
     @property
     def samples(self) -> int:
         """Length of both."""
-        return int(self.predicted.shape[1])
-
-    def at_sample(self, sample: int) -> tuple[Float32Array, Float32Array]:
-        """Prediction and scan over the positions at one sample of the field."""
-        return np.array(self.predicted[:, sample]), np.array(self.scanned[:, sample])
-
-    def at_position(self, index: int) -> tuple[Float32Array, Float32Array]:
-        """Prediction and scan over time at the `index`-th position of `position_index`."""
-        return np.array(self.predicted[index]), np.array(self.scanned[index])
+        return int(self.fields.shape[2])
 
     def sample_at(self, time_s: float) -> int:
         """The sample nearest to a time of the scene."""
@@ -101,16 +92,13 @@ class FieldPair:
 
     def loudest(self, samples: Int64Array, compared: BoolArray) -> tuple[float, float]:
         """Magnitude that all but a thousandth of both fields, and of their difference, keep to."""
-        fields, differences = [np.zeros(0)], [np.zeros(0)]
-        for sample in samples:
-            predicted, scanned = (values[compared] for values in self.at_sample(int(sample)))
-            fields.append(np.maximum(np.abs(predicted), np.abs(np.nan_to_num(scanned))))
-            differences.append(np.abs(scanned - predicted))
-        return _loud(np.concatenate(fields)), _loud(np.concatenate(differences))
+        predicted, scanned = self.fields[:, np.flatnonzero(compared)[:, None], samples]
+        both = np.maximum(np.abs(predicted), np.abs(np.nan_to_num(scanned)))
+        return _loud(both), _loud(np.abs(scanned - predicted))
 
 
-def _loud(magnitude: NDArray[np.floating]) -> float:
-    known = magnitude[np.isfinite(magnitude)]
+def _loud(magnitude: Float32Array) -> float:
+    known = magnitude[np.isfinite(magnitude)].astype(np.float64)
     # A few very loud positions, mostly next to actuators, do not count for colour scales.
     return float(np.quantile(known, 0.999)) if known.size else 0.0
 
@@ -148,9 +136,7 @@ def read_pair(
                     field[[place[int(row)] for row in here]] = (
                         band.signals(band.spectrum(part)) if band_hz is not None else part
                     )
-        return FieldPair(
-            fields[0], fields[1], rows, predicted.sample_rate_hz, predicted.start_s, predicted.response_unit
-        )
+        return FieldPair(fields, rows, predicted.sample_rate_hz, predicted.start_s, predicted.response_unit)
 
 
 _AT_ONCE = 32

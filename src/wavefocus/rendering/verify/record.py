@@ -201,6 +201,7 @@ def write_record(
         by_row = dict(zip(compared.position_index.tolist(), values.tolist(), strict=True))
         return tuple(by_row.get(row, math.nan) for row in rows.tolist())
 
+    errors, correlations = of_rows(compared.position_error), of_rows(compared.position_correlation)
     record = VerificationRecord(
         VERSION,
         made=datetime.now(UTC).replace(microsecond=0),
@@ -213,25 +214,15 @@ def write_record(
         spacing_mm=verification.spacing_mm,
         figures=verification.figures,
         foci=tuple(
-            _RecordedFocus(
-                instant.source,
-                instant.row,
-                instant.sample / compared.sample_rate_hz,
-                (float(place_mm[0]), float(place_mm[1])),
-            )
-            for instant, place_mm in zip(compared.instant, verification.focus.intended_mm, strict=True)
+            _RecordedFocus(instant.source, instant.row, instant.sample / compared.sample_rate_hz, place_mm)
+            for instant, place_mm in zip(compared.instant, _points(verification.focus.intended_mm), strict=True)
         ),
         sources=tuple(_recorded(source) for source in scene.sources),
         outline_mm=None if outline_mm is None else _points(np.round(outline_mm, 3)),
         actuator_mm=tuple(
             point if np.isfinite(point).all() else None for point in _points(np.asarray(bank.actuator_mm, np.float64))
         ),
-        positions=_RecordedPositions(
-            tuple(rows.tolist()),
-            _points(position_mm[rows]),
-            of_rows(compared.position_error),
-            of_rows(compared.position_correlation),
-        ),
+        positions=_RecordedPositions(tuple(rows.tolist()), _points(position_mm[rows]), errors, correlations),
         excluded=tuple(_ExcludedPosition(row, reason) for row, reason in compared.excluded),
         symptoms=verification.symptoms,
         actuators=verification.actuators,

@@ -57,11 +57,9 @@ def _scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64
             f"the drive of actuator {loudest} reaches {peak_v[loudest]:.3g} V; "
             f"at most {full_scale_v:.3g} V, the player's full scale: set limit_v in the scene's [output]"
         )
-    signals_v: dict[int, Float64Array] = {}
-    for channel, signal in zip(setup.actuator_channels, drive.drive_v, strict=True):
-        signals_v[channel] = np.concatenate([signal, np.zeros(samples - drive_samples)])
-    signals_v[setup.loopback_channel] = marker_v(setup, samples, drive.sample_rate_hz)
-    return signals_v
+    padded_v = np.pad(drive.drive_v, ((0, 0), (0, samples - drive_samples)))
+    marker = marker_v(setup, samples, drive.sample_rate_hz)
+    return dict(zip(setup.actuator_channels, padded_v, strict=True)) | {setup.loopback_channel: marker}
 
 
 def marker_v(setup: Setup, samples: int, rate_hz: float) -> Float64Array:
@@ -151,13 +149,8 @@ class Scan:
         from wavefocus.storage.field_file import Field
 
         there = (self.status & (Status.FAILED | Status.POOR_SIGNAL)) == 0
-        return Field(
-            field=self.field[there],
-            position_index=self.position_index[there],
-            sample_rate_hz=self.sample_rate_hz,
-            start_s=self.start_s,
-            response_unit=self.response_unit,
-        )
+        grid = self.sample_rate_hz, self.start_s, self.response_unit
+        return Field(self.field[there], self.position_index[there], *grid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,18 +234,11 @@ class _ScanRun:
         # The response channel is sampled later, so its samples of an instant come earlier in the record.
         self._delay_samples = -setup.response_delay_s * drive.sample_rate_hz
         self._place = {int(row): index for index, row in enumerate(rows)}
+        unknown = np.full((3, rows.size), np.nan)
         self._scan = Scan(
-            field=np.zeros((rows.size, samples), np.float32),
-            position_index=rows,
-            sample_rate_hz=drive.sample_rate_hz,
-            start_s=drive.start_s,
-            response_unit=field_unit(bank),
-            status=np.full(rows.size, Status.FAILED, np.uint8),
-            attempts=np.zeros(rows.size, np.int64),
-            noise_rms=np.full(rows.size, np.nan),
-            clock_ratio=np.full(rows.size, np.nan),
-            playback_gain=np.full(rows.size, np.nan),
-        )
+            np.zeros((rows.size, samples), np.float32), rows, drive.sample_rate_hz, drive.start_s, field_unit(bank),
+            np.full(rows.size, Status.FAILED, np.uint8), np.zeros(rows.size, np.int64), *unknown,
+        )  # fmt: skip
         self._faults: dict[int, str] = {}
         self._given_up_in_a_row = 0
         self._done = 0
@@ -283,8 +269,7 @@ class _ScanRun:
             self._try_again(visit, failure)
             return None
         clipped = any(recording.over_range)
-        if clipped and not visit.clipped_before and visit.attempt < self._plan.attempts:
-            self._visits.appendleft(_Visit(visit.row, visit.attempt + 1, clipped_before=True))
+        if clipped and not visit.clipped_before and self._repeated(visit, clipped_before=True):
             return None
         status = Status.OVER_RANGE if clipped else Status.VALID
         return visit, worker.submit(self._align, recording, visit, status)
@@ -327,8 +312,7 @@ class _ScanRun:
             return
         # Clipping, too, makes noise where nothing plays; such a record is marked already.
         if signal_lost and scanned.status == Status.VALID:
-            if visit.attempt < self._plan.attempts:
-                self._visits.appendleft(replace(visit, attempt=visit.attempt + 1))
+            if self._repeated(visit):
                 return
             scanned = replace(scanned, status=int(Status.POOR_SIGNAL))
         self._given_up_in_a_row = 0
@@ -336,9 +320,15 @@ class _ScanRun:
             self._journal.append(scanned)
         self._take(scanned)
 
+    def _repeated(self, visit: _Visit, **change: bool) -> bool:
+        """Have a position recorded next once more; False where it had all its records."""
+        if visit.attempt >= self._plan.attempts:
+            return False
+        self._visits.appendleft(replace(visit, attempt=visit.attempt + 1, **change))
+        return True
+
     def _try_again(self, visit: _Visit, failure: Exception) -> None:
-        if visit.attempt < self._plan.attempts:
-            self._visits.appendleft(replace(visit, attempt=visit.attempt + 1))
+        if self._repeated(visit):
             return
         self._given_up_in_a_row += 1
         if self._given_up_in_a_row >= _GIVE_UP_POSITIONS:

@@ -130,8 +130,9 @@ def diagnose(
         return (Symptom("nonlinear", (), percent, nonlinear_share),), ()
     state, found = search.state, _chain(search, error_limit)
     if found:
-        state = found[-1].apply()
-        return _explained(search.state, found), _actuator_figures(state)
+        pairs = zip(found, _shares(state, found), strict=True)
+        symptoms = (replace(symptom, explained=share) for cause, share in pairs for symptom in cause.symptoms)
+        return tuple(symptoms), _actuator_figures(found[-1].apply())
     if model_error <= error_limit or state.left - state.noise <= state.responses:
         return (), _actuator_figures(state)
     few = (cause.left for cause in search.first if 0 < len(cause.symptoms) <= MAX_CAUSES)
@@ -176,14 +177,6 @@ def _shares(first: _State, found: list[_Cause]) -> list[float]:
     left = np.array([first.left, *(cause.left for cause in found)])
     taken, beyond = left[:-1] - left[1:], left[-1] - first.noise
     return [float(np.clip(part / max(part + max(beyond, 0.0), 1e-12), 0.0, 1.0)) for part in taken]
-
-
-def _explained(first: _State, found: list[_Cause]) -> tuple[Symptom, ...]:
-    return tuple(
-        replace(symptom, explained=share)
-        for cause, share in zip(found, _shares(first, found), strict=True)
-        for symptom in cause.symptoms
-    )
 
 
 class _Search:
