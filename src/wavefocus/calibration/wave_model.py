@@ -133,9 +133,13 @@ def _resolved(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tu
     reach_mm = max(float(np.hypot(offset_mm[..., 0], offset_mm[..., 1]).max()), 1e-300)
     wavenumber = wavenumber_rad_mm.real + 1j * np.maximum(wavenumber_rad_mm.imag, -_MAX_GROWTH / reach_mm)
     # The trapezoidal rule over directions is exact once it resolves exp(j k d.x) across the patch.
-    count = 2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + _MIN_DIRECTIONS
+    return wavenumber, _directions(2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + _MIN_DIRECTIONS)
+
+
+@lru_cache(64)
+def _directions(count: int) -> Float64Array:
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
-    return wavenumber, np.stack([np.cos(angle), np.sin(angle)])
+    return np.stack([np.cos(angle), np.sin(angle)])
 
 
 def _plane_waves(
@@ -292,13 +296,11 @@ class _LeftOutErrors:
             self._latest = wavenumber, [self._parts(wavenumber, *stack) for stack in self._stacks]
         found = []
         for ring, disk in self._latest[1]:
-            covariance = (1.0 - share) * ring + share * disk
-            count = covariance.shape[1]
-            covariance[:, range(count), range(count)] += ridge
+            count = ring.shape[1]
+            covariance = (1.0 - share) * ring + share * disk + ridge * np.eye(count)
             # Columns of the inverse, which is Hermitian: (C^-1 g)_i / (C^-1)_ii is the error at position i.
             for column in np.linalg.solve(covariance, np.eye(count, min(_LEFT_OUT, count))):
-                own = column[range(column.shape[1]), range(column.shape[1])].real
-                found.append(column.conj().T / own[:, None])
+                found.append(column.conj().T / np.diagonal(column).real[:, None])
         return found
 
     def _parts(
