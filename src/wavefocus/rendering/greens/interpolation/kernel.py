@@ -11,7 +11,7 @@ from scipy import fft as scipy_fft
 
 from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import evenly_spread, one_blas_thread, transform_at
-from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
+from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, every_second, fit_waves
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import (
     NEIGHBOURS,
@@ -330,14 +330,14 @@ def _fitted(patches: Sequence[Patch], values: _RowValues, spacing_mm: float) -> 
 
 
 def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array:
-    """Frequencies a third of an octave apart over the bank's band."""
+    """Frequencies two thirds of an octave apart over the bank's band."""
     low_hz, high_hz = bank.band_hz if bank.band_hz is not None else _loud_hz(bank, neighbourhoods)
     high_hz = min(high_hz, 0.499 * bank.sample_rate_hz)
     low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (16 / _BANDS_PER_OCTAVE))
     if low_hz >= high_hz:
         return np.array([high_hz])
     count = int(np.ceil(_BANDS_PER_OCTAVE * np.log2(high_hz / low_hz))) + 1
-    return np.geomspace(low_hz, high_hz, max(count, 2))
+    return every_second(np.geomspace(low_hz, high_hz, max(count, 2)))
 
 
 def _loud_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> tuple[float, float]:
