@@ -37,9 +37,7 @@ from wavefocus.storage.errors import InputError
 
 _NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
 
-
-_Read = Callable[[int], Float64Array]
-"""Reads a row as `RowReader` does."""
+_Read = Callable[[int], Float64Array]  # as `RowReader.read`
 
 
 class _RowValues:
