@@ -1,12 +1,16 @@
 """The bank between its positions by the nearest, by bilinear weights and by the kernel, against the analytic plate."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.unit.plate_banks import SQUARE_MM, errors_at, plate_bank
 from wavefocus import GreenArray, InputError
+from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.rendering.greens.interpolation.base import OffGridError, interpolation_method
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
@@ -170,3 +174,16 @@ def test_corners_and_gaps_are_not_interpolated_across():
         index, weights = nodes.weights(along)
         found = (wave(path.point_at(nodes.arc_length_mm))[index] * weights).sum(axis=1)
         assert np.abs(found - wave(path.point_at(along))).max() < 5e-3
+
+
+def test_blas_is_held_to_one_thread_from_any_thread():
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    def held():
+        with one_blas_thread():
+            return threads()
+
+    with threadpool_limits(2, user_api="blas"), ThreadPoolExecutor(1) as pool:
+        assert held() == pool.submit(held).result() == held() == {1}
+        assert threads() == {2}

@@ -21,7 +21,7 @@ from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int6
 from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, waves_of_rows
 from wavefocus.calibration.evidence import MAJORITY, MOST, ROW_CHANGE, SEEN_SHARE
 from wavefocus.calibration.numerics import evenly_spread, on_a_line, one_blas_thread, transform_at
-from wavefocus.calibration.wave_model import Patch, PatchKernel, fit_waves
+from wavefocus.calibration.wave_model import Patch, PatchKernel, every_second, fit_waves
 
 if TYPE_CHECKING:
     from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
@@ -105,7 +105,7 @@ class _RowsPredicted:
         patches = [patch for patch in self.patches.values() if patch.key in common]
         patches = [patch for patch in patches if sound[patch.rows].all()] or patches
         spread = evenly_spread(len(patches), FIT_PATCHES)
-        some = evenly_spread(len(self._frequency_hz), FIT_FREQUENCIES)
+        some = every_second(evenly_spread(len(self._frequency_hz), FIT_FREQUENCIES))
 
         def values(rows: Int64Array) -> Complex128Array:
             return np.asarray(self._values[rows][..., some].transpose(2, 0, 1))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import OpenBLASController, ThreadpoolController
 
 from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 
@@ -135,6 +135,7 @@ class _OneThread:
             if self._holders == 0:
                 # Looking for the libraries takes some milliseconds, which are spent once.
                 self._libraries = self._libraries or ThreadpoolController()
+                _take_control()
                 self._limits = self._libraries.limit(limits=1, user_api="blas")
             self._holders += 1
         try:
@@ -143,7 +144,14 @@ class _OneThread:
             with self._lock:
                 self._holders -= 1
                 if self._holders == 0:
+                    _take_control()
                     self._limits.restore_original_limits()
+
+
+def _take_control() -> None:
+    """From threadpoolctl 3.8 on, limits of other threads than the first that set one are ignored without a word."""
+    if hasattr(OpenBLASController, "clear_controlling_thread"):
+        OpenBLASController.clear_controlling_thread(force=True)
 
 
 one_blas_thread = _OneThread().held

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -73,8 +73,9 @@ class PatchKernel:
         self._offset_mm = offset_mm
         self._share = model.disk_share[:, None, None]
         self._wavenumber, self._directions = _resolved(model.wavenumber_rad_mm, offset_mm)
-        self._waves = self._plane_waves(offset_mm)
-        covariance = self._covariance(self._waves, offset_mm, self._waves, offset_mm)
+        waves = self._plane_waves(offset_mm)
+        self._conjugate = waves.conj()
+        covariance = self._covariance(waves, offset_mm)
         diagonal = np.arange(len(offset_mm))
         covariance[:, diagonal, diagonal] += model.ridge[:, None]
         self.inverse: Complex128Array = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
@@ -86,13 +87,13 @@ class PatchKernel:
 
         Returns complex128 (frequencies, points, n).
         """
-        across = self._covariance(self._plane_waves(points_mm), points_mm, self._waves, self._offset_mm)
+        across = self._covariance(self._plane_waves(points_mm), points_mm)
         return np.asarray(across @ self.inverse)
 
     def variance(self, points_mm: Float64Array) -> Float64Array:
         """Expected square of the error at points, for fields of the kernel's own strength, (frequencies, points)."""
         waves = self._plane_waves(points_mm)
-        across = self._covariance(waves, points_mm, self._waves, self._offset_mm)
+        across = self._covariance(waves, points_mm)
         own = (1.0 - self._share[..., 0]) * np.mean(np.square(np.abs(waves)), axis=2) + self._share[..., 0]
         explained = np.einsum("fpn,fpn->fp", across @ self.inverse, across.conj()).real
         return np.asarray(np.maximum(own - explained, 0.0))
@@ -113,11 +114,11 @@ class PatchKernel:
     def _plane_waves(self, points_mm: Float64Array) -> Complex128Array:
         return _plane_waves(self._wavenumber, self._directions, points_mm)
 
-    def _covariance(
-        self, waves: Complex128Array, points_mm: Float64Array, others: Complex128Array, others_mm: Float64Array
-    ) -> Complex128Array:
-        disk = disk_kernel(_DISK_RADIUS * np.abs(self._wavenumber)[:, None, None] * _apart_mm(points_mm, others_mm))
-        return np.asarray((1.0 - self._share) * _ring(waves, others) + self._share * disk)
+    def _covariance(self, waves: Complex128Array, points_mm: Float64Array) -> Complex128Array:
+        """Of points with the positions."""
+        apart_mm = _apart_mm(points_mm, self._offset_mm)
+        disk = disk_kernel(_DISK_RADIUS * np.abs(self._wavenumber)[:, None, None] * apart_mm)
+        return np.asarray((1.0 - self._share) * _ring(waves, self._conjugate) + self._share * disk)
 
 
 def disk_kernel(radians: Float64Array) -> Float64Array:
@@ -133,9 +134,13 @@ def _resolved(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tu
     reach_mm = max(float(np.hypot(offset_mm[..., 0], offset_mm[..., 1]).max()), 1e-300)
     wavenumber = wavenumber_rad_mm.real + 1j * np.maximum(wavenumber_rad_mm.imag, -_MAX_GROWTH / reach_mm)
     # The trapezoidal rule over directions is exact once it resolves exp(j k d.x) across the patch.
-    count = 2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + _MIN_DIRECTIONS
+    return wavenumber, _directions(2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + _MIN_DIRECTIONS)
+
+
+@lru_cache(64)
+def _directions(count: int) -> Float64Array:
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
-    return wavenumber, np.stack([np.cos(angle), np.sin(angle)])
+    return np.stack([np.cos(angle), np.sin(angle)])
 
 
 def _plane_waves(
@@ -144,8 +149,8 @@ def _plane_waves(
     return np.asarray(np.exp(-1j * wavenumber_rad_mm[:, None, None] * (points_mm @ directions)))
 
 
-def _ring(waves: Complex128Array, others: Complex128Array) -> Complex128Array:
-    return np.asarray(waves @ others.conj().transpose(0, 2, 1) / waves.shape[2])
+def _ring(waves: Complex128Array, conjugate: Complex128Array) -> Complex128Array:
+    return np.asarray(waves @ conjugate.transpose(0, 2, 1) / waves.shape[2])
 
 
 def _apart_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:
@@ -162,7 +167,6 @@ FIT_SHARE, FIT_RIDGE = 0.01, 1e-4
 _SHARES = (1e-3, 1e-2, 0.1, 1.0)
 _RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 _EVALUATIONS = 45
-EVERY = 2
 _LEFT_OUT = 5
 """Positions of each patch that are left out: the first and its nearest, which still have others all round."""
 _MARGIN = 1.02
@@ -184,6 +188,12 @@ class Patch:
 
 
 Values = Callable[[Int64Array], Complex128Array]
+Items = TypeVar("Items", Float64Array, Int64Array)
+
+
+def every_second(items: Items) -> Items:
+    """The last, every second one before it, and the first: of a band's frequencies, enough to fit waves at."""
+    return items[sorted({0, *range(len(items) - 1, -1, -2)})]
 
 
 def fit_waves(patches: Sequence[Patch], frequency_hz: Float64Array, values: Values, spacing_mm: float) -> WaveModel:
@@ -195,24 +205,23 @@ def fit_waves(patches: Sequence[Patch], frequency_hz: Float64Array, values: Valu
     together: with much of the disk any wave number will do, and between two such frequencies none would be right.
 
     patches: Spread over the surface or along a path, at least one.
-    frequency_hz, float64 (frequencies,): Ascending; fitted are the highest, every second one below, and the lowest.
+    frequency_hz, float64 (frequencies,): Ascending.
     values: Gives the values of bank rows at these frequencies, complex128 (frequencies, rows, actuators).
     spacing_mm: Grid spacing.
     """
     shapes = _gather(patches, values)
-    chosen = sorted({0, *range(len(frequency_hz) - 1, -1, -EVERY)})
     errors_of = _LeftOutErrors([offset_mm for offset_mm, _ in shapes])
-    fits = [_Fit(errors_of, [parts[number] for _, parts in shapes]) for number in chosen]
+    fits = [_Fit(errors_of, [parts[number] for _, parts in shapes]) for number in range(len(frequency_hz))]
     free = np.array([fit.wavenumber(spacing_mm) for fit in fits])
     weight = np.array([fit.weight(k) for fit, k in zip(fits, free, strict=True)])
-    wavenumber, doubtful = _joined_by_law(frequency_hz[chosen], free, weight)
+    wavenumber, doubtful = _joined_by_law(frequency_hz, free, weight)
     choices = [fit.chosen(k) for fit, k in zip(fits, wavenumber, strict=True)]
     for number in np.flatnonzero(doubtful).tolist():
         # What noise leaves looks like a full disk: the share is that of the nearest frequency that is known.
         near = min(np.flatnonzero(~doubtful).tolist(), key=lambda kept: abs(kept - number))
         choices[number] = fits[number].chosen(wavenumber[number], (choices[near][0],))
     share, ridge = np.array(choices).T
-    return WaveModel(frequency_hz[chosen], wavenumber, share, ridge, tuple(frequency_hz[chosen][doubtful].tolist()))
+    return WaveModel(frequency_hz, wavenumber, share, ridge, tuple(frequency_hz[doubtful].tolist()))
 
 
 KNOWN = 0.1
@@ -292,13 +301,11 @@ class _LeftOutErrors:
             self._latest = wavenumber, [self._parts(wavenumber, *stack) for stack in self._stacks]
         found = []
         for ring, disk in self._latest[1]:
-            covariance = (1.0 - share) * ring + share * disk
-            count = covariance.shape[1]
-            covariance[:, range(count), range(count)] += ridge
+            count = ring.shape[1]
+            covariance = (1.0 - share) * ring + share * disk + ridge * np.eye(count)
             # Columns of the inverse, which is Hermitian: (C^-1 g)_i / (C^-1)_ii is the error at position i.
             for column in np.linalg.solve(covariance, np.eye(count, min(_LEFT_OUT, count))):
-                own = column[range(column.shape[1]), range(column.shape[1])].real
-                found.append(column.conj().T / own[:, None])
+                found.append(column.conj().T / np.diagonal(column).real[:, None])
         return found
 
     def _parts(
@@ -312,7 +319,7 @@ class _LeftOutErrors:
         resolved, directions = _resolved(np.array([wavenumber]), offset_mm)
         waves = _plane_waves(resolved, directions, offset_mm)
         disk = disk_kernel(_DISK_RADIUS * np.abs(resolved) * apart_mm)[inverse]
-        return _ring(waves, waves), disk.reshape(*waves.shape[:2], -1)
+        return _ring(waves, waves.conj()), disk.reshape(*waves.shape[:2], -1)
 
 
 class _Fit:

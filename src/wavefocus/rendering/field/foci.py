@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions
@@ -227,6 +227,7 @@ class FocusResults:
         return len(self.source)
 
 
+@one_blas_thread()
 def focus_figures(
     drive: Drive,
     bank: GreenSource,

@@ -184,13 +184,14 @@ class RowReader:
         if raw.dtype.kind not in "fiu":
             raise InputError(f"row {position} of the bank is of type {raw.dtype}; allowed are real numbers")
         values = np.array(raw, dtype=np.float64, order="C")
-        if not np.isfinite(values).all():
+        # Without an array of magnitudes: NaN goes through largest and least alike.
+        largest = max(float(values.max()), -float(values.min()))
+        if not np.isfinite(largest):
             actuator = int(np.argmin(np.isfinite(values).all(axis=1)))
             raise InputError(
                 f"position {position}, actuator {actuator} of the bank holds NaN or infinity; remeasure or disable"
                 " the position"
             )
-        largest = float(np.abs(values).max())
         if largest and not 1.0 / LARGEST <= largest <= LARGEST:
             raise InputError(
                 f"position {position} of the bank holds values of up to {largest:.3g}, beyond {1.0 / LARGEST:g} to"

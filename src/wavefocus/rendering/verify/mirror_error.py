@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.calibration.evidence import CERTAIN_SHARE, MOST, TOLERANCE
 from wavefocus.calibration.numerics import evenly_spread
-from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
+from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, every_second, fit_waves
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.verify.results import Sentinel
 from wavefocus.rendering.verify.superposition import Block, energy, sentinel_block, transforms
@@ -83,7 +83,7 @@ class BankAsField:
         """Wave numbers over the bank's band, or the lower half of its frequencies."""
         bank = self.bank
         low_hz, high_hz = bank.band_hz or (0.0, bank.sample_rate_hz / 4.0)
-        frequency_hz = np.geomspace(max(low_hz, high_hz / 20.0), high_hz, 9)
+        frequency_hz = every_second(np.geomspace(max(low_hz, high_hz / 20.0), high_hz, 9))
         patches = [self.patch(int(self._rows[index])) for index in evenly_spread(len(self._rows), 6)]
         return fit_waves(patches, frequency_hz, lambda rows: self.green(rows, frequency_hz), self.spacing_mm)
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter, OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Self
 
@@ -11,7 +11,7 @@ from scipy import fft as scipy_fft
 
 from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import evenly_spread, one_blas_thread, transform_at
-from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
+from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, every_second, fit_waves
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import (
     NEIGHBOURS,
@@ -37,15 +37,16 @@ from wavefocus.storage.errors import InputError
 
 _NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
 
+_Read = Callable[[int], Float64Array]  # as `RowReader.read`
+
 
 class _RowValues:
     """Fourier transforms of a bank's rows at frequencies (n,), each row read once."""
 
-    def __init__(self, bank: GreenSource, frequency_hz: Float64Array) -> None:
-        self._bank = bank
+    def __init__(self, bank: GreenSource, read: _Read, frequency_hz: Float64Array) -> None:
+        self._bank, self._read_row = bank, read
         self.frequency_hz = frequency_hz
         self._cached: dict[int, Complex128Array] = {}
-        self._reader = RowReader(bank)
         self.actuators = bank.actuators
 
     def of(self, rows: Int64Array) -> Complex128Array:
@@ -59,7 +60,7 @@ class _RowValues:
         return np.stack([self._cached[row] for row in rows.tolist()], axis=1)
 
     def _read(self, row: int) -> Complex128Array:
-        green = self._reader.read(row)
+        green = self._read_row(row)
         if not green.any():
             x, y = np.asarray(self._bank.position_mm)[row]
             raise InputError(
@@ -136,9 +137,9 @@ class _KernelRows(AddedRows):
     neighbourhoods: Its positions that may be used.
     """
 
-    def __init__(self, measured: GreenSource, waves: WaveModel, neighbourhoods: Neighbourhoods) -> None:
+    def __init__(self, measured: GreenSource, read: _Read, waves: WaveModel, neighbourhoods: Neighbourhoods) -> None:
         super().__init__(measured, _ROWS_KEPT)
-        self._reader = RowReader(measured)
+        self._read_row = read
         self._neighbourhoods = neighbourhoods
         self._anchor: list[int] = []
         self._at_anchor: dict[int, list[int]] = {}
@@ -195,7 +196,7 @@ class _KernelRows(AddedRows):
         """Frequency above which some rows of the bank have next to nothing."""
         energy = np.zeros(len(bins_hz))
         for row in self._neighbourhoods.some_rows(4):
-            energy += np.square(np.abs(scipy_fft.rfft(self._reader.read(row), self._samples, axis=1))).sum(axis=0)
+            energy += np.square(np.abs(scipy_fft.rfft(self._read_row(row), self._samples, axis=1))).sum(axis=0)
         above = np.cumsum(energy[::-1])[::-1]
         # Where no band is stated, it ends where this share of the bank's energy is left above.
         loud = int(np.count_nonzero(above > 1e-6 * above[0]))
@@ -228,11 +229,13 @@ class _KernelRows(AddedRows):
 
     def _transform(self, row: int) -> Complex128Array:
         """Spectrum of a measured row, (bins, actuators)."""
-        spectrum = scipy_fft.rfft(self._reader.read(row), self._samples, axis=1)[:, : len(self._to_bins)]
+        spectrum = scipy_fft.rfft(self._read_row(row), self._samples, axis=1)[:, : len(self._to_bins)]
         return np.ascontiguousarray(spectrum.T)
 
 
 _BANDS_PER_OCTAVE = 3
+_MEASURED_BYTES = 128 * 2**20
+"""Rows that are kept: those near a path are looked at to fit the waves, to judge the error, and to be interpolated."""
 
 
 class KernelInterpolation(PathInterpolation):
@@ -257,11 +260,14 @@ class KernelInterpolation(PathInterpolation):
         self.neighbourhoods = Neighbourhoods(self._position_mm, allowed)
         self.grid = PositionGrid(self._position_mm[allowed])
         self.grid_row = np.flatnonzero(allowed).astype(np.int64)
-        values = _RowValues(bank, _bands_hz(bank, self.neighbourhoods))
+        read = lru_cache(max(1, _MEASURED_BYTES // (8 * bank.actuators * bank.taps)))(RowReader(bank).read)
+        # What chooses an interpolation and what judges it mostly ask at the same frequencies.
+        self._values_at = lru_cache(1)(lambda *hertz: _RowValues(bank, read, np.array(hertz)))
+        values = _RowValues(bank, read, _bands_hz(bank, self.neighbourhoods))
         patches = self._patches(around_mm)
         self.waves = _fitted(patches, values, self.neighbourhoods.spacing_mm)
         self.doubtful_hz = self.waves.doubtful_hz
-        self.rows = _KernelRows(bank, self.waves, self.neighbourhoods)
+        self.rows = _KernelRows(bank, read, self.waves, self.neighbourhoods)
         largest = float(np.max(np.abs(self.waves.wavenumber_rad_mm)))
         self.node_spacing_mm = node_spacing_mm(largest, PATH_ERROR)
 
@@ -274,7 +280,7 @@ class KernelInterpolation(PathInterpolation):
     ) -> Estimate:
         """Its own values and errors, or another interpolation's."""
         with one_blas_thread():
-            return _left_out_estimate(self, points_mm, _RowValues(bank, frequency_hz), other)
+            return _left_out_estimate(self, points_mm, self._values_at(*frequency_hz.tolist()), other)
 
     def add(self, points_mm: Float64Array) -> Int64Array:
         near(self.grid, points_mm, REACH_SPACINGS)
@@ -322,14 +328,14 @@ def _fitted(patches: Sequence[Patch], values: _RowValues, spacing_mm: float) -> 
 
 
 def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array:
-    """Frequencies a third of an octave apart over the bank's band."""
+    """Frequencies two thirds of an octave apart over the bank's band."""
     low_hz, high_hz = bank.band_hz if bank.band_hz is not None else _loud_hz(bank, neighbourhoods)
     high_hz = min(high_hz, 0.499 * bank.sample_rate_hz)
     low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (16 / _BANDS_PER_OCTAVE))
     if low_hz >= high_hz:
         return np.array([high_hz])
     count = int(np.ceil(_BANDS_PER_OCTAVE * np.log2(high_hz / low_hz))) + 1
-    return np.geomspace(low_hz, high_hz, max(count, 2))
+    return every_second(np.geomspace(low_hz, high_hz, max(count, 2)))
 
 
 def _loud_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> tuple[float, float]:
