@@ -139,7 +139,7 @@ class PositionPanel(QTabWidget):
         self.setAccessibleName("Details of the position")
         self._context, self._campaign = context, campaign
         self.greens: _Greens | None = None
-        self._drawn: dict[str, int] = {}
+        self._drawn: tuple[PlotSurface | None, Sequence[DriftPoint]] | None = None
         self.green_plot = Plot("Green's functions", "time (ms)", "actuator")
         self.spectrum_plot = Plot("Spectrum", "frequency (Hz); dashed: the measured band", "level (dB)")
         self.drift_plot = DriftPlot()
@@ -167,17 +167,17 @@ class PositionPanel(QTabWidget):
         self._context.background.ask("position", partial(_read, surface.bank, position), self._show, self._failed)
 
     def draw(self) -> None:
+        campaign, surface = self._campaign, self._campaign.surface
         # Noted first: a failure to draw is reported once, not twenty times a second.
-        before, revision = self._drawn, dict(self._campaign.revision)
-        self._drawn = revision
-        surface = self._campaign.surface
-        if before.get("surface") != revision["surface"]:
+        before, self._drawn = self._drawn, (surface, campaign.drift)
+        anew = before is None or before[0] is not surface
+        if anew:
             names = [f"actuator {number}" for number in range(surface.actuators if surface else 0)]
             ui.fill_choice(self.actuator, [_ALL, *names])
-        if self._position >= 0 and self._commits != self._campaign.commits.get(self._position, 0):
+        if self._position >= 0 and self._commits != campaign.commits.get(self._position, 0):
             self.show_position(self._position)
-        if before.get("drift") != revision["drift"] or before.get("surface") != revision["surface"]:
-            self.drift_plot.show_drift(self._campaign.drift, surface.drift_limits if surface else DriftLimits())
+        if anew or (before is not None and before[1] is not campaign.drift):
+            self.drift_plot.show_drift(campaign.drift, surface.drift_limits if surface else DriftLimits())
 
     def _show(self, greens: _Greens) -> None:
         self._context.settle("position")
