@@ -233,9 +233,7 @@ def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_sh
         QApplication.processEvents()
     for plot in (panel.green_plot, panel.spectrum_plot, panel.drift_plot.plots[0]):  # no title is cut
         assert 0 < plot.getPlotItem().titleLabel.itemRect().width() < plot.width()
-    panel.actuator.setCurrentIndex(2)
     tab.window().resize(1280, 800)
-    assert "position 6: actuator 1" in panel.spectrum_plot.getPlotItem().titleLabel.text
 
 
 def test_arrow_keys_clicks_or_drags_then_the_map_is_walked_and_positions_selected(qtbot, tab):

@@ -75,12 +75,11 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         """Draw a line and return it; `name` for the legend."""
         return self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name)
 
-    def stack(self, x: Real, rows: Real, room: float, emphasised: int = -1) -> float:
+    def stack(self, x: Real, rows: Real, room: float) -> float:
         """Draw rows one above the other, the largest value `room` of a step high; return that value."""
         largest = float(np.abs(rows).max(initial=0.0))
         for number, row in enumerate(rows):
-            colour, width = (self.theme.fault, 1.6) if number == emphasised else (self.theme.traces[0], 1.0)
-            self.line(x, number + room / (largest or 1.0) * row, colour, width)
+            self.line(x, number + room / (largest or 1.0) * row, self.theme.traces[0])
         every = max(1, -(-len(rows) // _MOST_TICKS))
         ticks = [(float(number), str(number)) for number in range(0, len(rows), every)]
         self.getPlotItem().getAxis("left").setTicks([ticks, []])
