@@ -284,7 +284,7 @@ def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes
     mouse(surface, QEvent.Type.MouseMove, pixel(surface, 4.5, 1.5), NO_KEY, held=True)
     wait(qtbot, lambda: sounds(tab, MOUSE, 4.5, 1.5))
     assert not tab.live_run.latest.sources[0].fading  # at rest it gets positions, too
-    assert surface._labels[0].toPlainText() == MOUSE
+    assert surface.texts[0].toPlainText() == MOUSE
     wait(qtbot, lambda: "▲ limiter: -" in tab.live_panel.figures.text())
     mouse(surface, QEvent.Type.MouseMove, pixel(surface, 40.0, 1.5), NO_KEY, held=True)
     assert run.places[MOUSE] == pytest.approx((6.0, 1.5), abs=SHORT_MM)  # as far as it can be felt

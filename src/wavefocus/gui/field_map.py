@@ -98,7 +98,6 @@ _ON_LIGHT = ("#08306b", "#3f7fb8", "#a9cbe6", "#f7f7f5", "#f5c08a", "#d0712a", "
 _ON_DARK = ("#c6e6ff", "#5fb0ea", "#2b648f", "#1f2429", "#8d5420", "#e89440", "#ffe3bd")
 # Units that take a prefix; those of other banks are shown as they are.
 _WITH_PREFIX = ("m/s", "m", "m/s²", "m/s^2", "V", "Pa")
-_PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9), ("p", 1e12))
 
 
 def _signed_map(theme: Theme) -> pyqtgraph.ColorMap:
@@ -111,7 +110,7 @@ def scaled_unit(unit: str, largest: float) -> tuple[float, str]:
     """Return the factor and the prefixed unit that make the largest value of a scale at least 0.1."""
     if unit not in _WITH_PREFIX or not (math.isfinite(largest) and largest > 0.0):
         return 1.0, unit
-    prefix, factor = next((one for one in _PREFIXES if largest * one[1] >= 0.1), _PREFIXES[-1])
+    factor, prefix = pyqtgraph.siScale(10.0 * largest)
     return factor, prefix + unit
 
 

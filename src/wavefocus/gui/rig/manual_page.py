@@ -36,7 +36,6 @@ class SurfacePicture(SurfaceView):
     stepped = pyqtSignal(int, int)
 
     def __init__(self, name: str) -> None:
-        self._labels: list[pyqtgraph.TextItem] = []
         super().__init__(name)
         self.setAccessibleDescription("A click sends the beam there; arrow keys move it by a step")
         theme = self.theme
@@ -63,10 +62,7 @@ class SurfacePicture(SurfaceView):
             brush=[pyqtgraph.mkBrush(theme.good if number < done else theme.base) for number in places],
             pen=[pyqtgraph.mkPen(theme.fault if number == current else theme.text, width=2) for number in places],
         )
-        while self._labels:
-            self.box.removeItem(self._labels.pop())
-        for number, place in enumerate(place_mm):
-            self._labels.append(self.add_text(str(number + 1), place, (-0.5, 1.0)))
+        self.show_texts([str(number + 1) for number in places], place_mm, (-0.5, 1.0))
 
     def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
         self.clicked.emit(*at_mm)
