@@ -158,14 +158,14 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench, finished, t
     bench.edit(line_scene(limit_v=2.0))
     panel, drawn = bench.panel, bench.panel.results.drive
     panel.save(tmp_path / "out.h5")
-    assert panel.saving.busy
+    assert panel.output.busy
     assert not panel.actions_by_name["drive"].isEnabled()
     bench.told("out.h5 is saved")
     drive = read_drive(tmp_path / "out.h5")
     assert drive.omitted_bound == 0.0
     assert np.linalg.norm(drawn.drive_v - drive.drive_v) < 1.1e-3 * np.linalg.norm(drive.drive_v)
     panel.save(tmp_path / "never.h5")
-    panel.saving.cancel()
+    panel.actions_by_name["stop"].trigger()
     bench.told("never.h5 is not saved: cancelled")
     assert not (tmp_path / "never.h5").exists()
 
@@ -188,7 +188,7 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench, finished, t
 
 @pytest.mark.timeout(500)
 def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench, finished):
-    panel, playing = bench.panel, bench.panel.playing
+    panel, playing = bench.panel, bench.panel.output
     bench.edit(line_scene())
     assert not panel.actions_by_name["play"].isEnabled()
     bench.use_rig(str(finished.with_name("rig.toml")))
