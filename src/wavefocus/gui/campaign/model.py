@@ -255,9 +255,7 @@ class CampaignModel:
 
     def forget(self) -> None:
         """Reset everything: another bank will be followed."""
-        self.surface, self.owner, self.heartbeat = None, None, None
-        self.status, self.figures, self.drift = np.zeros(0, np.uint8), {}, []
-        self._forget_log()
+        vars(self).update(vars(CampaignModel(trimmed=self.trimmed + len(self.lines))))
 
     def state(self, *, starting: bool = False) -> ShownState:
         """State of the campaign; `starting` while a capture of this window has not opened the bank yet."""
