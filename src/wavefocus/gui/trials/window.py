@@ -293,7 +293,7 @@ class TrialsWindow(QMainWindow):
         self._pages.addWidget(self.question)
         place = f"  ·  resumes at trial {counted(welcome.done + 1, welcome.of)}" if welcome.resumed else ""
         keys = "     ".join(f"{_key_text(key)}  {answer}" for answer, key in welcome.answers.items())
-        question, stored = f"{welcome.question}\n{keys}", "\n".join(welcome.stored)
+        question, stored = f"{welcome.question}\n{keys}", "\n".join(["Stored:", *welcome.stored])
         texts = f"Participant {welcome.participant}{place}", welcome.instruction, question, stored, _CLOSING
         button = "Resume" if welcome.resumed else "Start"
         text = "\n\n".join(filter(None, texts))
