@@ -61,7 +61,7 @@ def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_ban
     surface = tab.map_panel.map.surface
     assert surface is not None
     assert surface.outline_mm is not None
-    assert (surface.positions, surface.actuators) == (12, 3)
+    assert (surface.positions, len(surface.actuator_mm)) == (12, 3)
     assert np.ptp(surface.outline_mm, axis=0) == pytest.approx([250.0, 150.0])
     wait(qtbot, lambda: "12 positions" in tab.progress.figures.text())
     assert (tab.progress.bar.value(), tab.progress.bar.maximum()) == (0, 12)

@@ -14,7 +14,7 @@ from tests.gui.conftest import LEFT, pixel, press, shown_tab, wait
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.rig_checks import Act, AskJog, Finding
 from wavefocus.gui.files import FileKind, kind_of, names_virtual_rig, rig_of_run
-from wavefocus.gui.rig.tab import RigTab, button_of, read_rig_file, remedy_of
+from wavefocus.gui.rig.tab import RigTab, button_of, remedy_of
 from wavefocus.gui.window import Window
 
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
@@ -240,7 +240,6 @@ def test_the_kind_of_a_file_follows_from_its_tables_whatever_editor_wrote_it(tmp
     run.write_text('\ufeffrig = "rig.toml"\n', encoding="utf-8")
     assert rig_of_run(run) == rig
     assert not names_virtual_rig(rig)
-    assert not read_rig_file(rig).is_virtual
 
 
 def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None:

@@ -119,7 +119,7 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
             assert [button.text() for button in window.messages.buttons] == [f"{word} anyway"]
             window.messages.dismiss()
         assert not any(one.running for one in (rig.examination.command, rig.session, rig.calibration, verification.run))
-        assert scene.results.playing.state == IDLE
+        assert scene.results.output.state == IDLE
         form.rig.line.setText("virtual")  # instruments in software are for everybody
         start.trigger()
         assert verification.run.running

@@ -158,14 +158,14 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench, finished, t
     bench.edit(line_scene(limit_v=2.0))
     panel, drawn = bench.panel, bench.panel.results.drive
     panel.save(tmp_path / "out.h5")
-    assert panel.saving.busy
+    assert panel.output.busy
     assert not panel.actions_by_name["drive"].isEnabled()
     bench.told("out.h5 is saved")
     drive = read_drive(tmp_path / "out.h5")
     assert drive.omitted_bound == 0.0
     assert np.linalg.norm(drawn.drive_v - drive.drive_v) < 1.1e-3 * np.linalg.norm(drive.drive_v)
     panel.save(tmp_path / "never.h5")
-    panel.saving.cancel()
+    panel.actions_by_name["stop"].trigger()
     bench.told("never.h5 is not saved: cancelled")
     assert not (tmp_path / "never.h5").exists()
 
@@ -188,7 +188,7 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench, finished, t
 
 @pytest.mark.timeout(500)
 def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench, finished):
-    panel, playing = bench.panel, bench.panel.playing
+    panel, playing = bench.panel, bench.panel.output
     bench.edit(line_scene())
     assert not panel.actions_by_name["play"].isEnabled()
     bench.use_rig(str(finished.with_name("rig.toml")))
@@ -284,7 +284,7 @@ def test_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop_mutes
     mouse(surface, QEvent.Type.MouseMove, pixel(surface, 4.5, 1.5), NO_KEY, held=True)
     wait(qtbot, lambda: sounds(tab, MOUSE, 4.5, 1.5))
     assert not tab.live_run.latest.sources[0].fading  # at rest it gets positions, too
-    assert surface._labels[0].toPlainText() == MOUSE
+    assert surface.texts[0].toPlainText() == MOUSE
     wait(qtbot, lambda: "▲ limiter: -" in tab.live_panel.figures.text())
     mouse(surface, QEvent.Type.MouseMove, pixel(surface, 40.0, 1.5), NO_KEY, held=True)
     assert run.places[MOUSE] == pytest.approx((6.0, 1.5), abs=SHORT_MM)  # as far as it can be felt

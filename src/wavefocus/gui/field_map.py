@@ -75,12 +75,11 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         """Draw a line and return it; `name` for the legend."""
         return self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name)
 
-    def stack(self, x: Real, rows: Real, room: float, emphasised: int = -1) -> float:
+    def stack(self, x: Real, rows: Real, room: float) -> float:
         """Draw rows one above the other, the largest value `room` of a step high; return that value."""
         largest = float(np.abs(rows).max(initial=0.0))
         for number, row in enumerate(rows):
-            colour, width = (self.theme.fault, 1.6) if number == emphasised else (self.theme.traces[0], 1.0)
-            self.line(x, number + room / (largest or 1.0) * row, colour, width)
+            self.line(x, number + room / (largest or 1.0) * row, self.theme.traces[0])
         every = max(1, -(-len(rows) // _MOST_TICKS))
         ticks = [(float(number), str(number)) for number in range(0, len(rows), every)]
         self.getPlotItem().getAxis("left").setTicks([ticks, []])
@@ -99,7 +98,6 @@ _ON_LIGHT = ("#08306b", "#3f7fb8", "#a9cbe6", "#f7f7f5", "#f5c08a", "#d0712a", "
 _ON_DARK = ("#c6e6ff", "#5fb0ea", "#2b648f", "#1f2429", "#8d5420", "#e89440", "#ffe3bd")
 # Units that take a prefix; those of other banks are shown as they are.
 _WITH_PREFIX = ("m/s", "m", "m/s²", "m/s^2", "V", "Pa")
-_PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9), ("p", 1e12))
 
 
 def _signed_map(theme: Theme) -> pyqtgraph.ColorMap:
@@ -112,7 +110,7 @@ def scaled_unit(unit: str, largest: float) -> tuple[float, str]:
     """Return the factor and the prefixed unit that make the largest value of a scale at least 0.1."""
     if unit not in _WITH_PREFIX or not (math.isfinite(largest) and largest > 0.0):
         return 1.0, unit
-    prefix, factor = next((one for one in _PREFIXES if largest * one[1] >= 0.1), _PREFIXES[-1])
+    factor, prefix = pyqtgraph.siScale(10.0 * largest)
     return factor, prefix + unit
 
 

@@ -77,7 +77,7 @@ class Settings:
         """Show in a widget what `save` kept; it stays as it is where there is nothing."""
         match widget:
             case PathField():
-                widget.show_text(self.text(key))
+                widget.show_path(Path(kept) if (kept := self.text(key)) else None)
             case QSplitter():
                 direction = widget.orientation()
                 widget.restoreState(self.bytes(key))
@@ -164,20 +164,12 @@ class PathField(QWidget):
         text = self.line.text().strip()
         return Path(text).expanduser().absolute() if text and text not in self._words else None
 
-    def show_path(self, path: Path) -> None:
-        """Show a path without emitting `chosen`."""
+    def show_path(self, path: Path | None) -> None:
+        """Show a path, or none, without emitting `chosen`."""
         self._last = path
-        self.line.setText(short_path(path))
-        self.line.setToolTip(str(path))
+        self.line.setText("" if path is None else short_path(path))
+        self.line.setToolTip(str(path or ""))
         self.line.setCursorPosition(len(self.line.text()))
-
-    def show_text(self, text: str) -> None:
-        """Show a path that may be empty."""
-        if text:
-            self.show_path(Path(text))
-        else:
-            self._last = None
-            self.line.clear()
 
     def _typed(self) -> None:
         path = self.path
@@ -213,7 +205,7 @@ class PathField(QWidget):
         refusal = "" if self._wanted is None else misplaced(path, self._wanted)
         self.refused.emit(refusal)
         if refusal:
-            self.show_text("" if self._last is None else str(self._last))
+            self.show_path(self._last)
             return
         self.show_path(path)
         self.chosen.emit(path)

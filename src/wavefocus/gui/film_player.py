@@ -15,6 +15,7 @@ from PyQt5.QtWidgets import QComboBox, QSlider, QStyle, QToolButton, QWidget
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import FieldMap, Plot, Real, scaled_unit
 from wavefocus.gui.surface import PlotSurface
+from wavefocus.gui.surface_view import NOWHERE_MM
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.units import quantity
@@ -170,7 +171,6 @@ def _button(text: str, tip: str, act: Callable[[], object]) -> QToolButton:
 
 
 Frame = NDArray[np.floating[Any]]
-NOWHERE_MM = np.zeros((0, 2))
 NO_VALUES = np.zeros(0)
 
 
@@ -256,8 +256,7 @@ class FilmPlayer(Themed, QWidget):
 
     def show_film(self, film: Film | None) -> None:
         """Show a film at its first focus instant, or none; of the same bank, the part and the position shown stay."""
-        former, view, zoomed = self.maps[0].surface, self.maps[0].box.viewRect(), self.maps[0].zoomed
-        marked = self.marked
+        former, marked = self.maps[0].surface, self.marked
         self.film = film
         if film is None:
             self.time.show_samples(0.0, 1.0, 0)
@@ -269,11 +268,9 @@ class FilmPlayer(Themed, QWidget):
         for one, (title, end) in zip(self.maps, film.scales, strict=True):
             one.show_surface(film.surface)
             one.show_scale(title, end, film.unit)
-        same = former is not None and former.bank == film.surface.bank
-        if zoomed and same:
-            self.maps[0].keep_view(view)
+        same = former is not None and (former.bank, former.positions) == (film.surface.bank, film.surface.positions)
         self.time.show_samples(film.start_s, film.sample_rate_hz, film.samples, film.marks)
-        self.show_position(marked if same and former is not None and former.positions == film.surface.positions else -1)
+        self.show_position(marked if same else -1)
 
     @property
     def marked(self) -> int:

@@ -92,10 +92,6 @@ class PlotSurface:
     def positions(self) -> int:
         return len(self.position_mm)
 
-    @property
-    def actuators(self) -> int:
-        return len(self.actuator_mm)
-
     def with_rows(self, rows: NDArray[np.int64]) -> PlotSurface:
         """The same surface with some of the positions, their cells without gaps, for fields."""
         position_mm, checks = self.position_mm[rows], np.flatnonzero(np.isin(rows, self.checks))

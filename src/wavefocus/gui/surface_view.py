@@ -8,7 +8,7 @@ import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import QRectF, Qt, pyqtSignal
-from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPen, QResizeEvent
+from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPen
 from PyQt5.QtWidgets import QGraphicsItem
 
 from wavefocus.gui.surface import PlotSurface, Raster
@@ -29,7 +29,7 @@ STEPS = {
 MARK = "#ff7a1a"
 # Cells that fill less than this share of the view are shown nearer.
 _CLOSER_BELOW = 0.4
-_NOWHERE_MM = np.zeros((0, 2))
+NOWHERE_MM = np.zeros((0, 2))
 
 
 class Spots(pyqtgraph.ScatterPlotItem):
@@ -52,7 +52,6 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     picked = pyqtSignal(int)
 
     surface: PlotSurface | None = None
-    _fits = False  # Qt resizes the widget before __init__ has ended
 
     def __init__(self, name: str) -> None:
         self.box = _SurfaceBox(self)
@@ -62,7 +61,8 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self.setAccessibleDescription("Click a position, or walk with the arrow keys")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.marked = -1
-        self._linked: list[SurfaceView] = []
+        self.texts: list[pyqtgraph.TextItem] = []
+        self._leader = self  # whose part of the surface is shown
         theme = self.theme
         self._cells = pyqtgraph.ImageItem(axisOrder="row-major")
         self._add_item(self._cells, 0, bounds=True)
@@ -79,11 +79,9 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         plot.getAxis("left").setWidth(46)  # equal in maps side by side
         for side in ("left", "bottom"):  # no prefix: the unit is part of the label
             plot.getAxis(side).enableAutoSIPrefix(False)
-        self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
         self.setBackground(theme.base)
         theme_axes(plot)
         self._show_axes(False)  # there is nothing to measure yet
-        self._fits = True
 
     def _add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
         """Add an item; only those with `bounds` count where everything is to be seen."""
@@ -102,34 +100,36 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self._add_item(line, depth, bounds=bounds)
         return line
 
-    def add_text(self, text: str, at_mm: PointMm, anchor: PointMm) -> pyqtgraph.TextItem:
-        """Add a text beside a place; `anchor` as of `pyqtgraph.TextItem`."""
-        item = pyqtgraph.TextItem(text, color=self.theme.text, anchor=anchor)
-        item.setPos(*at_mm)
-        self._add_item(item, 95)
-        return item
+    def show_texts(self, texts: Sequence[str], at_mm: Sequence[PointMm], anchor: PointMm) -> None:
+        """Show texts beside places, in place of the former ones; `anchor` as of `pyqtgraph.TextItem`."""
+        while self.texts:
+            self.box.removeItem(self.texts.pop())
+        for text, place_mm in zip(texts, at_mm, strict=True):
+            self.texts.append(item := pyqtgraph.TextItem(text, color=self.theme.text, anchor=anchor))
+            item.setPos(*place_mm)
+            self._add_item(item, 95)
 
     def link(self, other: SurfaceView) -> None:
         """Show the same part of the surface as another map."""
         self.box.setXLink(other.box)
         self.box.setYLink(other.box)
-        self._linked.append(other)
-        other._linked.append(self)
+        self._leader = other
 
     def show_surface(self, surface: PlotSurface | None) -> None:
-        """Show another surface, or none; cells are painted by `paint`."""
-        self.surface = surface
+        """Show another surface, or none; cells are painted by `paint`. The part of a bank that is shown stays."""
+        former, self.surface = self.surface, surface
         self._cells.clear()
         self._checks.clear()
         self.mark(-1)
-        self.show_sources(_NOWHERE_MM)
+        self.show_sources(NOWHERE_MM)
         self._show_axes(surface is not None)
-        self.show_outline(_NOWHERE_MM if surface is None or surface.outline_mm is None else surface.outline_mm)
-        self.show_actuators(_NOWHERE_MM if surface is None else surface.actuator_mm)
+        self.show_outline(NOWHERE_MM if surface is None or surface.outline_mm is None else surface.outline_mm)
+        self.show_actuators(NOWHERE_MM if surface is None else surface.actuator_mm)
         draw_line(self._paths, () if surface is None else surface.paths_mm)
         if surface is not None:
             self.paint(np.zeros((surface.positions, 4), np.uint8))
-            self.fit()
+            if former is None or former.bank != surface.bank or not surface.bank.name:
+                self.fit()
 
     def show_outline(self, outline_mm: Float64Array) -> None:
         """Draw the rim, shape (points, 2)."""
@@ -166,34 +166,23 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         """Mark a position; -1 for none."""
         self.marked = position
         inside = self.surface is not None and 0 <= position < self.surface.positions
-        self._cross.setData(pos=self.surface.position_mm[[position]] if self.surface and inside else _NOWHERE_MM)
+        self._cross.setData(pos=self.surface.position_mm[[position]] if self.surface and inside else NOWHERE_MM)
 
     def show_sources(self, at_mm: Float64Array) -> None:
         """Draw a ring around each source, shape (sources, 2)."""
         self._sources.setData(pos=at_mm)
 
-    @property
-    def zoomed(self) -> bool:
-        """Whether the view was panned or zoomed by hand."""
-        return not self._fits
-
-    def keep_view(self, view: QRectF) -> None:
-        """Show a part of the surface that was chosen by hand before."""
-        self.box.setRange(view, padding=0)
-        self._set_fits(False)
-
     def show_everything(self) -> None:
-        """Show the whole surface, at any size of the window."""
-        self._set_fits(True)
-        self.box.autoRange(padding=0.02)
+        """Show the whole surface, at any size of the window, until it is panned or zoomed."""
+        self._leader.box.enableAutoRange()
 
     def fit(self) -> None:
         """Show the whole surface; a small grid on a large surface is shown nearer."""
         self.show_everything()
         if self.surface is not None and self.surface.positions:
-            raster, whole = self.surface.raster, self.box.viewRect()
+            raster, whole = self.surface.raster, self.box.childrenBoundingRect()
             if max(raster.width_mm, raster.height_mm) < _CLOSER_BELOW * whole.width():
-                self.box.setRange(_rectangle(raster), padding=0.3)
+                self._leader.box.setRange(_rectangle(raster), padding=0.3)
 
     def position_at(self, at_mm: PointMm) -> int:
         """The position nearest to a point, -1 for none."""
@@ -235,16 +224,6 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
             position = self.position_at((point.x(), point.y()))
             place = f"({point.x():.1f}, {point.y():.1f}) mm"
             self.setToolTip(self.position_text(position) if position >= 0 else place)
-
-    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802
-        """Use the room, unless the view was panned or zoomed by hand."""
-        super().resizeEvent(event)
-        if self._fits:
-            self.fit()
-
-    def _set_fits(self, fits: bool) -> None:
-        for one in (self, *self._linked):
-            one._fits = fits
 
 
 class _SurfaceBox(pyqtgraph.ViewBox):
@@ -321,5 +300,5 @@ def _rectangle(raster: Raster) -> QRectF:
 def draw_line(line: pyqtgraph.PlotCurveItem, parts_mm: Sequence[Float64Array]) -> None:
     """Draw parts (points, 2) with gaps between them, and where a point is NaN."""
     gap_mm = np.full((1, 2), np.nan)
-    points_mm = np.concatenate([_NOWHERE_MM, *(one for part_mm in parts_mm for one in (part_mm, gap_mm))])[:-1]
+    points_mm = np.concatenate([NOWHERE_MM, *(one for part_mm in parts_mm for one in (part_mm, gap_mm))])[:-1]
     line.setData(points_mm[:, 0], points_mm[:, 1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,14 @@ from wavefocus.storage.errors import WavefocusError
 Act = Callable[[Callable[[], object]], object]
 # A question before the window closes, and its answers: texts of buttons with their actions.
 ClosingQuestion = tuple[str, Sequence[tuple[str, Act]]]
+
+
+def one_by_one(acts: Sequence[Act], then: Callable[[], object]) -> None:
+    """Do one act after the other, then the last thing."""
+    if acts:
+        acts[0](partial(one_by_one, acts[1:], then))
+    else:
+        then()
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from PyQt5 import QtWidgets
-from PyQt5.QtCore import QLocale, QObject, QSignalBlocker, Qt, QTimer
+from PyQt5.QtCore import QLocale, QObject, Qt, QTimer
 from PyQt5.QtGui import QColor, QKeySequence, QValidator
 
 from wavefocus.acquisition.wording import hours
@@ -222,15 +222,6 @@ def choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QtWi
     choice.addItems(choices)
     choice.setCurrentIndex(chosen)
     return choice
-
-
-def fill_choice(choice: QtWidgets.QComboBox, choices: Sequence[str]) -> None:
-    """Offer other texts; the same place stays chosen, and nothing is reported."""
-    place = max(0, min(choice.currentIndex(), len(choices) - 1))
-    with QSignalBlocker(choice):
-        choice.clear()
-        choice.addItems(choices)
-        choice.setCurrentIndex(place)
 
 
 def check(text: str, tip: str, name: str = "", *, on: bool = False) -> QtWidgets.QCheckBox:

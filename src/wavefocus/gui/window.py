@@ -14,7 +14,7 @@ from wavefocus.gui.files import ENDINGS, FileKind, PathField, Settings, kind_of,
 from wavefocus.gui.message_bar import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
-from wavefocus.gui.tab import Act, ClosingQuestion, OwnCommand, Tab, TabContext
+from wavefocus.gui.tab import Act, ClosingQuestion, OwnCommand, Tab, TabContext, one_by_one
 from wavefocus.gui.theme import BoxStyle, use_desktop_theme
 from wavefocus.storage.errors import InputError
 
@@ -145,18 +145,11 @@ class Window(QMainWindow):
     def _ask(self, questions: Sequence[ClosingQuestion], chosen: Sequence[Act]) -> None:
         """Ask all questions before any answer is carried out, so that "Do not close" loses nothing."""
         if not questions:
-            self._carry_out(chosen)
+            one_by_one(chosen, self.close_at_once)
             return
         (sentence, answers), *others = questions
         acts = [(word, partial(self._ask, others, [*chosen, act])) for word, act in answers]
         self.messages.ask(sentence, *acts, ("Do not close", lambda: None))
-
-    def _carry_out(self, chosen: Sequence[Act]) -> None:
-        if not chosen:
-            self.close_at_once()
-            return
-        act, *others = chosen
-        act(partial(self._carry_out, others))
 
     def _make_menus(self) -> None:
         bar = self.menuBar()
@@ -174,10 +167,6 @@ class Window(QMainWindow):
             for action in tab.menu_actions():
                 menu.addSeparator() if action is None else menu.addAction(action)
             bar.addMenu(menu)
-        view = QMenu("Vie&w", self)
-        for index, tab in enumerate(self.tabs):
-            _add(view, tab.title, partial(self._pages.setCurrentIndex, index), f"Alt+{index + 1}")
-        bar.addMenu(view)
         help_menu = QMenu("&Help", self)
         _add(help_menu, "&Documentation", self._open_documentation, QKeySequence.StandardKey.HelpContents)
         bar.addMenu(help_menu)

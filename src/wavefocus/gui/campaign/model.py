@@ -204,7 +204,7 @@ class ShownState:
 
 @dataclass(eq=False)
 class CampaignModel:
-    """A campaign; `revision` counts the changes of each part, so that only changes are drawn."""
+    """A campaign; arrays and lists but `lines` are replaced when they change, so that only changes are drawn."""
 
     surface: PlotSurface | None = None
     status: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
@@ -221,7 +221,6 @@ class CampaignModel:
     """As the log has it."""
     owner: Owner | None = None
     heartbeat: Heartbeat | None = None
-    revision: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "drift"), 0))
     _begun: set[int] = field(default_factory=set)
     """Positions begun since the last fault of an instrument."""
     _logged_s: float = 0.0
@@ -230,7 +229,6 @@ class CampaignModel:
     def open(self, surface: PlotSurface) -> None:
         """Show the bank, for the first time or after it was replaced."""
         self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
-        self._changed("surface", "map")
 
     def add_records(self, records: Sequence[events.Logged | EventLine], *, anew: bool) -> None:
         """Add new records of the log; `anew` when the log was replaced."""
@@ -242,7 +240,6 @@ class CampaignModel:
     def show_ledger(self, status: NDArray[np.uint8], figures: Mapping[str, Float32Array]) -> None:
         """Show status bits and quality figures of all positions."""
         self.status, self.figures = status, figures
-        self._changed("map")
 
     def show_owner(self, owner: Owner | None, heartbeat: Heartbeat | None, asked_s: float) -> None:
         """Show the bank's owner and heartbeat; asked for at `asked_s` of the monotonic clock."""
@@ -251,7 +248,6 @@ class CampaignModel:
     def show_drift(self, points: list[DriftPoint]) -> None:
         """Show the whole drift history."""
         self.drift = points
-        self._changed("drift")
 
     @property
     def measured(self) -> int:
@@ -259,10 +255,7 @@ class CampaignModel:
 
     def forget(self) -> None:
         """Reset everything: another bank will be followed."""
-        self.surface, self.owner, self.heartbeat = None, None, None
-        self.status, self.figures, self.drift = np.zeros(0, np.uint8), {}, []
-        self._forget_log()
-        self._changed("surface", "drift")
+        vars(self).update(vars(CampaignModel(trimmed=self.trimmed + len(self.lines))))
 
     def state(self, *, starting: bool = False) -> ShownState:
         """State of the campaign; `starting` while a capture of this window has not opened the bank yet."""
@@ -291,7 +284,6 @@ class CampaignModel:
         self.instrument_faults.clear()
         self.commits.clear()
         self.session = CampaignStatus()
-        self._changed("lines", "map")
 
     def _take_record(self, record: events.Logged | EventLine) -> None:
         line = record if isinstance(record, EventLine) else line_of(record)
@@ -300,12 +292,9 @@ class CampaignModel:
             if len(self.lines) > _DROPPED_AT:
                 self.trimmed += len(self.lines) - KEPT_LINES
                 del self.lines[:-KEPT_LINES]
-            self._changed("lines")
         self._logged_s = time.monotonic()
         if isinstance(record, events.Logged):
-            former, self.session = self.session, self.session.after(record)
-            if self.session.position != former.position:
-                self._changed("map")
+            self.session = self.session.after(record)
             self._take_event(record.event, "" if line is None else line.text)
 
     def _take_event(self, event: events.Event, text: str) -> None:
@@ -326,8 +315,3 @@ class CampaignModel:
                 if 0 <= position < len(self.status) and 0 < status < 256 and self.status[position] != status:
                     self.status = self.status.copy()
                     self.status[position] = status
-                self._changed("map")
-
-    def _changed(self, *parts: str) -> None:
-        for part in parts:
-            self.revision[part] += 1

@@ -7,8 +7,8 @@ import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5 import QtWidgets
-from PyQt5.QtCore import QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
-from PyQt5.QtGui import QColor, QKeyEvent, QStandardItem, QStandardItemModel
+from PyQt5.QtCore import QModelIndex, Qt, pyqtSignal
+from PyQt5.QtGui import QKeyEvent
 
 from wavefocus.campaign.status import GOING_ON, CampaignStatus
 from wavefocus.config.messages.campaign import State
@@ -134,38 +134,6 @@ def _pace_text(session: CampaignStatus, *, going_on: bool) -> str:
     return "  ·  ".join(parts)
 
 
-class _EventFilter(QSortFilterProxyModel):
-    """Lines that `accepts` is true of."""
-
-    def __init__(self, events: QStandardItemModel) -> None:
-        super().__init__()
-        self.accepts: Callable[[model.EventLine], bool] = lambda _line: True
-        self._events = events
-        self.setSourceModel(events)
-
-    def filterAcceptsRow(self, row: int, _parent: QModelIndex) -> bool:  # noqa: N802
-        return self.accepts(_line_of(self._events.index(row, 0)))
-
-
-def _line_of(index: QModelIndex) -> model.EventLine:
-    line = index.siblingAtColumn(0).data(Qt.ItemDataRole.UserRole)
-    assert isinstance(line, model.EventLine)
-    return line
-
-
-def _items(line: model.EventLine) -> list[QStandardItem]:
-    """A row of the table; its first item holds the line itself."""
-    colours = {model.Weight.FAULT: Themed.theme.fault, model.Weight.WARNING: Themed.theme.warning}
-    items = [QStandardItem(text) for text in (model.clock(line.at_s), line.weight.name.lower(), line.text)]
-    for item in items:
-        item.setEditable(False)
-        item.setToolTip(item.text())
-        if line.weight in colours:
-            item.setForeground(QColor(colours[line.weight]))
-    items[0].setData(line, Qt.ItemDataRole.UserRole)
-    return items
-
-
 class EventList(Themed, QtWidgets.QWidget):
     """Events; a double click shows the position concerned."""
 
@@ -174,11 +142,8 @@ class EventList(Themed, QtWidgets.QWidget):
     def __init__(self, campaign: model.CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
-        self._drawn = self._position = -1
+        self._position = -1
         self._trimmed = campaign.trimmed
-        self._table = QStandardItemModel()
-        self._table.setHorizontalHeaderLabels(["time", "weight", "event"])
-        self.lines = _EventFilter(self._table)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
         tip = "Events shown here (all are in the log next to the bank)"
         self.weight = ui.choice("Least weight", tip, choices, model.Weight.NOTE)
@@ -186,19 +151,15 @@ class EventList(Themed, QtWidgets.QWidget):
         self.text.setPlaceholderText("filter…")
         self.text.setClearButtonEnabled(True)
         self.of_position = ui.check("this position", "Show only events of the position that is shown above")
-        self.view = QtWidgets.QTableView()
-        self.view.setModel(self.lines)
-        self.view.setAccessibleName("Events")
-        self.view.setSelectionBehavior(QtWidgets.QAbstractItemView.SelectionBehavior.SelectRows)
+        self.view = ui.table(("time", "weight", "event"), "Events", ())
         self.view.setShowGrid(False)
-        self.view.setTabKeyNavigation(False)
         self.view.setWordWrap(False)
         rows, columns, metrics = self.view.verticalHeader(), self.view.horizontalHeader(), self.fontMetrics()
         assert rows is not None
         assert columns is not None
-        rows.hide()
-        rows.setSectionResizeMode(QtWidgets.QHeaderView.ResizeMode.Fixed)
+        rows.setSectionResizeMode(QtWidgets.QHeaderView.ResizeMode.Fixed)  # there may be thousands
         rows.setDefaultSectionSize(metrics.height() + 5)
+        columns.setSectionResizeMode(QtWidgets.QHeaderView.ResizeMode.Interactive)
         columns.setStretchLastSection(True)
         self.view.setColumnWidth(0, metrics.horizontalAdvance("Wed 00:00:00") + 18)
         self.view.setColumnWidth(1, metrics.horizontalAdvance("warning") + 22)
@@ -207,20 +168,28 @@ class EventList(Themed, QtWidgets.QWidget):
         ui.column(filters, (self.view, 1), owner=self)
         for changed in (self.weight.currentIndexChanged, self.text.textChanged, self.of_position.toggled):
             changed.connect(self._restrict)
-        self._restrict()
         self.view.doubleClicked.connect(self._want_position)
 
     def draw(self) -> None:
-        if self._drawn != self._campaign.revision["lines"]:
-            self._drawn = self._campaign.revision["lines"]
-            bar = self.view.verticalScrollBar()
-            at_end = bar is None or bar.value() >= bar.maximum() - 1
-            self._table.removeRows(0, min(self._campaign.trimmed - self._trimmed, self._table.rowCount()))
-            self._trimmed = self._campaign.trimmed
-            for line in self._campaign.lines[self._table.rowCount() :]:
-                self._table.appendRow(_items(line))
-            if at_end:
-                self.view.scrollToBottom()
+        """Add the lines that are new; a row of the table has the index of its line."""
+        campaign, view = self._campaign, self.view
+        gone = min(campaign.trimmed - self._trimmed, view.rowCount())
+        first = view.rowCount() - gone
+        self._trimmed = campaign.trimmed
+        if not gone and first == len(campaign.lines):
+            return
+        bar, table = view.verticalScrollBar(), view.model()
+        at_end = bar is None or bar.value() >= bar.maximum() - 1
+        if table is not None:
+            table.removeRows(0, gone)
+        view.setRowCount(len(campaign.lines))
+        colours = {model.Weight.FAULT: self.theme.fault, model.Weight.WARNING: self.theme.warning}
+        for row, line in enumerate(campaign.lines[first:], first):
+            colour = dict.fromkeys(range(3), colours[line.weight]) if line.weight in colours else {}
+            ui.fill_row(view, row, (model.clock(line.at_s), line.weight.name.lower(), line.text), colour)
+            view.setRowHidden(row, not self._accepts(line))
+        if at_end:
+            view.scrollToBottom()
 
     def show_position(self, position: int) -> None:
         """Note the position that "this position" means; -1 for none."""
@@ -228,17 +197,19 @@ class EventList(Themed, QtWidgets.QWidget):
         if self.of_position.isChecked():
             self._restrict()
 
-    def _restrict(self) -> None:
-        least, text = self.weight.currentIndex(), self.text.text().casefold()
+    def _accepts(self, line: model.EventLine) -> bool:
         position = self._position if self.of_position.isChecked() else -1
-        self.lines.accepts = lambda line: (
-            line.weight >= least and position in (-1, line.position) and text in line.text.casefold()
-        )
-        self.lines.invalidateFilter()
+        heavy = line.weight >= self.weight.currentIndex()
+        return heavy and position in (-1, line.position) and self.text.text().casefold() in line.text.casefold()
+
+    def _restrict(self) -> None:
+        self.draw()
+        for row, line in enumerate(self._campaign.lines):
+            self.view.setRowHidden(row, not self._accepts(line))
         self.view.scrollToBottom()
 
     def _want_position(self, index: QModelIndex) -> None:
-        if (position := _line_of(index).position) >= 0:
+        if (position := self._campaign.lines[index.row()].position) >= 0:
             self.position_wanted.emit(position)
 
 
@@ -368,8 +339,8 @@ class MapPanel(Themed, QtWidgets.QWidget):
         """Draw what has changed."""
         campaign, index = self._campaign, self.colour_by.currentIndex()
         surface = campaign.surface or self.planned
-        drawn = surface, campaign.revision["map"], index
-        if drawn == self._drawn:
+        drawn = surface, campaign.status, campaign.figures, campaign.session.position, index
+        if self._drawn and all(one is other for one, other in zip(drawn, self._drawn, strict=True)):
             return
         if not self._drawn or surface is not self._drawn[0]:
             self.map.show_surface(surface)

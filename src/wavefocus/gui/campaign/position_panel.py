@@ -39,17 +39,17 @@ class _Greens:
     quality: Mapping[str, np.ndarray]
 
 
-def _draw_greens(plot: Plot, surface: PlotSurface, greens: _Greens, actuator: int) -> None:
-    """Draw Green's functions one above the other; `actuator` is emphasised, -1 for none."""
+def _draw_greens(plot: Plot, surface: PlotSurface, greens: _Greens) -> None:
+    """Draw Green's functions one above the other."""
     time_ms = np.arange(greens.green.shape[1]) / surface.sample_rate_hz * 1e3
-    largest = plot.stack(time_ms, greens.green, _STEP, actuator)
+    largest = plot.stack(time_ms, greens.green, _STEP)
     peak = quantity(f"{largest:.3g}", surface.unit)
     plot.title(f"position {greens.position}: largest {peak} = {_STEP:g} of a step")
     plot.getPlotItem().setXRange(0.0, float(time_ms[-1]), padding=0.01)
 
 
-def _draw_spectrum(plot: Plot, surface: PlotSurface, greens: _Greens, actuator: int) -> None:
-    """Draw the transfer functions in decibels, one of them emphasised, or their mean power where none is chosen."""
+def _draw_spectrum(plot: Plot, surface: PlotSurface, greens: _Greens) -> None:
+    """Draw the transfer functions in decibels, and their mean power."""
     item = plot.getPlotItem()
     item.setLabel("left", f"level (dB re 1 {surface.unit})")
     spectrum = np.abs(np.fft.rfft(greens.green, axis=1))
@@ -59,14 +59,10 @@ def _draw_spectrum(plot: Plot, surface: PlotSurface, greens: _Greens, actuator: 
     frequency_hz, spectrum = frequency_hz[shown], np.maximum(spectrum[:, shown], 1e-12 * spectrum.max())
     for level in spectrum:
         plot.line(frequency_hz, 20 * np.log10(level), plot.theme.grid)
-    if actuator >= 0:
-        level, words = spectrum[actuator], f"actuator {actuator}"
-    else:
-        level, words = np.sqrt(np.mean(spectrum**2, axis=0)), "rms of all actuators; each in grey"
-    level_db = 20 * np.log10(level)
+    level_db = 20 * np.log10(np.sqrt(np.mean(spectrum**2, axis=0)))
     plot.line(frequency_hz, level_db, plot.theme.traces[0], 2.0)
     plot.mark_band(low_hz, high_hz)
-    plot.title(f"position {greens.position}: {words}")
+    plot.title(f"position {greens.position}: rms of all actuators; each in grey")
     in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
     top_db = float(level_db[in_band].max(initial=level_db.min()))
     item.setXRange(0.0, float(frequency_hz[-1]), padding=0.01)
@@ -127,7 +123,6 @@ _FIGURES = {
     "snr_db": ("SNR (dB)", 1), "residual_db": ("residual (dB)", 1), "coherence": ("coherence", 3),
     "peak_v": ("peak (V)", 3), "noise_error_db": ("noise error (dB)", 1),
 }  # fmt: skip
-_ALL = "all actuators"
 
 
 class PositionPanel(QTabWidget):
@@ -139,19 +134,16 @@ class PositionPanel(QTabWidget):
         self.setAccessibleName("Details of the position")
         self._context, self._campaign = context, campaign
         self.greens: _Greens | None = None
-        self._drawn: dict[str, int] = {}
+        self._drawn: tuple[PlotSurface | None, Sequence[DriftPoint]] | None = None
         self.green_plot = Plot("Green's functions", "time (ms)", "actuator")
         self.spectrum_plot = Plot("Spectrum", "frequency (Hz); dashed: the measured band", "level (dB)")
         self.drift_plot = DriftPlot()
-        self.actuator = ui.choice("Emphasised actuator", "Emphasised actuator of both plots", [_ALL])
         titles = ["actuator", *(title for title, _ in _FIGURES.values())]
         self.actuators = ui.table(titles, "Quality per actuator", stretched=(0,))
         self.addTab(self.green_plot, "Green's functions")
         self.addTab(self.spectrum_plot, "Spectrum")
         self.addTab(self.actuators, "Quality")
         self.addTab(self.drift_plot, "Drift")
-        self.setCornerWidget(self.actuator)
-        self.actuator.currentIndexChanged.connect(self._draw_plots)
         self.show_position(-1)
 
     def show_position(self, position: int) -> None:
@@ -167,22 +159,26 @@ class PositionPanel(QTabWidget):
         self._context.background.ask("position", partial(_read, surface.bank, position), self._show, self._failed)
 
     def draw(self) -> None:
+        campaign, surface = self._campaign, self._campaign.surface
         # Noted first: a failure to draw is reported once, not twenty times a second.
-        before, revision = self._drawn, dict(self._campaign.revision)
-        self._drawn = revision
-        surface = self._campaign.surface
-        if before.get("surface") != revision["surface"]:
-            names = [f"actuator {number}" for number in range(surface.actuators if surface else 0)]
-            ui.fill_choice(self.actuator, [_ALL, *names])
-        if self._position >= 0 and self._commits != self._campaign.commits.get(self._position, 0):
+        before, self._drawn = self._drawn, (surface, campaign.drift)
+        if self._position >= 0 and self._commits != campaign.commits.get(self._position, 0):
             self.show_position(self._position)
-        if before.get("drift") != revision["drift"] or before.get("surface") != revision["surface"]:
-            self.drift_plot.show_drift(self._campaign.drift, surface.drift_limits if surface else DriftLimits())
+        if before is None or before[0] is not surface or before[1] is not campaign.drift:
+            self.drift_plot.show_drift(campaign.drift, surface.drift_limits if surface else DriftLimits())
 
     def _show(self, greens: _Greens) -> None:
+        surface = self._campaign.surface
+        if surface is None:
+            return
         self._context.settle("position")
         self.greens = greens
-        self._draw_plots()
+        for plot, draw in ((self.green_plot, _draw_greens), (self.spectrum_plot, _draw_spectrum)):
+            plot.getPlotItem().clear()
+            if greens.green.any():
+                draw(plot, surface, greens)
+            else:
+                plot.title(f"position {greens.position} is not measured", faint=True)
         self.actuators.setRowCount(len(greens.green))
         for actuator in range(len(greens.green)):
             numbers = [
@@ -194,17 +190,6 @@ class PositionPanel(QTabWidget):
     def _failed(self, failure: Exception) -> None:
         self._clear(f"position {self._position} cannot be read")
         self._context.report_failure(failure, topic="position")
-
-    def _draw_plots(self) -> None:
-        surface, greens = self._campaign.surface, self.greens
-        if surface is None or greens is None:
-            return
-        for plot, draw in ((self.green_plot, _draw_greens), (self.spectrum_plot, _draw_spectrum)):
-            plot.getPlotItem().clear()
-            if greens.green.any():
-                draw(plot, surface, greens, self.actuator.currentIndex() - 1)
-            else:
-                plot.title(f"position {greens.position} is not measured", faint=True)
 
     def _clear(self, words: str) -> None:
         self.greens = None

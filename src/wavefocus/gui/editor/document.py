@@ -15,7 +15,7 @@ from wavefocus.config.editing import MODELS, Mistake, mistakes_in
 from wavefocus.config.fields import Table
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileState, choose_place, file_state
-from wavefocus.gui.tab import Act, ClosingQuestion, TabContext
+from wavefocus.gui.tab import Act, ClosingQuestion, TabContext, one_by_one
 from wavefocus.storage.errors import InputError, WavefocusError
 from wavefocus.storage.output_files import replacement
 from wavefocus.storage.text_file import read_text
@@ -328,22 +328,14 @@ def closing_question(context: TabContext, files: Sequence[TextFiles]) -> Closing
     names, verb = " and ".join(one.name for one in unsaved), "has" if len(unsaved) == 1 else "have"
     sentence = f"{names} {verb} unsaved changes. Save them?"
     answers: list[tuple[str, Act]] = [
-        ("Save and close", partial(_each, [one.save for one in unsaved])),
-        ("Close without saving", partial(_each, [one.drop for one in unsaved])),
+        ("Save and close", partial(one_by_one, [one.save for one in unsaved])),
+        ("Close without saving", partial(one_by_one, [one.drop for one in unsaved])),
     ]
     if context.settings.can_save():
-        answers.append(("Close and keep for next time", partial(_each, [one.keep for one in unsaved])))
+        answers.append(("Close and keep for next time", partial(one_by_one, [one.keep for one in unsaved])))
     else:
         sentence += f" They cannot be kept for next time: {context.settings.place} cannot be written"
     return sentence, answers
-
-
-def _each(acts: Sequence[Act], then: Then) -> None:
-    """Do one act after the other, then the last thing."""
-    if acts:
-        acts[0](partial(_each, acts[1:], then))
-    else:
-        then()
 
 
 def _lives(pid: str) -> bool:

@@ -407,12 +407,8 @@ class FilesTab(Tab):
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
         self.pages = {kind: _FilePage(name, context, self) for kind, name in _KINDS.items()}
-        self._stack = QtWidgets.QStackedWidget()
-        for page in self.pages.values():
-            self._stack.addWidget(page)
-        choices = [(kind, kind.capitalize(), f"The text of the {kind}", kind) for kind in _KINDS]
-        self.buttons = ui.exclusive_buttons(choices, lambda kind: self.show_page(FileKind(kind)))
-        ui.column(ui.row(*self.buttons.values(), None), (self._stack, 1), owner=self, margins=ui.PAGE_MARGINS)
+        self._pages = ui.tab_pages("Files", {kind.capitalize(): page for kind, page in self.pages.items()})
+        ui.column(self._pages, owner=self, margins=ui.PAGE_MARGINS)
         self.remember(**{f"{name}_columns": self.pages[kind].columns for kind, name in _KINDS.items()})
         for page in self.pages.values():
             page.files.restore_unsaved()
@@ -422,8 +418,7 @@ class FilesTab(Tab):
 
     def show_page(self, kind: FileKind) -> None:
         """Show the run file or the rig file."""
-        self.buttons[kind].setChecked(True)
-        self._stack.setCurrentWidget(self.pages[kind])
+        self._pages.setCurrentWidget(self.pages[kind])
         stack = self.parentWidget()
         tabs = None if stack is None else stack.parentWidget()
         if isinstance(tabs, QtWidgets.QTabWidget):

@@ -11,7 +11,7 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QKeyEvent, QPalette
 from PyQt5.QtWidgets import QFormLayout, QGridLayout, QToolButton, QWidget
 
-from wavefocus.config.messages.operate import ChannelLevel, LevelMeasured, Numbers, SweepTaken
+from wavefocus.config.messages.operate import ChannelLevel, LevelMeasured, Numbers, Ready, SweepTaken
 from wavefocus.config.outline import Outline
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Plot
@@ -36,7 +36,6 @@ class SurfacePicture(SurfaceView):
     stepped = pyqtSignal(int, int)
 
     def __init__(self, name: str) -> None:
-        self._labels: list[pyqtgraph.TextItem] = []
         super().__init__(name)
         self.setAccessibleDescription("A click sends the beam there; arrow keys move it by a step")
         theme = self.theme
@@ -63,10 +62,7 @@ class SurfacePicture(SurfaceView):
             brush=[pyqtgraph.mkBrush(theme.good if number < done else theme.base) for number in places],
             pen=[pyqtgraph.mkPen(theme.fault if number == current else theme.text, width=2) for number in places],
         )
-        while self._labels:
-            self.box.removeItem(self._labels.pop())
-        for number, place in enumerate(place_mm):
-            self._labels.append(self.add_text(str(number + 1), place, (-0.5, 1.0)))
+        self.show_texts([str(number + 1) for number in places], place_mm, (-0.5, 1.0))
 
     def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
         self.clicked.emit(*at_mm)
@@ -140,20 +136,17 @@ class _JogPanel(QWidget):
         self.picture.clicked.connect(lambda x, y: session.jog_to(round(x, 2), round(y, 2)))
         self.picture.stepped.connect(self.arrows.step)
         self.arrows.stepped.connect(session.jog_by)
-        session.state_changed.connect(self._show_state)
-        session.beam_changed.connect(self._show_beam)
-        self._show_state()
-        self._show_beam()
+        self._shown: Ready | None = None
+        session.changed.connect(self._show)
+        self._show()
 
-    def _show_state(self) -> None:
-        facts = self._session.facts
+    def _show(self) -> None:
+        session, beam, facts = self._session, self._session.beam, self._session.facts
         for part in (self.arrows, self.x_mm, self.y_mm, self.go, self.middle):
-            part.setEnabled(self._session.state == "ready")
-        if facts is not None:
+            part.setEnabled(session.state == "ready")
+        if facts is not None and facts is not self._shown:
             self.picture.show_rig(surface_from(asdict(facts.surface)).outline, facts.actuator_mm)
-
-    def _show_beam(self) -> None:
-        session, beam = self._session, self._session.beam
+        self._shown = facts
         self.picture.show_spot(session.place_mm)
         if session.state != "ready":
             text = "The instruments are not open in this window"
@@ -167,7 +160,7 @@ class _JogPanel(QWidget):
                 text = f"Beam: at {angles}, outside the surface"
             else:
                 text = "Beam: at ({:.2f}, {:.2f}) mm, ".format(*session.place_mm) + angles
-        if session.facts is not None and not session.facts.mapped:
+        if facts is not None and not facts.mapped:
             text += "\n▲ The mirror map is not measured: places are as accurate as the rig file"
         self.where.setText(text)
 
@@ -201,7 +194,7 @@ class ManualPage(QWidget):
         buttons = ui.row(*map(ui.button, (self.take, self.release, self.mute)), self.state, None)
         ui.column(buttons, (self.splitter, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.sound.actuator.currentIndexChanged.connect(self._mark_actuator)
-        session.state_changed.connect(self._show_state)
+        session.changed.connect(self._show_state)
         self._show_state()
 
     def _show_state(self) -> None:
@@ -260,17 +253,16 @@ class _SoundPanel(Themed, QWidget):
         self.sounds.clicked.connect(self._listen_again)
         self.actuator.activated.connect(self._listen_again)
         self.level_v.editingFinished.connect(self._listen_again)
-        session.state_changed.connect(self._show_state)
-        session.level_changed.connect(self._show_level)
-        session.sweep_changed.connect(self._show_sweep)
-        self._show_state()
+        self._shown: SweepTaken | None = None
+        session.changed.connect(self._show)
+        self._show()
 
     def _take_sweep(self) -> None:
         if not self._session.sweeping:
             boxes = (self.level_v, self.start_hz, self.stop_hz, self.length_s)
             self._session.take_sweep(self.actuator.currentIndex(), *(box.value() for box in boxes))
 
-    def _show_state(self) -> None:
+    def _show(self) -> None:
         facts, ready = self._session.facts, self._session.state == "ready"
         for part in (self.listen, self.sounds, self.actuator, self.level_v, self.start_hz, self.stop_hz,
                      self.length_s):  # fmt: skip
@@ -283,15 +275,14 @@ class _SoundPanel(Themed, QWidget):
             self.level_v.setToolTip(f"Peak of the sweep in V; this rig allows up to {facts.largest_level_v:.4g} V")
             self.start_hz.setValue(facts.band_hz[0])
             self.stop_hz.setValue(facts.band_hz[1])
-
-    def _show_level(self) -> None:
         self.listen.setChecked(self._session.listening)
         self.meter.show_levels(self._session.levels if self._session.listening else None)
-
-    def _show_sweep(self) -> None:
         sweep = self._session.sweep
-        if sweep is None:
-            return
+        if sweep is not None and sweep is not self._shown:
+            self._show_sweep(sweep)
+        self._shown = sweep
+
+    def _show_sweep(self, sweep: SweepTaken) -> None:
         self.figures.setText(_sweep_text(sweep))
         defects = [] if sweep.figures is None else [defect.sentence for defect in sweep.figures.defects]
         defects = [trouble for trouble in (self._session.swept_off, sweep.trouble) if trouble] + defects

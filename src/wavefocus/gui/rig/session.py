@@ -23,10 +23,7 @@ class ManualSession(OwnCommand):
     sweep, swept_off: The last one, and why the beam was not on the surface when it was asked for.
     """
 
-    level_changed = pyqtSignal()
-    state_changed = pyqtSignal()
-    beam_changed = pyqtSignal()
-    sweep_changed = pyqtSignal()
+    changed = pyqtSignal()
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
@@ -127,26 +124,22 @@ class ManualSession(OwnCommand):
     def _receive(self, message: Message) -> None:
         match message_of(message, operate.OPERATE_EVENTS):
             case operate.Ready() as facts:
-                self.facts = facts
-                self._enter("ready")
+                self.facts, self.state = facts, "ready"
             case operate.MirrorMoved() as beam:
                 self.beam = beam
-                self.beam_changed.emit()
             case operate.LevelsSwitched(on=on):
                 self.listening = on
-                self.level_changed.emit()
             case operate.LevelMeasured() as levels:
                 self.levels, self.listening = levels, True
-                self.level_changed.emit()
             case operate.SweepTaken() as sweep:
                 self.sweep = sweep
-                self.sweep_changed.emit()
             case operate.Done() as done:
                 self._order_done(done)
             case Refused(sentence=sentence):
                 self._context.messages.warn(sentence)
             case operate.Faulted() as fault:
                 self._report_fault(fault)
+        self.changed.emit()
 
     def _report_fault(self, fault: operate.Faulted) -> None:
         role = fault.instrument
@@ -156,7 +149,6 @@ class ManualSession(OwnCommand):
         self._context.messages.fault(fault.sentence, *answers)
         if not fault.passing:
             self.listening = False
-            self.level_changed.emit()
 
     def _order_done(self, done: operate.Done) -> None:
         match done.order:
@@ -185,8 +177,7 @@ class ManualSession(OwnCommand):
 
     def _enter(self, state: str) -> None:
         self.state = state
-        for signal in (self.state_changed, self.beam_changed, self.level_changed):
-            signal.emit()
+        self.changed.emit()
 
 
 class Calibration(OwnCommand):

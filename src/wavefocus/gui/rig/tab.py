@@ -1,54 +1,24 @@
 """The Rig tab: examine a rig, operate it by hand, calibrate it; each in a separate process of the command."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
-from wavefocus.config.loading import read_toml
+from wavefocus.config.loading import read_toml, validated
 from wavefocus.config.messages import from_record
-from wavefocus.config.messages.operate import Numbers
 from wavefocus.config.messages.rig_checks import Finding, FindingMade
-from wavefocus.config.rig import Surface
+from wavefocus.config.rig import RigConfig, Surface
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField
+from wavefocus.gui.files import FileKind, PathField, names_virtual_rig
 from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.rig.calibration_page import CalibrationPage
 from wavefocus.gui.rig.manual_page import ManualPage
 from wavefocus.gui.rig.session import Calibration, ManualSession
-from wavefocus.gui.surface import is_virtual, surface_from
 from wavefocus.gui.tab import OwnCommand, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import InputError
-
-
-@dataclass(frozen=True, slots=True)
-class _RigFile:
-    """A rig file: whether its instruments are virtual, its surface, and the actuators that it lists."""
-
-    path: Path
-    is_virtual: bool = True
-    surface: Surface = field(default_factory=Surface)
-    actuator_mm: list[Numbers] = field(default_factory=list)
-
-
-def read_rig_file(path: Path) -> _RigFile:
-    """Read what a picture needs; wrong values are replaced by defaults.
-
-    Raises InputError: the file cannot be read, or is not TOML.
-    """
-    content = read_toml(path)
-    surface, actuators = (one if isinstance(one, dict) else {} for one in map(content.get, ("surface", "actuators")))
-    places = actuators.get("position_mm")
-    actuator_mm = [
-        (float(place[0]), float(place[1]))
-        for place in (places if isinstance(places, list) else ())
-        if isinstance(place, list) and len(place) == 2 and all(type(one) in (int, float) for one in place)
-    ]
-    return _RigFile(path, is_virtual(content), surface_from(surface), actuator_mm)
-
 
 _HEADINGS = ("verdict", "instrument", "check", "finding", "remedy", "")
 # Mark and word of a verdict, and its word in the summary.
@@ -155,7 +125,7 @@ class RigTab(Tab):
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
-        self.rig: _RigFile | None = None
+        self.rig: Path | None = None
         self.session = ManualSession(context)
         self.calibration = Calibration(context)
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
@@ -230,15 +200,15 @@ class RigTab(Tab):
     def _show_rig(self, path: Path) -> None:
         self.context.settings.keep("rig/file", str(path.absolute()))
         self.rig_field.show_path(path)
-        self.rig = _RigFile(path)
+        self.rig, surface, actuator_mm = path, Surface(), []
         self.examination.clear()
         try:
-            self.rig = read_rig_file(path)
+            rig = validated(RigConfig, read_toml(path), str(path))
+            surface, actuator_mm = rig.surface, list(rig.actuators.position_mm)
         except InputError as wrong:
             self.context.messages.fault(str(wrong))
-        rig = self.rig
-        self.manual_page.jog.picture.show_rig(rig.surface.outline, rig.actuator_mm)
-        self.calibration_page.show_surface(rig.surface, rig.actuator_mm)
+        self.manual_page.jog.picture.show_rig(surface.outline, actuator_mm)
+        self.calibration_page.show_surface(surface, actuator_mm)
 
     def _with_free_instruments(self, word: str, act: Callable[[Path, str], object]) -> None:
         """Do something with the instruments, which receives rig and holder, as soon as nothing else has them."""
@@ -246,8 +216,9 @@ class RigTab(Tab):
         if rig is None:
             self.context.messages.warn("choose a rig file first")
         elif busy := self._busy():
-            self.context.messages.warn(f"{rig.path.name} is being {busy}; wait for its end, or cancel it")
+            self.context.messages.warn(f"{rig.name} is being {busy}; wait for its end, or cancel it")
         else:
-            holds = "" if rig.is_virtual else f"the Rig tab has the instruments of {rig.path.name}"
-            free = partial(session.release, partial(act, rig.path, holds))
-            self.context.claim_instruments(word, free, virtual=rig.is_virtual, but=session)
+            virtual = names_virtual_rig(rig)
+            holds = "" if virtual else f"the Rig tab has the instruments of {rig.name}"
+            free = partial(session.release, partial(act, rig, holds))
+            self.context.claim_instruments(word, free, virtual=virtual, but=session)

@@ -9,11 +9,11 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import FileState, file_state
+from wavefocus.gui.process import Background
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -68,20 +69,15 @@ class Calculation(QObject):
     made = pyqtSignal(object)
     #: Why the stage cannot be calculated.
     refused = pyqtSignal(str)
-    _ended = pyqtSignal(object)
 
     def __init__(self, document: SceneDocument, parent: QObject) -> None:
         super().__init__(parent)
         self._document = document
         self._pool: ProcessPoolExecutor | None = None
-        self._future: Future[SceneResults] | None = None
         self._newest = multiprocessing.get_context("spawn").Value("q", 0)
+        self._background = Background(self)  # waits for the process
         self._cancelled_s = 0.0
-        self._ended.connect(self._take)  # emitted in another thread, and so queued for this one
-
-    @property
-    def busy(self) -> bool:
-        return self._future is not None
+        self.busy = False
 
     def start(self, rig: str) -> None:
         """Calculate the present scene within the limits of a rig; empty for none. Nothing may be running."""
@@ -106,28 +102,19 @@ class Calculation(QObject):
             for process in list(self._pool._processes.values()):
                 process.kill()
             self._pool.shutdown(wait=False, cancel_futures=True)
-        self._pool = self._future = None
+        self._pool, self.busy = None, False
 
     def _submit(self, stage: str, work: Callable[..., SceneResults], *arguments: object) -> None:
         assert self._pool is not None
-        self._cancelled_s = 0.0
-        try:
-            self._future = self._pool.submit(work, self._newest.value, *arguments)
-        except (BrokenProcessPool, OSError):
-            self.close()
-            self.refused.emit(LOST)
-            return
-        self._future.add_done_callback(self._report)
+        self._cancelled_s, self.busy = 0.0, True
+        step = partial(self._pool.submit, work, self._newest.value, *arguments)
+        self._background.ask("scene", lambda: step().result(), self._take, self._fail)
         self.stage.emit(stage)
 
-    def _report(self, future: Future[SceneResults]) -> None:
-        with suppress(RuntimeError):  # the window is gone
-            self._ended.emit(future)
-
-    def _take(self, future: Future[SceneResults]) -> None:
-        if future is not self._future:
+    def _fail(self, failure: Exception) -> None:
+        if not self.busy:
             return
-        self._future, failure = None, future.exception()
+        self.busy = False
         if isinstance(failure, BrokenProcessPool):
             self.close()
             self.refused.emit(LOST)
@@ -135,10 +122,15 @@ class Calculation(QObject):
             return
         elif isinstance(failure, WavefocusError | OSError | MemoryError):
             self.refused.emit(str(failure) or "there is not enough memory for this scene")
-        elif failure is not None:
-            raise failure
         else:
-            self._go_on(future.result())
+            raise failure
+
+    def _take(self, results: SceneResults) -> None:
+        if not self.busy:
+            return
+        self.busy = False
+        if not self._cancelled_s:
+            self._go_on(results)
 
     def _go_on(self, results: SceneResults) -> None:
         if results.field is None:

@@ -13,7 +13,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.scene import document as scenes
 from wavefocus.gui.scene.preview import Backdrop, LivePreview, Trace
-from wavefocus.gui.surface_view import MARK, Keys, SurfaceView, draw_line, map_colours, rgba
+from wavefocus.gui.surface_view import MARK, NOWHERE_MM, Keys, SurfaceView, draw_line, map_colours, rgba
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
 
@@ -48,7 +48,7 @@ class SceneCanvas(SurfaceView):
         self._document, self._live = document, live
         self.kind = ""
         self._held: scenes.Keys | None = None
-        self._outline_mm = np.zeros((0, 2))
+        self._outline_mm = NOWHERE_MM
         super().__init__("Surface to draw on")
         self.colour_map = pyqtgraph.colormap.get("viridis")
         theme = self.theme
@@ -98,7 +98,7 @@ class SceneCanvas(SurfaceView):
             self.chosen.emit(chosen)
 
     def fit(self) -> None:
-        self.show_everything()
+        """Leave the view: another outline changes it, not another bank of the same surface."""
 
     def _handles(self) -> list[tuple[scenes.Keys, scenes.PointMm]]:
         """Points that can be dragged: those of the chosen table, while the text is the scene that is shown."""
@@ -118,12 +118,10 @@ class SceneCanvas(SurfaceView):
         return _REACH_PX * float(self.box.viewPixelSize()[0])
 
     def _show_backdrop(self) -> None:
-        backdrop, former_mm, view = self._live.backdrop, self._outline_mm, self.box.viewRect()
+        backdrop, former_mm = self._live.backdrop, self._outline_mm
         self._outline_mm = backdrop.outline_mm
         show_backdrop(self, backdrop)
-        if np.array_equal(former_mm, backdrop.outline_mm):
-            self.box.setRange(view, padding=0)
-        else:
+        if not np.array_equal(former_mm, backdrop.outline_mm):
             self.show_everything()
         self._show_scene()
 
@@ -136,7 +134,7 @@ class SceneCanvas(SurfaceView):
             self._lines.append(self.add_line(depth, pyqtgraph.mkPen(self.theme.trace(index), width=width)))
             draw_line(self._lines[-1], [trace.line_mm])
         drawn = [trace for trace in traces if len(trace.points_mm)]
-        points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
+        points_mm = np.concatenate([NOWHERE_MM, *(trace.points_mm for trace in drawn)])
         off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
         instant_s = np.concatenate([np.zeros(0), *(trace.instant_s for trace in drawn)])
         colours = map_colours(self.colour_map, instant_s[~off], _span_s(traces), self.theme.cell)
@@ -163,7 +161,6 @@ def show_backdrop(view: SurfaceView, backdrop: Backdrop) -> None:
         view.paint(colours)
 
 
-_NONE_MM = np.zeros((0, 2))
 _REACH_PX = 8.0
 _CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
 
@@ -183,14 +180,14 @@ def _sketched(path: PathTable | None) -> Float64Array:
         return _circle(path.centre_mm, path.radius_mm)
     if isinstance(path, PolylineTable):
         return np.array(path.points_mm).reshape(-1, 2)
-    return np.array([path.start_mm, path.end_mm]) if isinstance(path, LineTable) else _NONE_MM
+    return np.array([path.start_mm, path.end_mm]) if isinstance(path, LineTable) else NOWHERE_MM
 
 
 def _quiet_line(place: QuietTable) -> Float64Array:
     """A cross and, of a disc, its rim; of a place that moves, its path as far as its table says it."""
     if place.at_mm is None:
         return _sketched(place.path)
-    rim_mm = _circle(place.at_mm, place.radius_mm) if place.radius_mm > 0 else _NONE_MM
+    rim_mm = _circle(place.at_mm, place.radius_mm) if place.radius_mm > 0 else NOWHERE_MM
     return np.concatenate([np.array(place.at_mm) + _CROSS_MM, rim_mm])
 
 

@@ -140,10 +140,25 @@ class _SceneTask(OwnCommand):
         self.changed.emit()
 
 
-class Saving(_SceneTask):
-    """Saves one file at a time."""
+class Output(_SceneTask):
+    """Saves the present scene to a file, or renders it within the rig's limits and plays it.
 
-    text = ""
+    file: What it is being saved to; None while nothing is saved.
+    """
+
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
+        super().__init__(context, document)
+        self.file: Path | None = None
+        self._started_s = self._lasts_s = 0.0
+
+    @property
+    def text(self) -> str:
+        """Its state, with the file or the time played."""
+        if self.file is not None:
+            return f"saving {self.file.name}"
+        if self.state != PLAYING:
+            return self.state
+        return f"playing, {hours(min(time.monotonic() - self._started_s, self._lasts_s))} of {hours(self._lasts_s)}"
 
     @property
     def suggested(self) -> Path:
@@ -161,29 +176,15 @@ class Saving(_SceneTask):
             return
         sound = path.suffix.lower() == ".wav"
         render = self._render(rig, "--wav", str(path)) if sound else self._render(rig, out=str(path))
-        self.text = f"saving {path.name}"
-        self._run_all([(RENDERING, render)], partial(self._ended, path))
+        self.file = path
+        self._run_all([(RENDERING, render)], partial(self._saved, path))
 
-    def _ended(self, path: Path, process: CommandProcess) -> None:
+    def _saved(self, path: Path, process: CommandProcess) -> None:
+        self.file = None
         if process.exit_code == 0:
             self._context.settings.keep("folder/scene drive", str(path.parent))
         done, unsaved = f"{path} is saved: {process.last_line}", f"{path.name} is not saved"
         self._context.report_end(process, done, f"{unsaved}: cancelled", f"{unsaved}: {process.failure}")
-
-
-class PlayTask(_SceneTask):
-    """Renders the scene within the rig's limits and plays it."""
-
-    def __init__(self, context: TabContext, document: SceneDocument) -> None:
-        super().__init__(context, document)
-        self._started_s = self._lasts_s = 0.0
-
-    @property
-    def text(self) -> str:
-        """Its state, with the time played."""
-        if self.state != PLAYING:
-            return self.state
-        return f"playing, {hours(min(time.monotonic() - self._started_s, self._lasts_s))} of {hours(self._lasts_s)}"
 
     def play(self, rig: str, gain_db: float, loops: int, lasts_s: float) -> None:
         """Play the present scene.
@@ -198,10 +199,10 @@ class PlayTask(_SceneTask):
         self._lasts_s = loops * lasts_s
         options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
         play = ["play", self._in_folder("drive.h5"), *options]
-        self._run_all([(RENDERING, self._render(rig)), (OPENING, play)], self._ended, self._received)
+        self._run_all([(RENDERING, self._render(rig)), (OPENING, play)], self._played, self._received)
 
     def stop(self) -> None:
-        """Stop and mute."""
+        """Stop saving, or playing, and mute."""
         if self.state == RENDERING:
             self.cancel()
         elif self.state in (OPENING, PLAYING):
@@ -212,7 +213,7 @@ class PlayTask(_SceneTask):
             self._started_s = time.monotonic()
             self._enter(PLAYING)
 
-    def _ended(self, process: CommandProcess) -> None:
+    def _played(self, process: CommandProcess) -> None:
         done = process.last_line or "played; the outputs are muted"
         if self.state == RENDERING:
             stopped, why = "nothing was played: stopped while rendering", f"nothing is played: {process.failure}"

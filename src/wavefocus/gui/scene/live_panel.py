@@ -198,7 +198,6 @@ class LiveSurface(SurfaceView):
         self._slow = False
         self._key_mm: PointMm | None = None
         self._ticked_s = 0.0
-        self._labels: list[pyqtgraph.TextItem] = []
         super().__init__("Surface of live sources")
         self._spots = self.add_spots(85, "o", 17, pyqtgraph.mkPen(self.theme.base, width=1.5), MARK)
         self.setAccessibleDescription("Press to let a source sound; Space begins and ends one that the arrow keys move")
@@ -217,11 +216,8 @@ class LiveSurface(SurfaceView):
     def _show_sounding(self, sources: tuple[SoundingSource, ...]) -> None:
         """Draw a ring with its name around each source that sounds."""
         self.show_sources(np.array([one.at_mm for one in sources], np.float64).reshape(-1, 2))
-        while self._labels:
-            self.box.removeItem(self._labels.pop())
-        for source in sources:
-            text = f"{source.name}, fading" if source.fading else source.name
-            self._labels.append(self.add_text(text, source.at_mm, (-0.1, 1.1)))
+        names = [f"{source.name}, fading" if source.fading else source.name for source in sources]
+        self.show_texts(names, [source.at_mm for source in sources], (-0.1, 1.1))
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
         """Begin the mouse's source; other buttons pan."""

@@ -15,11 +15,12 @@ from PyQt5.QtWidgets import QAction, QTableWidget, QWidget
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Plot, Real
 from wavefocus.gui.files import PathField, choose_place, file_state, names_virtual_rig
-from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer
+from wavefocus.gui.film_player import Film, FilmPlayer
 from wavefocus.gui.scene.calculation import Calculation, SceneResults
 from wavefocus.gui.scene.document import EMPTY, SceneDocument
-from wavefocus.gui.scene.exports import IDLE, KINDS, PLAYING, STOPPING, PlayTask, Saving
+from wavefocus.gui.scene.exports import IDLE, KINDS, PLAYING, STOPPING, Output
 from wavefocus.gui.surface import VIRTUAL, PlotSurface, surface_of
+from wavefocus.gui.surface_view import NOWHERE_MM
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
@@ -37,7 +38,6 @@ class _DrivesView(Plot):
 
     def __init__(self) -> None:
         super().__init__("Drives of all actuators", "time (s)", "actuator", axis_px=58)
-        self._ends = 0.0, 0.0
         self.getPlotItem().setClipToView(True)
 
     def show_results(self, results: SceneResults | None) -> None:
@@ -51,11 +51,6 @@ class _DrivesView(Plot):
         time_s = drive.start_s + np.arange(drive.drive_v.shape[1]) / drive.sample_rate_hz
         largest = self.stack(time_s, drive.drive_v, _STEP)
         self.title(f"a step is {quantity(f'{largest / _STEP:.3g}', drive.drive_unit)}", size="9pt")
-        # A zoomed view stays while the scene is edited.
-        ends = float(time_s[0]), float(time_s[-1])
-        if ends != self._ends:
-            self._ends = ends
-            plot.setXRange(*ends, padding=0.01)
 
 
 class _FieldView(FilmPlayer):
@@ -210,7 +205,7 @@ class ResultsPanel(Themed, QWidget):
         self.setAccessibleName("Results of the scene")
         self._context, self._document = context, document
         self.calculation = Calculation(document, self)
-        self.saving, self.playing = Saving(context, document), PlayTask(context, document)
+        self.output = Output(context, document)
         self._due_s = self._look_due_s = 0.0
         self._wanted = False
         self._bank_state: object = None
@@ -237,8 +232,7 @@ class ResultsPanel(Themed, QWidget):
         ui.column(self.stage, self.problem, self._warned, (self.pages, 1), *foot, owner=self, spacing=3)
         for changed in (document.changed, document.bank_changed, self.rig_changed):
             changed.connect(self._edited)
-        for part in (self.saving, self.playing):
-            part.changed.connect(self._show_state)
+        self.output.changed.connect(self._show_state)
         self.rig_field.line.editingFinished.connect(self._check_rig)
         self.rig_field.chosen.connect(self._check_rig)
         self.calculation.stage.connect(lambda stage: self.stage.setText(f"calculating: {stage}"))
@@ -256,14 +250,13 @@ class ResultsPanel(Themed, QWidget):
         tip = "Render the scene exactly and save the drives (V), or the sound file of the rig's interface (.wav)"
         self.actions_by_name = {
             "drive": ui.action(self, "Save &drive…", self._choose_place, "Ctrl+E", tip=tip),
-            "cancel": ui.action(self, "&Cancel", self.saving.cancel, tip="Cancel saving"),
             "play": ui.action(self, "&Play", self.play, "F9", tip="Render within the rig's limits and play"),
-            "stop": ui.action(self, "&Stop", self.playing.stop, "Shift+F9", tip="Stop at once and mute the outputs"),
+            "stop": ui.action(self, "&Stop", self.output.stop, "Shift+F9", tip="Stop at once and mute the outputs"),
         }
         self.buttons = {name: ui.button(action) for name, action in self.actions_by_name.items()}
-        *saves, plays, stops = self.buttons.values()
+        saves, plays, stops = self.buttons.values()
         stops.setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
-        return [ui.row(*saves, None), ui.row(self.gain, self.loops, plays, stops, None), self._state]
+        return [ui.row(saves, None), ui.row(self.gain, self.loops, plays, stops, None), self._state]
 
     @property
     def rig(self) -> str:
@@ -284,7 +277,7 @@ class ResultsPanel(Themed, QWidget):
     def poll(self) -> None:
         """Calculate the latest scene once it is not edited any more, and again when the bank has changed."""
         now_s, document = time.monotonic(), self._document
-        if self.playing.state == PLAYING:  # its time goes on
+        if self.output.state == PLAYING:  # its time goes on
             self._show_state()
         if now_s >= self._look_due_s and not self.complete and document.bank is not None:
             self._look_due_s = now_s + 1.0
@@ -309,18 +302,18 @@ class ResultsPanel(Themed, QWidget):
             self._wanted = True
 
     def save(self, path: Path) -> None:
-        """Save the drives of the present scene; see `Saving.save`."""
-        self.saving.save(path, self.rig)
+        """Save the drives of the present scene; see `Output.save`."""
+        self.output.save(path, self.rig)
 
     def play(self) -> None:
         """Play the present scene on the rig."""
         drive = None if self.results is None else self.results.drive
         lasts_s = 0.0 if drive is None else drive.drive_v.shape[1] / drive.sample_rate_hz
-        act = partial(self.playing.play, self.rig, self.gain.value(), self.loops.whole(), lasts_s)
+        act = partial(self.output.play, self.rig, self.gain.value(), self.loops.whole(), lasts_s)
         self._context.claim_instruments("Play", act, virtual=names_virtual_rig(self.rig))
 
     def _choose_place(self) -> None:
-        choose_place(self, "Save the drives", self.saving.suggested, KINDS, self.save)
+        choose_place(self, "Save the drives", self.output.suggested, KINDS, self.save)
 
     def _check_rig(self) -> None:
         if self.rig != self._rig:
@@ -355,17 +348,12 @@ class ResultsPanel(Themed, QWidget):
 
     def _show_state(self) -> None:
         """Show what can be done now, and what is being done."""
-        ready, saving, playing = self.results is not None, self.saving.busy, self.playing.state
+        ready, state = self.results is not None, self.output.state
+        free = ready and state == IDLE
         for name, possible in (
-            ("drive", ready and not saving), ("cancel", saving),
-            ("play", ready and playing == IDLE and bool(self.rig)), ("stop", playing not in (IDLE, STOPPING)),
+            ("drive", free), ("play", free and bool(self.rig)), ("stop", state not in (IDLE, STOPPING)),
         ):  # fmt: skip
             self.actions_by_name[name].setEnabled(possible)
-        self.buttons["cancel"].setVisible(saving)
-        texts = [self.saving.text] if saving else []
-        if playing != IDLE:
-            texts.append(self.playing.text)
-        elif ready and not self.rig and not saving:
-            texts.append("choose a rig to play")
-        self._state.setText("; ".join(texts))
+        silent = "choose a rig to play" if ready and not self.rig else ""
+        self._state.setText(silent if state == IDLE else self.output.text)
         self._state.setToolTip(self._state.text())

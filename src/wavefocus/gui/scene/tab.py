@@ -19,7 +19,7 @@ from wavefocus.gui.editor.tab import FileBar, TextPanel
 from wavefocus.gui.files import FileKind, PathField
 from wavefocus.gui.scene.canvas import SurfacePanel
 from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, Keys, SceneDocument, moved, new_source
-from wavefocus.gui.scene.exports import IDLE, LiveRun
+from wavefocus.gui.scene.exports import LiveRun
 from wavefocus.gui.scene.live_panel import LivePanel, LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
 from wavefocus.gui.scene.results_panel import ResultsPanel, read_field_on
@@ -120,7 +120,8 @@ class SceneTab(Tab):
         """Show a page, `DRAW` or `LIVE`; what sounds on the other one ends."""
         self.modes[mode].setChecked(True)
         if mode == LIVE:
-            self.results.playing.stop()
+            if self.results.output.file is None:
+                self.results.output.stop()
             self.results.pause()
         self.results.actions_by_name["play"].setVisible(mode == DRAW)  # its key, too: one of both sounds
         for stack in self._stacks:
@@ -148,7 +149,7 @@ class SceneTab(Tab):
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
-        if self.results.playing.state != IDLE or self.live_run.busy:
+        if self.results.output.busy or self.live_run.busy:
             return
         if kind is FileKind.BANK:
             self.bank_field.show_path(path)

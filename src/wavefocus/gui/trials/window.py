@@ -114,35 +114,6 @@ REPLAY_KEY = "R"
 _CLOSING = "The window can be closed at any time: the surface is muted at once, and your answers are kept."
 
 
-class _WelcomePage(QWidget):
-    """Instruction, keys, what is stored, and where the session begins."""
-
-    def __init__(self, welcome: messages.Welcome, act: Pressed) -> None:
-        super().__init__()
-        place = f"  ·  resumes at trial {counted(welcome.done + 1, welcome.of)}" if welcome.resumed else ""
-        keys = "     ".join(f"{_key_text(key)}  {answer}" for answer, key in welcome.answers.items())
-        self.participant = sized(
-            ui.label("Participant", f"Participant {welcome.participant}{place}", role="faint", wraps=True), TEXT
-        )
-        texts = (
-            ("", welcome.instruction),
-            ("Question", f"{welcome.question}\n{keys}"),
-            ("Stored", "\n".join(welcome.stored)),
-            ("", _CLOSING),
-        )
-        parts: list[ui.Item] = [sized(ui.label("Name", welcome.name, wraps=True), TITLE), self.participant]
-        for title, text in texts:
-            if title:
-                parts += [4, sized(ui.label(text=title, role="faint"), 1.0)]
-            if text:
-                parts.append(sized(ui.label(title, text, wraps=True), TEXT))
-        content, foot = QWidget(), QWidget()
-        _calm(*parts, owner=content)
-        self.button = _LargeButton("Resume" if welcome.resumed else "Start", "Space", act)
-        _calm(ui.row(None, self.button, None), owner=foot)
-        ui.column((ui.scrolling(content), 1), foot, owner=self)
-
-
 class _QuestionPage(QWidget):
     """The question, a button for each answer from left to right, and one to feel the stimulus again.
 
@@ -191,17 +162,26 @@ class _NoticePage(QWidget):
     def __init__(self, act: Pressed) -> None:
         super().__init__()
         self.title = sized(ui.label("Title", wraps=True), TITLE, centred=True)
-        self.text = sized(ui.label("Text", wraps=True), TEXT, centred=True)
+        self.text = sized(ui.label("Text", wraps=True), TEXT)
         self.bar = ui.progress_bar("Progress")
         self.button = _LargeButton("Continue", "Space", act)
-        _calm(self.title, self.text, self.bar, 10, ui.row(None, self.button, None), owner=self)
+        content, foot = QWidget(), QWidget()
+        _calm(self.title, self.text, self.bar, owner=content)
+        _calm(ui.row(None, self.button, None), owner=foot)
+        ui.column((ui.scrolling(content), 1), foot, owner=self)
 
     def show_notice(
-        self, title: str, text: str = "", button: str = "", progress: tuple[int, int] | None = None
+        self,
+        title: str,
+        text: str = "",
+        button: str = "",
+        progress: tuple[int, int] | None = None,
+        align: Qt.AlignmentFlag = Qt.AlignmentFlag.AlignCenter,
     ) -> None:
         """Show a title and a text; a button with a text, a bar with a part and its whole."""
         self.title.setText(title)
         self.text.setText(text)
+        self.text.setAlignment(align)
         self.text.setVisible(bool(text))
         self.bar.setVisible(progress is not None)
         done, of = progress or (0, 1)
@@ -241,7 +221,6 @@ class TrialsWindow(QMainWindow):
         self._error_hook = ErrorHook(self._report_error, self.close)
         self._error_hook.install()
         self.notice = _NoticePage(lambda _at_s, _by: self._continue())
-        self.welcome: _WelcomePage | None = None
         self.question: _QuestionPage | None = None
         self._state: messages.TrialsState | None = None
         self._ended: messages.TrialsEnded | None = None
@@ -309,18 +288,21 @@ class TrialsWindow(QMainWindow):
     def _introduce(self, welcome: messages.Welcome) -> None:
         self.setWindowTitle(f"{welcome.name}, participant {welcome.participant} - wavefocus")
         self._keys = {_key_code(key): choice for choice, key in welcome.answers.items()}
-        self.welcome = _WelcomePage(welcome, lambda _at_s, _by: self._continue())
         replay = (lambda _at_s, _by: self._replay()) if welcome.replay_allowed else None
         self.question = _QuestionPage(welcome, self._answer, replay)
-        self._pages.addWidget(self.welcome)
         self._pages.addWidget(self.question)
-        self._show(self.welcome)
-        self.welcome.button.setFocus()
+        place = f"  ·  resumes at trial {counted(welcome.done + 1, welcome.of)}" if welcome.resumed else ""
+        keys = "     ".join(f"{_key_text(key)}  {answer}" for answer, key in welcome.answers.items())
+        question, stored = f"{welcome.question}\n{keys}", "\n".join(["Stored:", *welcome.stored])
+        texts = f"Participant {welcome.participant}{place}", welcome.instruction, question, stored, _CLOSING
+        button = "Resume" if welcome.resumed else "Start"
+        text = "\n\n".join(filter(None, texts))
+        self.notice.show_notice(welcome.name, text, button, align=Qt.AlignmentFlag.AlignLeft)
 
     def _enter(self, state: messages.TrialsState) -> None:
         """Show the page of a state."""
         self.waiting = state.waiting
-        if self.welcome is None or self.question is None or (state.phase == "welcome" and state.waiting == "go_on"):
+        if self.question is None or (state.phase == "welcome" and state.waiting == "go_on"):
             return
         if state.waiting == "answer":
             self._show(self.question)
@@ -386,7 +368,7 @@ class TrialsWindow(QMainWindow):
         complete = self._ended is not None and self._ended.complete
         if complete:
             self.notice.show_notice(*_THANKS)
-        elif self.welcome is None:
+        elif self.question is None:
             self.notice.show_notice("The trials cannot begin", self.process.failure, "Close")
         else:
             self.notice.show_notice("Please call the experimenter", f"{self.process.failure}\n\n{_RESUME}", "Close")

@@ -17,8 +17,9 @@ from PyQt5.QtWidgets import QWidget
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Real
-from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer, Frame
+from wavefocus.gui.film_player import Film, FilmPlayer, Frame
 from wavefocus.gui.surface import PlotSurface, raster_of
+from wavefocus.gui.surface_view import NOWHERE_MM
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.verify.record import PREDICTION_NAME, REPORT_NAME, SCAN_NAME
