@@ -70,6 +70,16 @@ def capture_process(lab, bank, environment=None):
     return Lines("capture", lab / "run.toml", "--bank", bank, "--json", environment=environment)
 
 
+def resumed_after_a_kill(lab, bank, *events):
+    """Kill a capture as soon as it has told these events, one after the other, and go on to the end."""
+    with capture_process(lab, bank) as child:
+        for event in events:
+            child.hear(event)
+        child.process.kill()
+    assert 0 in held(bank)
+    assert wavefocus("resume", bank) == 0
+
+
 class Listener(io.TextIOBase):
     """Standard output that does something, once each, while the words that it waits for are being told."""
 

@@ -19,6 +19,12 @@ from wavefocus.__main__ import run
 SOON_S = 60.0
 
 
+def python(*words, shell=(), timeout=100, **settings):
+    """What Python does in a process of its own, from its beginning to its end."""
+    command = [*shell, sys.executable, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False, **settings)
+
+
 class Talk:
     """What a command tells, one event a line, and the orders that it is sent."""
 

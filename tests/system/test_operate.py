@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from tests.lab_files import ABSENT_RIG
-from tests.system.lines import in_process
+from tests.system.lines import in_process, python
 from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig
 from wavefocus.rig.operation import order_of
@@ -142,8 +142,7 @@ def test_given_an_order_that_cannot_be_then_one_sentence_says_what_is_allowed(ri
 @pytest.mark.may_skip("a shell that closes standard streams")
 @pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
 def test_given_a_closed_standard_input_then_it_ends_muted_and_parked(rig):
-    command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "wavefocus", "operate", str(rig)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = python("-m", "wavefocus", "operate", rig, shell=("sh", "-c", 'exec "$@" <&-', "sh"))
     assert json.loads(done.stdout.splitlines()[-1]) == {"event": "ended", "muted": True, "parked": True}
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -157,9 +156,7 @@ def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_repor
         "try: lines.next(30)\n"
         "except ReadingFailedError as failure: print(type(failure.__cause__).__name__)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], input='{"order": "park"}\n', capture_output=True, text=True, check=True
-    )
+    done = python("-c", code, input='{"order": "park"}\n')
     assert done.stdout.split() == ["muted", "KeyError"]
 
 

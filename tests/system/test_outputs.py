@@ -5,8 +5,6 @@ import json
 import os
 import shutil
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import write_foreign
+from tests.system.lines import python
 from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement
@@ -222,8 +221,7 @@ def in_forks(script, names, *options):
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COV")}
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     commands = json.dumps({name: COMMANDS[name] for name in names})
-    arguments = [sys.executable, "-c", f"{FORKS}\nold = {OLD!r}\n{script}", commands, *options]
-    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
+    done = python("-c", f"{FORKS}\nold = {OLD!r}\n{script}", commands, *options, env=environment, timeout=600)
     assert done.returncode == 0, done.stderr
 
 

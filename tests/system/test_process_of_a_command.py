@@ -3,8 +3,6 @@
 import json
 import os
 import re
-import subprocess
-import sys
 import tempfile
 import tomllib
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import POSITIONS, write_positions
+from tests.system.lines import python
 from wavefocus import cli
 from wavefocus.__main__ import run
 from wavefocus.command_line import Command, file
@@ -31,21 +30,14 @@ def of_posix(test):
     return pytest.mark.may_skip(reason)(pytest.mark.skipif(os.name != "posix", reason=reason)(test))
 
 
-def python(*words, folder, shell=()):
-    """What Python does in a process of its own."""
-    return subprocess.run(
-        [*shell, sys.executable, *words], cwd=folder, capture_output=True, text=True, timeout=100, check=False
-    )
-
-
 def in_shell(script, *words, folder):
-    """The same in a shell, where the script says "$@"."""
-    return python(*words, folder=folder, shell=("sh", "-c", script, "sh"))
+    """What Python does in a shell, where the script says "$@"."""
+    return python(*words, cwd=folder, shell=("sh", "-c", script, "sh"))
 
 
 def after(code, *arguments, folder):
     """A command in a process of its own, after some lines of Python."""
-    return python("-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *arguments, folder=folder)
+    return python("-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *arguments, cwd=folder)
 
 
 def test_the_help_has_three_groups_of_at_most_29_commands_with_120_options(capsys):
@@ -104,7 +96,7 @@ for words in json.loads(sys.argv[1]):
 
 @pytest.mark.parametrize("commands", NEEDS, ids=["of banks", "init"])
 def test_a_command_loads_nothing_that_only_others_need(bank, commands):
-    done = python("-c", LOADED, json.dumps([words for words, *_ in commands]), folder=bank.parent)
+    done = python("-c", LOADED, json.dumps([words for words, *_ in commands]), cwd=bank.parent)
     assert done.returncode == 0, done.stderr
     lines = (bank.parent / "loaded").read_text("utf-8").splitlines()
     for (words, code, loaded, not_loaded), line in zip(commands, lines, strict=True):

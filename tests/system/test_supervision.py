@@ -15,13 +15,12 @@ import pytest
 from tests.lab_files import change_text
 from tests.system.captures import Listener, answered, capture, capture_process, empty_bank, events_of, held, states_of
 from tests.system.conftest import with_faults, write_lab
-from tests.system.lines import Lines
+from tests.system.lines import Lines, python
 from wavefocus.__main__ import run
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.config.messages.campaign import PositionCommitted, StateChanged
 
-WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
 
 
@@ -271,10 +270,7 @@ def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab
         'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
     )
     bank = lab / "plate.h5"
-    ended = subprocess.run(
-        [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank)],
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+    ended = python("-m", "wavefocus", "capture", lab / "run.toml", "--bank", bank)
     assert ended.returncode == 3, ended.stderr
     last = ended.stderr.splitlines()[-1]
     assert "virtual player: playing: the call did not come back within" in last
@@ -310,7 +306,7 @@ def test_terminal_that_is_closed_then_position_is_finished_and_log_says_why(lab)
 
     bank = lab / "plate.h5"
     change_text(lab / "run.toml", *LONG_NIGHT)
-    command = [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank)]
+    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank)]
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(command[0], command)

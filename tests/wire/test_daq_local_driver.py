@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.lab_files import ABSENT_RIG, change_text
+from tests.system.lines import python
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [
@@ -151,10 +152,7 @@ def test_the_local_driver_takes_records_and_works_again_after_each_fault(tmp_pat
     (tmp_path / "rig.toml").write_text(ABSENT_RIG.format(folder=tmp_path), encoding="utf-8")
     change_text(tmp_path / "rig.toml", 'address = "localhost:1"\n', "")
     names = {"LD_LIBRARY_PATH": "", "RIG_FILE": "rig.toml", "SHIM_UNPLUGGED": "unplugged", "SHIM_HANGS": "hangs"}
-    done = subprocess.run(
-        [sys.executable, "-c", SESSION],
-        env=os.environ | {name: str(tmp_path / file) for name, file in names.items()},
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    environment = os.environ | {name: str(tmp_path / file) for name, file in names.items()}
+    done = python("-c", SESSION, env=environment, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert not done.stderr

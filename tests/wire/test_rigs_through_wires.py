@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import POSITIONS, change_text, write_positions
-from tests.system.lines import Lines
+from tests.system.lines import Lines, python
 from tests.system.test_trials import MASKING, TRIALS
 from tests.wire.audio_bench import wait_until
 from tests.wire.emulated import ACTUATORS, analog_rig, emulated_instruments, free_port, rig_text
@@ -67,10 +67,7 @@ def lab(tmp_path):
 
 def wavefocus(*arguments, sides=None, code=0):
     """Run a command to its end; its standard output."""
-    done = subprocess.run(
-        [sys.executable, "-m", "wavefocus", *map(str, arguments)],
-        env=sides and dict(sides.environment), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = python("-m", "wavefocus", *arguments, env=sides and dict(sides.environment))
     assert done.returncode == code, done.stderr + done.stdout
     return done.stdout
 
