@@ -2,19 +2,13 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
-import pytest
-
 from tests.lab_files import ABSENT_RIG, change_text
-from tests.system.lines import python
+from tests.system.lines import of_linux, python
 
 ROOT = Path(__file__).parents[2]
-pytestmark = [
-    pytest.mark.may_skip("a stand-in for the driver's library can be put on the loader's path on Linux alone"),
-    pytest.mark.skipif(sys.platform != "linux", reason="elsewhere libraries are not found by a path variable"),
-]
+pytestmark = of_linux("a stand-in for the driver's library can be put on the loader's path on Linux alone")
 
 SESSION = r"""
 import ctypes, os, signal, sys, threading, warnings
