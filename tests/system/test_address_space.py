@@ -1,15 +1,10 @@
 """Processes whose address space is limited: refused before anything is opened, and silent whatever fails."""
 
-import sys
-
 import pytest
 
-from tests.system.lines import python
+from tests.system.lines import of_linux, python
 
-pytestmark = [
-    pytest.mark.may_skip("address space is limited on Linux alone"),
-    pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux alone"),
-]
+pytestmark = of_linux("address space is limited on Linux alone")
 
 LIMITED = """
 import resource

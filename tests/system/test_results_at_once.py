@@ -11,7 +11,7 @@ import pytest
 import wavefocus as wf
 from tests.lab_files import POSITIONS as POSITIONS_MM
 from tests.lab_files import change_text, write_positions
-from tests.system.captures import answered, refused, wavefocus
+from tests.system.captures import answered, held, refused, wavefocus
 from tests.system.lines import python
 from tests.system.test_trials import TRIALS
 from wavefocus.storage.errors import InputError
@@ -86,8 +86,7 @@ def test_a_capture_and_an_extension_with_recordings_that_are_killed_then_go_on(l
         assert killed_at(renaming, RUNS, *command)  # recordings and bank are each made whole
         assert wavefocus(*command) == 0
         assert wavefocus("check", lab / f"{name}.raw.h5") == 0
-        with wf.open_bank(lab / f"{name}.h5") as bank:
-            assert bank.status.tolist() == [1] * positions
+        assert held(lab / f"{name}.h5") == [1] * positions
 
 
 def test_trials_that_are_killed_while_stimuli_are_prepared_go_on(lab, bank):
