@@ -79,11 +79,26 @@ def write_positions(folder, positions_mm):
     (folder / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
 
 
+def point_scene(at_mm, signal, *tables):
+    """The text of a scene of one source at a point, and more tables of it."""
+    source = f'[[source]]\npath = {{ kind = "point", at_mm = {at_mm} }}\nsignal = {{ {signal} }}'
+    return "\n".join([source, *tables, ""])
+
+
 def change_text(file, old, new):
     """Replace a text in a file, which has to hold it."""
     text = file.read_text(encoding="utf-8")
     assert old in text
     file.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def write_rows(path, header, green, rows=None):
+    """Create a bank and measure rows of Green's functions (positions, actuators, taps) into it: all, or some."""
+    create_bank(path, header)
+    figures = np.ones(header.actuators, np.float32)
+    with BankWriter.open(path) as writer:
+        for row in range(header.positions) if rows is None else rows:
+            writer.commit(row, green[row].astype(np.float32), PointRecord(1, 1, figures, figures, figures, figures))
 
 
 _banks: dict[str, bytes] = {}  # measured once: each commit waits for the disk
@@ -106,11 +121,7 @@ def write_bank(
         header = BankHeader(
             rate_hz, taps, band_hz, position_mm, place_mm, "{}", "{}", "ab" * 32, "test", *units, check_rows=check_rows
         )
-        create_bank(path, header)
-        figures = np.ones(actuators, np.float32)
-        with BankWriter.open(path) as writer:
-            for row in rows:
-                writer.commit(row, green[row].astype(np.float32), PointRecord(1, 1, figures, figures, figures, figures))
+        write_rows(path, header, green, rows)
         _banks[key] = path.read_bytes()
     path.write_bytes(_banks[key])
     return path
@@ -134,11 +145,7 @@ def with_check_rows(bank, out, *rows):
             float(view.sample_rate_hz), view.taps, view.band_hz, view.position_mm, view.actuator_mm, view.rig_json,
             view.run_json, view.plan_sha256, "test", check_rows=rows,
         )  # fmt: skip
-        figures = np.ones(view.actuators, np.float32)
-        create_bank(out, header)
-        with BankWriter.open(out) as written:
-            for row in range(view.positions):
-                written.commit(row, view.green(row), PointRecord(1, 1, figures, figures, figures, figures))
+        write_rows(out, header, [view.green(row) for row in range(view.positions)])
     return out
 
 

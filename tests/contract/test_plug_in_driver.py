@@ -2,12 +2,11 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.system import lines
 from tests.system.test_documented_commands import steps
 from tests.wire.emulated import RIG
 
@@ -51,16 +50,15 @@ def installed(tmp_path_factory):
     for step in steps(PAGE):
         if step.kind == "file":
             (source / step.note).write_text(step.text, "utf-8")
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    done = subprocess.run([*pip, "--target", str(target), str(source)], capture_output=True, text=True, check=False)
+    pip = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    done = lines.python(*pip, "--target", target, source)
     assert done.returncode == 0, done.stderr
     return target
 
 
 def python(*arguments, paths, cwd=ROOT):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
-    command = [sys.executable, *map(str, arguments)]
-    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False)
+    return lines.python(*arguments, env=environment, cwd=cwd)
 
 
 def rig_of(dialect, mirror="", keys=""):

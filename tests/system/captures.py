@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import dataclass
 
 import h5py
 
@@ -33,19 +34,9 @@ def refused(capsys, *arguments, code=2):
     return line
 
 
-def of_kind(events, kind):
-    """The events of a kind."""
-    return [event for event in events if event["event"] == kind]
-
-
 def events_of(text, kind=""):
     """The events among lines of JSON: all, or those of a kind."""
     return [event for event in map(json.loads, text.splitlines()) if kind in ("", event["event"])]
-
-
-def states_of(text):
-    """The states that lines of JSON tell of, in order."""
-    return [event["state"] for event in events_of(text, "state_changed")]
 
 
 def empty_bank(lab, name):
@@ -59,6 +50,40 @@ def capture(lab, bank):
     return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
 
 
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a campaign told: events for programs, and lines for people."""
+
+    out: str
+    err: str
+
+    def of(self, *kinds):
+        """The events of some kinds; all where none is given."""
+        return [event for event in events_of(self.out) if not kinds or event["event"] in kinds]
+
+    @property
+    def states(self):
+        """The states of the session, in order."""
+        return [event["state"] for event in self.of("state_changed")]
+
+    @property
+    def last(self):
+        """The last line that people are told."""
+        return self.err.splitlines()[-1]
+
+
+def told_by(capsys, *command, code=0):
+    """What a command that measures tells."""
+    capsys.readouterr()
+    assert wavefocus(*command, "--json") == code
+    return Told(*capsys.readouterr())
+
+
+def captured(capsys, lab, *options, code=0):
+    """What a capture into the lab's bank tells."""
+    return told_by(capsys, "capture", lab / "run.toml", "--bank", lab / "plate.h5", *options, code=code)
+
+
 def held(bank, name="status"):
     """What a bank holds of its positions."""
     with h5py.File(bank, "r") as file:
@@ -68,6 +93,17 @@ def held(bank, name="status"):
 def capture_process(lab, bank, environment=None):
     """A capture in a process of its own."""
     return Lines("capture", lab / "run.toml", "--bank", bank, "--json", environment=environment)
+
+
+def resumed_after_a_kill(lab, bank, *events):
+    """Kill a capture once it has told these events, one by one, and go on to the end; what the kill left."""
+    with capture_process(lab, bank) as child:
+        for event in events:
+            child.hear(event)
+        child.process.kill()
+    left = held(bank)
+    assert wavefocus("resume", bank) == 0
+    return left
 
 
 class Listener(io.TextIOBase):

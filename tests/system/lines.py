@@ -8,6 +8,7 @@ import queue
 import subprocess
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import IO, Any
 
@@ -17,6 +18,31 @@ from wavefocus.__main__ import run
 
 # What a busy machine may take; nothing is judged by it.
 SOON_S = 60.0
+
+
+def of_posix(test):
+    """Mark a test that needs a POSIX shell, and signals to a process of its own."""
+    reason = "a POSIX shell, and signals to a process of its own"
+    return pytest.mark.may_skip(reason)(pytest.mark.skipif(os.name != "posix", reason=reason)(test))
+
+
+def of_linux(reason):
+    """Marks of a module that needs Linux, for this reason."""
+    return [pytest.mark.may_skip(reason), pytest.mark.skipif(sys.platform != "linux", reason=reason)]
+
+
+def python(*words, shell=(), timeout=110, **settings):
+    """What Python does in a process of its own, from its beginning to its end."""
+    command = [*shell, sys.executable, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False, **settings)
+
+
+def wait_until(happened, what, timeout_s=SOON_S):
+    """Come back when it happened; a bound, not a measurement."""
+    latest_s = time.monotonic() + timeout_s
+    while not happened():
+        assert time.monotonic() < latest_s, f"{what}: not within {timeout_s} s"
+        time.sleep(0.01)
 
 
 class Talk:

@@ -1,14 +1,10 @@
 """Processes whose address space is limited: refused before anything is opened, and silent whatever fails."""
 
-import subprocess
-import sys
-
 import pytest
 
-pytestmark = [
-    pytest.mark.may_skip("address space is limited on Linux alone"),
-    pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux alone"),
-]
+from tests.system.lines import of_linux, python
+
+pytestmark = of_linux("address space is limited on Linux alone")
 
 LIMITED = """
 import resource
@@ -21,10 +17,7 @@ resource.setrlimit(resource.RLIMIT_AS, ((1 << 40) - spare_address_space() + {spa
 
 
 def _limited(code, spare, *arguments, folder):
-    return subprocess.run(
-        [sys.executable, "-c", LIMITED.format(spare=spare) + code, *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
+    return python("-c", LIMITED.format(spare=spare) + code, *arguments, cwd=folder)
 
 
 @pytest.mark.parametrize("spare", [100 << 20, pytest.param(40 << 20, marks=pytest.mark.nightly)])

@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import sys
-import tomllib
 from contextlib import redirect_stderr, redirect_stdout
 from datetime import date
 from pathlib import Path
@@ -13,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.lab_files import RUN
-from tests.system.captures import refused
-from tests.system.lines import in_process
+from tests.lab_files import RUN, write_positions
+from tests.system.captures import captured, refused, wavefocus
+from tests.system.lines import in_process, of_posix
 from wavefocus.__main__ import run
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import CalibrationRecord, load_calibration
@@ -132,8 +131,7 @@ def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig):
     assert last.endswith(f"mirror at ({x_mrad:.3f}, {y_mrad:.3f}) mrad")
 
 
-@pytest.mark.may_skip("a terminal of POSIX")
-@pytest.mark.skipif(os.name != "posix", reason="a terminal of POSIX")
+@of_posix
 def test_given_keys_pressed_before_a_question_then_they_are_no_answer_to_it(rig):
     import pty
 
@@ -217,11 +215,9 @@ def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
     rig.write_text(f'{RIG}\n[calibration]\nfile = "{file.name}"\n', encoding="utf-8")
     of_no_virtual_rig = RUN.partition("[quality]")[0].replace("duration_s", "amplitude_v = 0.5\nduration_s")
     (rig.parent / "run.toml").write_text(of_no_virtual_rig, encoding="utf-8")
-    (rig.parent / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
+    write_positions(rig.parent, [(0, 0), (4, 0)])
     bank = rig.parent / "plate.h5"
-    capsys.readouterr()
-    assert run(["capture", str(rig.parent / "run.toml"), "--bank", str(bank)]) == 0
-    people = capsys.readouterr().err
+    people = captured(capsys, rig.parent).err
     assert f"{file.name}: mirror map (residual 0.01 mm), inter-channel delay 8.30 us, full scale of 7 outputs" in people
     assert "warning" not in people
     with open_bank(bank) as view:
@@ -229,59 +225,21 @@ def test_given_a_calibrated_rig_then_capture_uses_it_and_the_bank_alone_goes_on(
     assert held["calibration"]["measured"]["outputs"]["channel"][0]["channel"] == OUTPUTS - 1
     file.unlink()
     rig.unlink()
-    assert run(["remeasure", str(bank), "--positions", "1"]) == 0
-
-
-def meet(lines, ask, off_mm=0.0):
-    """Bring the beam onto the mark that is asked for."""
-    x_mrad, y_mrad = (float(angle) for angle in TRUE.angles_mrad(ask["place_mm"][0] + off_mm, ask["place_mm"][1]))
-    lines.send(answer="by", x_mrad=x_mrad - ask["at_mrad"][0], y_mrad=y_mrad - ask["at_mrad"][1])
-    again = lines.hear("ask")
-    assert again["number"] == ask["number"]
-    assert again["at_mrad"] == pytest.approx([x_mrad, y_mrad])
-    lines.send(answer="here")
-
-
-def test_a_mark_that_is_off_then_it_is_met_again_and_the_map_is_written_and_named(rig):
-    def operate(asked):
-        assert len(asked.hear("begin")["marks_mm"]) == 7
-        assert asked.hear("level")["response"]["rms_v"] > 0  # while a person jogs, both inputs are heard
-        for number in range(1, 8):
-            ask = asked.hear("ask") if number > 1 else {"number": 1, "place_mm": [0.0, 0.0], "at_mrad": [0.0, 0.0]}
-            meet(asked, ask, off_mm=9.0 if number == 3 else 0.0)
-        judged = asked.hear("ask")
-        assert (judged["what"], judged["suspect"]) == ("map", 3)
-        assert judged["worst_mm"] > 1.0
-        assert "mark 3" in judged["problem"]
-        asked.send(answer="keep")
-        assert "mark 3" in asked.hear("refused")["sentence"]
-        assert asked.hear("ask")["what"] == "map"
-        asked.send(answer="redo", mark=3)
-        ask = asked.hear("ask")
-        assert (ask["what"], ask["number"]) == ("jog", 3)
-        meet(asked, ask)
-        judged = asked.hear("ask")
-        assert (judged["problem"], len(judged["off_mm"])) == ("", 7)
-        assert judged["worst_mm"] < 1e-3
-        asked.send(answer="keep")
-        done = asked.hear("done")
-        assert done["measured"] == ["mirror"]
-        assert Path(done["file"]).is_file()
-        assert tomllib.loads(rig.read_text(encoding="utf-8"))["calibration"]["file"] == Path(done["file"]).name
-
-    assert in_process(operate, "calibrate", rig, "--only", "mirror", "--operator", "lines", "--use") == 0
+    assert wavefocus("remeasure", bank, "--positions", "1") == 0
 
 
 def converse(rig, *answers, only="mirror", code=0):
     """Events of a calibration that a program is asked for, and that gives these answers."""
-    file, out = rig.parent / "answers", io.StringIO()
-    file.write_text("".join(json.dumps(answer) + "\n" for answer in answers), encoding="utf-8")
-    with file.open(encoding="utf-8") as typed, pytest.MonkeyPatch.context() as program, redirect_stdout(out):
-        program.setattr(sys, "stdin", typed)
-        assert run(["calibrate", str(rig), "--only", only, "--operator", "lines"]) == code
-    file.unlink()
-    events = [json.loads(line) for line in out.getvalue().splitlines()]
-    return [event for event in events if event["event"] in ("ask", "refused", "done")]
+    events = []
+
+    def script(asked):
+        for answer in answers:
+            asked.send(**answer)
+        asked.close_input()
+        events.extend(event for event in asked.rest() if event["event"] in ("ask", "refused", "done"))
+
+    assert in_process(script, "calibrate", rig, "--only", only, "--operator", "lines") == code
+    return events
 
 
 def test_answers_that_are_not_understood_then_each_is_sentence_and_question_stays(rig):
@@ -309,6 +267,7 @@ def test_given_a_person_who_leaves_the_map_then_nothing_is_written(rig):
     assert rig.read_text(encoding="utf-8") == RIG
 
 
+# Marks that are met, one of them wrong, are in tests/gui/test_rig_tab.py: the window asks this command.
 def test_given_cables_to_plug_then_the_program_is_asked_for_each(rig):
     both, vibrometer, done = converse(rig, *[{"answer": "done"}] * 2, only="inputs")
     assert (both["what"], both["source"], vibrometer["source"]) == ("connect", "both", "vibrometer")

@@ -9,14 +9,8 @@ import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import answered, capture, capture_process, events_of, held, refused, wavefocus
+from tests.system.captures import answered, capture_process, captured, held, refused, told_by, wavefocus
 from tests.system.conftest import with_faults, write_lab
-
-
-def _capture(lab, name="plate.h5"):
-    bank = lab / name
-    assert wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
-    return bank
 
 
 def _take_longer(lab):
@@ -29,7 +23,8 @@ def reference(tmp_path_factory):
     """The bank of an undisturbed capture that takes longer."""
     lab = write_lab(tmp_path_factory.mktemp("reference"))
     _take_longer(lab)
-    return _capture(lab).read_bytes()
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    return (lab / "plate.h5").read_bytes()
 
 
 def test_a_bank_deleted_while_it_is_measured_exits_3_and_its_rescue_is_identical(lab, reference):
@@ -77,8 +72,7 @@ def test_faults_that_pass_are_repeated_and_of_those_that_stay_a_poor_one_is_cure
         *(f'{READ}kind = "{kind}"\nposition = {row}\ncount = 6' for row, kind in staying.items()),
     )
     bank = lab / "plate.h5"
-    assert capture(lab, bank) == 0
-    repeated = events_of(capsys.readouterr().out, "position_repeated")
+    repeated = captured(capsys, lab).of("position_repeated")
     assert [event["position"] for event in repeated if event["position"] in passing] == [*passing]
     assert all(event["reason"] for event in repeated)
     status, before = held(bank), np.array(held(bank, "green"))
@@ -95,8 +89,7 @@ def test_faults_that_pass_are_repeated_and_of_those_that_stay_a_poor_one_is_cure
 
 def test_given_three_positions_in_a_row_without_a_record_then_exit_3(lab, capsys):
     with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "missing_reference"\nrecord = 0\ncount = 3')
-    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 3
-    assert "3 positions in a row" in capsys.readouterr().err.splitlines()[-1]
+    assert "3 positions in a row" in captured(capsys, lab, code=3).last
 
 
 def test_a_bank_refuses_another_run_file_and_goes_on_from_a_copy_alone(lab, bank, tmp_path_factory, capsys):
@@ -144,18 +137,17 @@ def test_given_a_scene_off_the_grid_then_no_bank_is_made(far, capsys):
     assert not (far / "plate.h5").exists()
 
 
-def _captured(lab, *faults, schedule="sequential"):
+def _captured(capsys, lab, *faults, schedule="sequential"):
     change_text(lab / "run.toml", "[capture]\n", f'[capture]\nexcitation = "{schedule}"\n')
     with_faults(lab, *(READ + fault for fault in faults))
-    return _capture(lab)
+    captured(capsys, lab)
+    return lab / "plate.h5"
 
 
 def _remeasured(bank, position, capsys, *options):
     """Kinds of events and defects of measuring a position again, and the positions kept by `status` then."""
-    capsys.readouterr()
-    assert wavefocus("remeasure", bank, "--positions", position, "--json", *options) == 0
-    kinds = ("position_repeated", "position_committed", "position_kept")
-    events = [event for event in events_of(capsys.readouterr().out) if event["event"] in kinds]
+    told = told_by(capsys, "remeasure", bank, "--positions", position, *options)
+    events = told.of("position_repeated", "position_committed", "position_kept")
     kept = [one["position"] for one in answered(capsys, "status", bank)["kept_positions"]]
     return [event["event"] for event in events], events[-1]["defects"], kept
 
@@ -170,7 +162,7 @@ def test_given_faults_that_stay_then_valid_rows_are_kept_and_named(lab, capsys, 
         f'{stays}position = 2\nkind = "faint_reference"\nlevel_db = {reference_db}',
         f'{stays}position = 4\nkind = "drift"\nlevel_db = {drift_db}',
     )
-    bank = _captured(lab, *faults, schedule=schedule)
+    bank = _captured(capsys, lab, *faults, schedule=schedule)
     before = bank.read_bytes()
     kinds = ["position_repeated", "position_repeated", "position_kept"]
     assert _remeasured(bank, 2, capsys) == (kinds, ["reference level"], [2])
@@ -180,7 +172,7 @@ def test_given_faults_that_stay_then_valid_rows_are_kept_and_named(lab, capsys, 
 
 def test_a_row_is_replaced_if_the_next_try_agrees_or_on_request_if_two_others_do(lab, capsys):
     fault = 'position = {}\nkind = "drift"\nlevel_db = {}\nrecord = 1'
-    bank = _captured(lab, fault.format(5, -0.3) + "\nattempt = 2", fault.format(2, -0.5))
+    bank = _captured(capsys, lab, fault.format(5, -0.3) + "\nattempt = 2", fault.format(2, -0.5))
     before = np.array(held(bank, "green"))
     assert _remeasured(bank, 5, capsys) == (["position_repeated", "position_committed"], [], [])
     assert "position_committed" not in _remeasured(bank, 2, capsys)[0]

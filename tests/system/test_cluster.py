@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.system.lines import python
 from tests.system.raw_script import Sweep, echoes, swept, write
 from wavefocus import cluster
 from wavefocus.__main__ import run
@@ -58,8 +59,7 @@ def lab(tmp_path):
 
 def wavefocus(*arguments):
     """Run a command in a process of its own to its good end; what it told people."""
-    command = [sys.executable, "-W", "error", "-m", "wavefocus", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = python("-W", "error", "-m", "wavefocus", *arguments)
     assert done.returncode == 0, done.stderr
     return done.stderr
 

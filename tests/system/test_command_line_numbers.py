@@ -2,17 +2,10 @@
 
 import pytest
 
-from tests.lab_files import write_foreign
+from tests.lab_files import point_scene, write_foreign
+from tests.system.captures import wavefocus
 from wavefocus.__main__ import run
 
-SCENE = """
-[scene]
-name = "point"
-
-[[source]]
-path = { kind = "point", at_mm = [4, 8] }
-signal = { kind = "sine", frequency_hz = 150.0, duration_s = 0.02 }
-"""
 EXTREMES = ("nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "-1e-320", "0", "1" + 5000 * "0")
 RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out", "out.h5", "--force"]
 PREDICT = ["predict", "drive.h5", "--bank", "bank.h5", "--out", "out.h5", "--force"]
@@ -31,11 +24,12 @@ OPTIONS = [
 def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("numbers")
     write_foreign(folder / "bank.h5")
-    assert run(["init", str(folder)]) == 0
-    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
-    bank = ["--bank", str(folder / "bank.h5"), "--out"]
-    assert run(["render", str(folder / "scene.toml"), *bank, str(folder / "drive.h5")]) == 0
-    assert run(["predict", str(folder / "drive.h5"), *bank, str(folder / "field.h5")]) == 0
+    assert wavefocus("init", folder) == 0
+    scene = point_scene([4, 8], 'kind = "sine", frequency_hz = 150.0, duration_s = 0.02')
+    (folder / "scene.toml").write_text(scene, encoding="utf-8")
+    bank = ["--bank", folder / "bank.h5", "--out"]
+    assert wavefocus("render", folder / "scene.toml", *bank, folder / "drive.h5") == 0
+    assert wavefocus("predict", folder / "drive.h5", *bank, folder / "field.h5") == 0
     return folder
 
 

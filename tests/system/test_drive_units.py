@@ -8,6 +8,7 @@ import pytest
 import pyuff
 
 import wavefocus as wf
+from tests.lab_files import point_scene
 from tests.system.captures import refused, wavefocus
 from wavefocus.storage.units import drive_of
 
@@ -15,23 +16,7 @@ POSITIONS, ACTUATORS, TAPS = 4, 2, 16
 GREEN = (
     np.random.default_rng(3).standard_normal((POSITIONS, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 1.5)
 ).astype(np.float32)
-SCENE = """
-[scene]
-name = "point"
-[[source]]
-path = { kind = "point", at_mm = [0, 0] }
-signal = { kind = "impulse" }
-"""
-RIG = """
-[rig]
-name = "virtual"
-[actuators]
-position_mm = [[0, 0], [9, 0]]
-[player]
-driver = "virtual"
-channels = [0, 1]
-loopback_channel = 4
-"""
+RIG = "[actuators]\nposition_mm = [[0, 0], [9, 0]]\n"
 
 
 def foreign(path, **attributes):
@@ -70,7 +55,7 @@ def test_a_bank_that_names_two_drives_then_is_refused(tmp_path, capsys, unit, st
 def test_drives_that_are_not_in_volts_then_are_not_played(tmp_path, capsys, unit):
     bank, drive = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "drive.h5"
     scene, rig = tmp_path / "scene.toml", tmp_path / "rig.toml"
-    scene.write_text(SCENE, encoding="utf-8")
+    scene.write_text(point_scene([0, 0], 'kind = "impulse"'), encoding="utf-8")
     rig.write_text(RIG, encoding="utf-8")
     assert wavefocus("render", scene, "--bank", bank, "--out", drive) == 0
     assert wf.read_drive(drive).drive_unit == drive_of(unit)

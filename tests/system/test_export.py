@@ -119,8 +119,8 @@ def test_given_a_bank_then_pyuff_reads_nodes_and_functions(bank, tmp_path, capsy
 
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
-def test_given_a_bank_then_xarray_reads_its_rows_one_by_one_with_labels(bank, tmp_path, capsys, engine):
-    export(capsys, bank, tmp_path / "bank.nc", "--to", "netcdf")
+def test_given_a_bank_then_xarray_and_we_read_its_rows_with_labels(bank, tmp_path, publication, capsys, engine):
+    export(capsys, bank, tmp_path / "bank.nc", "--to", "netcdf", "--publication", publication)
     with xarray.open_dataset(tmp_path / "bank.nc", engine=engine, chunks={}) as data:
         assert data.green.dims == ("position", "actuator", "time_s")
         assert data.green.chunks[0] == (1,) * len(KEPT)
@@ -134,18 +134,10 @@ def test_given_a_bank_then_xarray_reads_its_rows_one_by_one_with_labels(bank, tm
         }  # fmt: skip
         assert all("long_name" in one.attrs for one in data.variables.values())
         assert data.attrs["Conventions"].startswith("CF-")
-
-
-def test_given_a_netcdf_file_then_it_is_read_as_a_bank_and_may_be_replaced(bank, tmp_path, publication, capsys):
-    out = tmp_path / "bank.nc"
-    export(capsys, bank, out, "--to", "netcdf")
-    export(capsys, bank, out, "--to", "netcdf", "--publication", publication, "--force")
-    with open_bank(out) as copy:
+        assert (data.attrs["license"], data.attrs["title"]) == ("CC-BY-4.0", "Plate \u00e4")
+    with open_bank(tmp_path / "bank.nc") as copy:
         assert np.array_equal(copy.green(2), green_of(bank)[KEPT[2]])
         assert (copy.status.tolist(), copy.sample_rate_hz) == ([STATUS[row] for row in KEPT], RATE_HZ)
-        assert copy.quality["snr_db"].shape == (len(KEPT), ACTUATORS)
-    with h5py.File(out) as file:
-        assert (file.attrs["license"], file.attrs["title"]) == ("CC-BY-4.0", "Plate \u00e4")
 
 
 def test_given_a_bank_then_a_table_lists_its_positions(bank, tmp_path, capsys):

@@ -4,14 +4,11 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import POSITIONS, change_text, with_check_rows, write_positions
-from tests.system.captures import answered, events_of, held
-from wavefocus.__main__ import run
+from tests.lab_files import POSITIONS, change_text, with_check_rows, write_positions, write_rows
+from tests.system.captures import answered, held, refused, told_by, wavefocus
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.extension import extend
 from wavefocus.configuration import load_run
-from wavefocus.storage.bank.layout import create_bank
-from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 
@@ -28,17 +25,17 @@ def _scale_rows(bank, rows, factor):
 
 
 def _extend(lab, *banks, new="new.h5", runs=True):
-    named = ["--run", str(lab / "run.toml")] if runs else []
-    return run(["extend", *map(str, banks), *named, "--bank", str(lab / new), "--json"])
+    """The command that makes a new bank of others, and of the lab's run unless they are to be merged."""
+    named = ["--run", lab / "run.toml"] if runs else []
+    return ["extend", *banks, *named, "--bank", lab / new]
 
 
 def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measured(lab, bank, capsys):
-    assert run(["note", str(bank), "gel of Monday"]) == 0
+    assert wavefocus("note", bank, "gel of Monday") == 0
     write_positions(lab, MORE)
-    assert _extend(lab, bank) == 0
-    events = events_of(capsys.readouterr().out)
-    assert {event["position"] for event in events if event["event"] == "position_committed"} == {0, 5}
-    assert "resume" in {event.get("occasion") for event in events if event["event"] == "drift"}
+    told = told_by(capsys, *_extend(lab, bank))
+    assert {event["position"] for event in told.of("position_committed")} == {0, 5}
+    assert "resume" in {event["occasion"] for event in told.of("drift")}
     with open_bank(bank) as old, open_bank(lab / "new.h5") as new:
         assert new.status.tolist() == [1] * 8
         assert new.verify() == ()
@@ -51,23 +48,22 @@ def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measure
         assert [note.text for note in new.notes] == ["gel of Monday"]
     (origin,) = answered(capsys, "status", lab / "new.h5")["origins"]
     assert (origin["bank"], origin["rows"]) == ("plate.h5", "1-4,6-7")
-    assert run(["check", str(lab / "new.h5")]) == 0
+    assert wavefocus("check", lab / "new.h5") == 0
     # Extended again, the rows keep the name of the bank that measured them.
     write_positions(lab, [*MORE, [16.0, 0.0]])
-    assert _extend(lab, lab / "new.h5", new="newer.h5") == 0
+    assert wavefocus(*_extend(lab, lab / "new.h5", new="newer.h5")) == 0
     origins = {one["bank"]: one["rows"] for one in answered(capsys, "status", lab / "newer.h5")["origins"]}
     assert origins == {"plate.h5": "1-4,7-8", "new.h5": "0,5"}
 
 
 def test_given_a_changed_plate_then_nothing_is_added_and_what_is_there_stays(lab, bank, capsys):
-    assert _extend(lab, bank, new="plate.h5") == 2
+    refused(capsys, *_extend(lab, bank, new="plate.h5"))
     write_positions(lab, MORE)
     _scale_rows(bank, len(POSITIONS), 2.0)
-    assert _extend(lab, bank) == 3
-    assert "sentinel" in capsys.readouterr().err
+    assert "sentinel" in told_by(capsys, *_extend(lab, bank), code=3).err
     assert held(lab / "new.h5") == [0, 1, 1, 1, 1, 0, 1, 1]
     before = bank.read_bytes(), (lab / "new.h5").read_bytes()
-    assert _extend(lab, bank) == 2
+    refused(capsys, *_extend(lab, bank))
     assert before == (bank.read_bytes(), (lab / "new.h5").read_bytes())
 
 
@@ -89,35 +85,32 @@ def test_given_another_kind_of_rows_or_a_damaged_one_then_it_is_refused(lab, ban
         with h5py.File(bank, "r+") as file:
             file["green"][2, 0, 5] += 1
         write_positions(lab, MORE)
-    assert _extend(lab, bank) == 2
-    assert named in capsys.readouterr().err
+    assert named in refused(capsys, *_extend(lab, bank))
     assert not (lab / "new.h5").exists()
 
 
 def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(lab, bank, capsys):
     write_positions(lab, [[8.0, 0.0], [12.0, 0.0], [12.0, 4.0]])
     other = lab / "other.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(other)]) == 0
-    assert _extend(lab, bank, other, runs=False) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", other) == 0
+    assert wavefocus(*_extend(lab, bank, other, runs=False)) == 0
     with open_bank(lab / "new.h5") as new, open_bank(other) as second:
         assert new.status.tolist() == [1] * 8
         assert new.position_mm.tolist() == [*POSITIONS, [12.0, 0.0], [12.0, 4.0]]
         assert np.array_equal(new.green(7), second.green(2))
     _scale_rows(other, 3, 2.0)
-    assert _extend(lab, bank, other, new="worse.h5", runs=False) == 2
-    assert "level changed" in capsys.readouterr().err
+    assert "level changed" in refused(capsys, *_extend(lab, bank, other, new="worse.h5", runs=False))
     write_positions(lab, [[12.0, 0.0], [12.0, 4.0]])
     apart = lab / "apart.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(apart)]) == 0
-    assert _extend(lab, bank, apart, new="worse.h5", runs=False) == 2
-    assert "shares no valid position" in capsys.readouterr().err
+    assert wavefocus("capture", lab / "run.toml", "--bank", apart) == 0
+    assert "shares no valid position" in refused(capsys, *_extend(lab, bank, apart, new="worse.h5", runs=False))
 
 
 def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(lab, bank):
     coarse = with_check_rows(bank, lab / "coarse.h5", 4, 5)
-    assert _extend(lab, coarse, new="same.h5", runs=False) == 0
+    assert wavefocus(*_extend(lab, coarse, new="same.h5", runs=False)) == 0
     write_positions(lab, [*MORE, POSITIONS[4]])
-    assert _extend(lab, coarse) == 0
+    assert wavefocus(*_extend(lab, coarse)) == 0
     for name, checks in (("same.h5", [POSITIONS[4], POSITIONS[5]]), ("new.h5", [POSITIONS[5]])):
         with open_bank(lab / name) as new:
             assert new.position_mm[new.check].tolist() == checks
@@ -125,18 +118,13 @@ def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(
 
 @pytest.mark.parametrize("begun_with", [0, 12])
 def test_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extended(tmp_path, begun_with):
-    assert run(["init", str(tmp_path / "lab")]) == 0
+    assert wavefocus("init", tmp_path / "lab") == 0
     run_file, old = tmp_path / "lab" / "run.toml", tmp_path / "old.h5"
     change_text(run_file, "spacing_mm = 4.0", "spacing_mm = 24.0")
     now = run_file.read_text(encoding="utf-8")
     change_text(run_file, "# check_positions = 24", f"check_positions = {begun_with} #")
     header = blueprint_of(load_run(run_file)).bank_header()
-    create_bank(old, header)
-    figures = np.ones(header.actuators, np.float32)
-    with BankWriter.open(old) as writer:
-        green = np.ones((header.actuators, header.taps), np.float32)
-        for row in range(header.positions):
-            writer.commit(row, green, PointRecord(1, 1, figures, figures, figures, figures))
+    write_rows(old, header, np.ones((header.positions, header.actuators, header.taps)))
     run_file.write_text(now, encoding="utf-8")
     extend([old], tmp_path / "new.h5", run_file)
     with open_bank(tmp_path / "new.h5") as new:
@@ -148,20 +136,18 @@ def test_given_kept_recordings_then_they_are_taken_over_too(lab, capsys):
     change_text(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
     bank = lab / "plate.h5"
     write_positions(lab, POSITIONS[:2])
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
     write_positions(lab, POSITIONS[:3])
-    assert _extend(lab, bank) == 0
+    assert wavefocus(*_extend(lab, bank)) == 0
     estimated = lab / "estimated.h5"
-    assert run(["estimate", str(lab / "new.raw.h5"), "--bank", str(estimated)]) == 0
+    assert wavefocus("estimate", lab / "new.raw.h5", "--bank", estimated) == 0
     with open_bank(lab / "new.h5") as new, open_bank(estimated) as again:
         for row in range(3):
             assert np.allclose(again.green(row), new.green(row), atol=1e-6 * np.abs(new.green(row)).max())
     # Ended between its two files: the recordings are whole, the bank is not there yet.
     (lab / "new.h5").unlink()
-    assert _extend(lab, bank) == 0
+    assert wavefocus(*_extend(lab, bank)) == 0
     assert held(lab / "new.h5") == [1] * 3
-    capsys.readouterr()
-    assert _extend(lab, bank) == 2
-    assert f"wavefocus resume {lab / 'new.h5'}" in capsys.readouterr().err
+    assert f"wavefocus resume {lab / 'new.h5'}" in refused(capsys, *_extend(lab, bank))
     (lab / "plate.raw.h5").unlink()
-    assert _extend(lab, bank, new="newer.h5") == 2
+    refused(capsys, *_extend(lab, bank, new="newer.h5"))

@@ -1,4 +1,4 @@
-"""A bank written by a few lines of h5py renders and predicts as the contract's equations say."""
+"""A bank written by a few lines of h5py: what it renders and predicts, and what cannot be done with it."""
 
 import h5py
 import numpy as np
@@ -6,6 +6,9 @@ import pytest
 
 from tests.lab_files import write_foreign
 from tests.system.captures import answered, refused, wavefocus
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import load_scene
 
 RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
 
@@ -33,47 +36,9 @@ def bank(tmp_path):
     return write_foreign(tmp_path / "foreign.h5")
 
 
-def _weights(green):
-    """sigma (positions, actuators) and n (positions,) by equations 14 and 15."""
-    rms = np.sqrt(np.mean(green**2, axis=2))
-    limit = 0.7 * np.median(rms)
-    sigma = np.where(rms < limit, 1.0, limit / rms)
-    return sigma, 1.0 / np.sum(sigma * np.sum(green**2, axis=2), axis=1)
-
-
-def _nearest(position_mm, point):
-    return int(np.argmin(np.hypot(*(position_mm - point).T)))
-
-
-def _direct_drive(green, position_mm, emission):
-    """Equations 16 (per point) and 9 (continuous), sample by sample."""
-    sigma, gain = _weights(green)
-    u = 0.5 * np.sin(2 * np.pi * 150.0 * np.arange(60) / RATE_HZ)
-    start, end = np.array([0.0, 0.0]), np.array([12.0, 4.0])
-    length = float(np.hypot(12.0, 4.0))
-    emissions: list[tuple[int, float, int]] = []
-    points = int(length / 4.0 + 1e-9) + 1
-    if emission == "per_point":
-        for m in range(points):
-            row = _nearest(position_mm, start + (end - start) * m * 4.0 / length)
-            n_m = round((0.01 + m * 4.0 / 200.0) * RATE_HZ)
-            emissions += [(n_m + s, u[s], row) for s in range(60)]
-    else:
-        first, last = round(0.01 * RATE_HZ), round((0.01 + points * 4.0 / 200.0) * RATE_HZ)
-        for s in range(last - first):
-            arc = min(200.0 * s / RATE_HZ, length)
-            row = _nearest(position_mm, start + (end - start) * arc / length)
-            emissions.append((first + s, u[s] if s < 60 else 0.0, row))
-    drive = np.zeros((ACTUATORS, TAPS - 1 + max(n for n, _, _ in emissions) + 1))
-    for n, value, row in emissions:
-        for actuator in range(ACTUATORS):
-            weight = value * gain[row] * sigma[row, actuator]
-            drive[actuator, n : n + TAPS] += weight * green[row, actuator, ::-1]
-    return drive
-
-
 @pytest.mark.parametrize("emission", ["per_point", "continuous"])
-def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(bank, tmp_path, emission, capsys):
+def test_given_a_bank_of_ten_lines_then_drive_and_field_are_those_of_its_arrays(bank, tmp_path, emission, capsys):
+    """Those of arrays are held against the equations in tests/unit/test_drive.py and test_path_figures.py."""
     scene, drive_file, field_file = tmp_path / "scene.toml", tmp_path / "drive.h5", tmp_path / "field.h5"
     scene.write_text(SCENE.format(emission=emission), encoding="utf-8")
     told = answered(capsys, "render", scene, "--bank", bank, "--out", drive_file)
@@ -82,7 +47,7 @@ def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(bank
     assert wavefocus("predict", drive_file, "--bank", bank, "--out", field_file) == 0
     with h5py.File(bank, "r") as file:
         green, position_mm = file["green"][:], file["position_mm"][:]
-    expected = _direct_drive(green, position_mm, emission)
+    expected = render_with_report(load_scene(scene), GreenArray(green, position_mm, RATE_HZ))[0].drive_v
     with h5py.File(drive_file, "r") as file:
         assert file["drive"].dtype == np.float64
         assert file["drive"].shape == expected.shape

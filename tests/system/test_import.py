@@ -5,10 +5,9 @@ import functools
 import numpy as np
 import pytest
 
-from tests.lab_files import write_bank
+from tests.lab_files import change_text, point_scene, write_bank
 from tests.system import captures
-from tests.system.captures import answered
-from wavefocus.__main__ import run
+from tests.system.captures import answered, wavefocus
 from wavefocus.storage.bank.notes import add_note
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
@@ -81,7 +80,7 @@ def test_our_own_export_then_the_bank_its_units_and_its_notes_come_back(
 ):
     bank = bank(unit)
     out = tmp_path / "there"
-    assert run(["export", str(bank), str(out), "--to", kind]) == 0
+    assert wavefocus("export", bank, out, "--to", kind) == 0
     assert "uff" not in kind or all(len(line) <= 80 for line in out.read_bytes().split(b"\n")[:30])
     back, told = imported(out)
     assert told["format"] == kind.partition("-")[0]
@@ -95,8 +94,8 @@ def test_our_own_export_then_the_bank_its_units_and_its_notes_come_back(
         assert view.notes == origin.notes or kind in ("sofa", "sofa-room", "mat")
         assert [note.text for note in origin.notes] == NOTES
     if kind == "npz":
-        assert run(["check", str(back)]) == 0
-        assert run(["status", str(back)]) == 0
+        assert wavefocus("check", back) == 0
+        assert wavefocus("status", back) == 0
         assert told["paragraph"] in capsys.readouterr().out
 
 
@@ -127,20 +126,8 @@ def test_given_a_bank_or_an_input_then_it_is_never_written_over(bank, tmp_path):
     for victim in (bank(), source, tmp_path / "places.csv", tmp_path / "f.npy"):
         content = victim.read_bytes()
         for force in ([], ["--force"]):
-            assert run(["import", str(source), "--bank", str(victim), *options, *force]) == 2
+            assert wavefocus("import", source, "--bank", victim, *options, *force) == 2
         assert victim.read_bytes() == content
-
-
-SCENE = """
-[scene]
-name = "one"
-[[source]]
-path = {{ kind = "point", at_mm = [2, 2] }}
-signal = {{ kind = "sine", frequency_hz = 150.0, duration_s = 0.02 }}
-[output]
-interpolation = "{kind}"
-limit_v = 0.5
-"""
 
 
 def test_for_places_in_space_two_columns_are_chosen_and_the_rest_is_named(tmp_path, imported, refused, capsys):
@@ -151,7 +138,9 @@ def test_for_places_in_space_two_columns_are_chosen_and_the_rest_is_named(tmp_pa
     assert set(told["unsuited"]) == {"kernel", "bilinear"}
     scene = tmp_path / "scene.toml"
     render = ["render", scene, "--bank", back, "--out", tmp_path / "drive.h5"]
-    scene.write_text(SCENE.format(kind="kernel"), encoding="utf-8")
+    limit = '[output]\nlimit_v = 0.5\ninterpolation = "kernel"'
+    sine = 'kind = "sine", frequency_hz = 150.0, duration_s = 0.02'
+    scene.write_text(point_scene([2, 2], sine, limit), encoding="utf-8")
     assert "kernel" in captures.refused(capsys, *render)
-    scene.write_text(SCENE.format(kind="nearest"), encoding="utf-8")
+    change_text(scene, "kernel", "nearest")
     assert told["caution"] in answered(capsys, *render)["warnings"]

@@ -3,13 +3,12 @@
 import http.server
 import json
 import threading
-import time
 
 import pytest
 
-from tests.lab_files import ACTUATORS
-from tests.system.captures import refused
-from wavefocus.__main__ import run
+from tests.lab_files import POSITIONS, write_positions
+from tests.system.captures import captured, refused, wavefocus
+from tests.system.lines import wait_until
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.config.messages.campaign import Drift, Fault, SessionEnded, State, StateChanged
 from wavefocus.config.rig import MessagesSection
@@ -30,11 +29,12 @@ class Office(http.server.ThreadingHTTPServer):
         self.url = f"json://technician:{PASSWORD}@127.0.0.1:{self.server_port}/night"
 
     def wait_for(self, count):
-        latest_s = time.monotonic() + 10
-        while len(self.taken) < count:
-            assert time.monotonic() < latest_s, self.taken
-            time.sleep(0.01)
+        wait_until(lambda: len(self.taken) >= count, f"{count} messages")
         return self.taken
+
+    def messenger(self, folder, **section):
+        """What tells this office of a campaign."""
+        return Messenger(folder / "plate.h5", MessagesSection(**section), AppriseOutbox([self.url]))
 
 
 class Desk(http.server.BaseHTTPRequestHandler):
@@ -87,7 +87,7 @@ DRIFTING = tuple(drift(verdict) for verdict in ("steady", "warn", "warn", "stead
 def test_given_a_campaign_s_events_then_those_that_are_asked_for_are_told(
     office, tmp_path, about, events, titles, words
 ):
-    with Messenger(tmp_path / "plate.h5", MessagesSection(**about), AppriseOutbox([office.url])) as messenger:
+    with office.messenger(tmp_path, **about) as messenger:
         for event in events:
             messenger(event)
     assert [message["title"] for message in office.taken] == [f"plate.h5: {title}" for title in titles]
@@ -96,8 +96,7 @@ def test_given_a_campaign_s_events_then_those_that_are_asked_for_are_told(
 
 
 def test_given_a_wait_longer_than_allowed_then_it_is_told_once_and_so_is_its_end(office, tmp_path):
-    section = MessagesSection(suspended_after_min=0.002)
-    with Messenger(tmp_path / "plate.h5", section, AppriseOutbox([office.url])) as messenger:
+    with office.messenger(tmp_path, suspended_after_min=0.002) as messenger:
         messenger(StateChanged(1.0, State.RECOVERING, "mirror: unplugged"))
         assert "mirror: unplugged" in office.wait_for(1)[0]["message"]
         messenger(StateChanged(9.0, State.RUNNING, "mirror is connected again after 8 s"))
@@ -109,7 +108,7 @@ def test_given_a_wait_longer_than_allowed_then_it_is_told_once_and_so_is_its_end
 
 def test_given_an_address_that_takes_nothing_then_it_is_told_without_the_address(office, tmp_path, capsys):
     office.busy = True
-    with Messenger(tmp_path / "plate.h5", MessagesSection(), AppriseOutbox([office.url])) as messenger:
+    with office.messenger(tmp_path) as messenger:
         messenger(ended(State.FINISHED))
     told = capsys.readouterr().err
     assert "messages: not taken by 1 of the addresses (json)" in told
@@ -165,21 +164,16 @@ def test_the_doctor_sends_to_each_address_and_names_the_one_that_takes_none(offi
     assert len(office.taken) == 1
 
 
-def test_addresses_stand_nowhere_and_resume_takes_them_from_the_environment(office, tmp_path, capsys, monkeypatch):
-    coils = f"[actuators]\nposition_mm = {ACTUATORS}\n"
-    (tmp_path / "rig.toml").write_text(f'{coils}[messages]\nurls = ["{office.url}"]\n', encoding="utf-8")
-    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
-    (tmp_path / "run.toml").write_text(
-        'rig = "rig.toml"\n[grid]\npositions_file = "positions.csv"\n[sweep]\nduration_s = 0.2\n', encoding="utf-8"
-    )
-    bank = tmp_path / "plate.h5"
-
-    assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(bank), "--json"]) == 0
+def test_addresses_stand_nowhere_and_resume_takes_them_from_the_environment(office, lab, capsys, monkeypatch):
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write(f'[messages]\nurls = ["{office.url}"]\n')
+    write_positions(lab, POSITIONS[:2])
+    told = captured(capsys, lab)
     assert [message["title"] for message in office.taken] == ["plate.h5: finished"]
     monkeypatch.setenv("WAVEFOCUS_MESSAGES", office.url)
-    assert run(["remeasure", str(bank), "--positions", "1"]) == 0
+    assert wavefocus("remeasure", lab / "plate.h5", "--positions", "1") == 0
     assert [message["title"] for message in office.taken] == ["plate.h5: finished"] * 2
-    assert PASSWORD not in "".join(capsys.readouterr())
-    for file in tmp_path.iterdir():
+    assert PASSWORD not in "".join((told.out, told.err, *capsys.readouterr()))
+    for file in lab.iterdir():
         if file.name != "rig.toml":
             assert PASSWORD.encode() not in file.read_bytes(), file

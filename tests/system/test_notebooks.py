@@ -4,7 +4,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 
 import wavefocus
+from tests.system.lines import python
 from tests.unit.test_bank_writer import measured
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -29,10 +29,7 @@ def test_every_notebook_is_in_the_table_of_its_folder():
 def test_a_notebook_runs_twice_without_a_warning_and_saves_its_pictures(notebook, tmp_path):
     environment = os.environ | {"FOLDER": str(tmp_path / "out"), "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
     for _ in range(2):
-        done = subprocess.run(
-            [sys.executable, "-W", "always", str(notebook)],
-            cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=110, check=False,
-        )  # fmt: skip
+        done = python("-W", "always", notebook, cwd=tmp_path, env=environment)
         assert done.returncode == 0, done.stderr
         assert done.stderr == ""
     pictures = re.findall(r'savefig\(folder / "(.+?)"', notebook.read_text(encoding="utf-8"))

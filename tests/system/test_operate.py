@@ -7,32 +7,22 @@ import re
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
-from tests.lab_files import ABSENT_RIG
-from tests.system.lines import in_process
+from tests.lab_files import ABSENT_RIG, RIG
+from tests.system.lines import in_process, of_posix, python
 from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig
+from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rig.operation import order_of
 from wavefocus.storage.errors import InputError
-
-RIG = """
-[rig]
-name = "by hand"
-
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
-
-[player]
-limit_v = 3.0
-limit_rms_v = 1.0
-"""
 
 
 @pytest.fixture
 def rig(tmp_path):
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(f"{RIG}[player]\nlimit_v = 3.0\nlimit_rms_v = 1.0\n", encoding="utf-8")
     return tmp_path / "rig.toml"
 
 
@@ -40,7 +30,7 @@ def rig(tmp_path):
 def test_given_orders_then_each_is_carried_out_and_answered_in_turn(rig):
     def script(operated):
         ready = operated.hear("ready")
-        assert ready["name"] == "by hand"
+        assert ready["name"] == "three coils"
         assert ready["largest_level_v"] == pytest.approx(2**0.5)
         assert len(ready["actuator_mm"]) == 3
         assert set(ready["instruments"]) == {"mirror", "recorder", "player"}
@@ -139,11 +129,9 @@ def test_given_an_order_that_cannot_be_then_one_sentence_says_what_is_allowed(ri
         order_of(order, load_rig(rig))
 
 
-@pytest.mark.may_skip("a shell that closes standard streams")
-@pytest.mark.skipif(os.name != "posix", reason="a shell that closes standard streams")
+@of_posix
 def test_given_a_closed_standard_input_then_it_ends_muted_and_parked(rig):
-    command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "wavefocus", "operate", str(rig)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = python("-m", "wavefocus", "operate", rig, shell=("sh", "-c", 'exec "$@" <&-', "sh"))
     assert json.loads(done.stdout.splitlines()[-1]) == {"event": "ended", "muted": True, "parked": True}
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -157,9 +145,7 @@ def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_repor
         "try: lines.next(30)\n"
         "except ReadingFailedError as failure: print(type(failure.__cause__).__name__)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], input='{"order": "park"}\n', capture_output=True, text=True, check=True
-    )
+    done = python("-c", code, input='{"order": "park"}\n')
     assert done.stdout.split() == ["muted", "KeyError"]
 
 
@@ -175,16 +161,34 @@ def test_given_a_signal_then_it_ends_in_130(rig, name, capfd):
     assert capfd.readouterr().err == "stopped by the user; the outputs are muted, the mirror is parked\n"
 
 
-def test_given_nobody_who_reads_then_it_ends_with_its_orders(rig):
-    command = [sys.executable, "-m", "wavefocus", "operate", str(rig)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
+@of_posix
+@pytest.mark.parametrize(
+    ("words", "order"),
+    [
+        (("operate", "rig.toml"), '{"order": "jog", "x_mm": 10, "y_mm": 5}\n'),
+        (
+            ("live", "plate.h5", "--rig", "rig.toml", "--json", "--record", "felt"),
+            '{"order": "move", "name": "pen", "at_mm": [4, 0], "amplitude": 1e-3}\n',
+        ),
+    ],
+    ids=["operate", "live"],
+)
+def test_given_a_listener_that_goes_away_then_orders_count_until_the_input_ends(bank, words, order):
+    command = [sys.executable, "-m", "wavefocus", *words]
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen(command, cwd=bank.parent, text=True, **pipes) as process:
+        while '"ready"' not in process.stdout.readline():
+            pass
         process.stdout.close()
         process.stdout = None
-        orders = b'{"order": "level", "every_s": 0.1}\n{"order": "jog", "x_mm": 10, "y_mm": 5}\n'
-        _, said = process.communicate(orders, timeout=60)
-    assert (process.returncode, b"Traceback" in said) == (0, False)
+        for _ in range(50):
+            process.stdin.write(order)
+            process.stdin.flush()
+            time.sleep(0.02)
+        _, said = process.communicate(timeout=60)
+    assert (process.returncode, "Traceback" in said) == (0, False)
+    if "live" in words:
+        assert len(load_scene(bank.parent / "felt" / "scene.toml").sources) == 1
 
 
 def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(rig, capsys):

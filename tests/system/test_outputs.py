@@ -1,19 +1,19 @@
 """Outputs of every command: what they never replace, and what is there when disks fail or processes are killed."""
 
 import contextlib
+import itertools
 import json
 import os
 import shutil
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import write_foreign
+from tests.lab_files import point_scene, write_foreign
+from tests.system.lines import python
 from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement
@@ -21,23 +21,24 @@ from wavefocus.storage.output_files import replacement
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, devices and limits of POSIX")
 
 RATE_HZ = 2000.0
-SCENE = """
-[scene]
-name = "point"
-
-[[source]]
-path = { kind = "point", at_mm = [4, 8] }
-signal = { kind = "file", path = "sound.wav" }
-"""
 OLD = b"precious results of an earlier day"
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A folder with a bank, a scene with its sound, a drive and a field of them."""
+    import soundfile
+
     folder = tmp_path_factory.mktemp("made")
     with contextlib.chdir(folder):
-        make()
+        for name in ("bank.h5", "other.h5"):
+            write_foreign(Path(name))
+        with h5py.File("other.raw.h5", "w") as file:
+            file.attrs["format"], file.attrs["format_version"] = "wavefocus-raw", 1
+        soundfile.write("sound.wav", np.random.default_rng(4).uniform(-1, 1, 200), int(RATE_HZ))
+        Path("scene.toml").write_text(point_scene([4, 8], 'kind = "file", path = "sound.wav"'), encoding="utf-8")
+        assert run(["render", "scene.toml", "--bank", "bank.h5", "--out", "drive.h5"]) == 0
+        assert run(["predict", "drive.h5", "--bank", "bank.h5", "--out", "field.h5"]) == 0
     return folder
 
 
@@ -46,20 +47,6 @@ def lab(made, tmp_path, monkeypatch):
     """The same, as the working folder of a test."""
     monkeypatch.chdir(tmp_path)
     return Path(shutil.copytree(made, tmp_path, dirs_exist_ok=True))
-
-
-def make():
-    import soundfile
-
-    random = np.random.default_rng(4)
-    for name in ("bank.h5", "other.h5"):
-        write_foreign(Path(name))
-    with h5py.File("other.raw.h5", "w") as file:
-        file.attrs["format"], file.attrs["format_version"] = "wavefocus-raw", 1
-    soundfile.write("sound.wav", random.uniform(-1, 1, 200), int(RATE_HZ))
-    Path("scene.toml").write_text(SCENE, encoding="utf-8")
-    assert run(["render", "scene.toml", "--bank", "bank.h5", "--out", "drive.h5"]) == 0
-    assert run(["predict", "drive.h5", "--bank", "bank.h5", "--out", "field.h5"]) == 0
 
 
 RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out"]
@@ -222,8 +209,7 @@ def in_forks(script, names, *options):
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COV")}
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     commands = json.dumps({name: COMMANDS[name] for name in names})
-    arguments = [sys.executable, "-c", f"{FORKS}\nold = {OLD!r}\n{script}", commands, *options]
-    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
+    done = python("-c", f"{FORKS}\nold = {OLD!r}\n{script}", commands, *options, env=environment, timeout=600)
     assert done.returncode == 0, done.stderr
 
 
@@ -246,30 +232,23 @@ def test_given_kills_then_the_older_output_or_the_new_one_is_there(lab, names, s
     in_forks(KILLED, names, step)
 
 
-def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(tmp_path, monkeypatch):
+@pytest.mark.parametrize("number", [1, 2])
+def test_given_a_folder_that_cannot_be_synced_then_the_older_file_is_back(tmp_path, monkeypatch, number):
     """The disk is asked by ``fsync`` of the folder, before and after the name is given."""
-    real, calls = os.fsync, 0
+    real, calls = os.fsync, itertools.count(1)
 
-    def fails_at(number):
-        def fsync(fd):
-            nonlocal calls
-            calls += 1
-            if calls == number:
-                raise OSError(5, "Input/output error")
-            real(fd)
+    def fsync(fd):
+        if next(calls) == number:
+            raise OSError(5, "Input/output error")
+        real(fd)
 
-        return fsync
-
-    def write(number):
-        nonlocal calls
+    def write():
         with monkeypatch.context() as broken, replacement(tmp_path / "file") as temporary:
             temporary.write_bytes(b"new")
-            calls = 0
-            broken.setattr(os, "fsync", fails_at(number))
+            broken.setattr(os, "fsync", fsync)
 
-    for number in (1, 2):
-        (tmp_path / "file").write_bytes(OLD)
-        with pytest.raises(InputError):
-            write(number)
-        assert (tmp_path / "file").read_bytes() == OLD
-        assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+    (tmp_path / "file").write_bytes(OLD)
+    with pytest.raises(InputError):
+        write()
+    assert (tmp_path / "file").read_bytes() == OLD
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]

@@ -1,10 +1,7 @@
 """The process of a command: what it loads and needs, closed streams, Ctrl-C at any moment, errors in one line."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 import tempfile
 import tomllib
 from pathlib import Path
@@ -13,39 +10,27 @@ import numpy as np
 import pytest
 
 from tests.lab_files import POSITIONS, write_positions
+from tests.system.captures import held
+from tests.system.lines import of_posix, python
 from wavefocus import cli
 from wavefocus.__main__ import run
 from wavefocus.command_line import Command, file
 from wavefocus.commands.table import COMMANDS
 from wavefocus.console import EXTRAS, Exit, exit_code, sentence
 from wavefocus.drivers.errors import MissingPackageError
-from wavefocus.storage.bank.reading import open_bank
 
 ROOT = Path(__file__).parents[2]
 ESCAPES = ("\x1b", "\x07", "\u202e", "\u2066")
 
 
-def of_posix(test):
-    """Mark a test that needs a POSIX shell, and signals to a process of its own."""
-    reason = "a POSIX shell, and signals to a process of its own"
-    return pytest.mark.may_skip(reason)(pytest.mark.skipif(os.name != "posix", reason=reason)(test))
-
-
-def python(*words, folder, shell=()):
-    """What Python does in a process of its own."""
-    return subprocess.run(
-        [*shell, sys.executable, *words], cwd=folder, capture_output=True, text=True, timeout=100, check=False
-    )
-
-
 def in_shell(script, *words, folder):
-    """The same in a shell, where the script says "$@"."""
-    return python(*words, folder=folder, shell=("sh", "-c", script, "sh"))
+    """What Python does in a shell, where the script says "$@"."""
+    return python(*words, cwd=folder, shell=("sh", "-c", script, "sh"))
 
 
 def after(code, *arguments, folder):
     """A command in a process of its own, after some lines of Python."""
-    return python("-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *arguments, folder=folder)
+    return python("-c", f"{code}\nfrom wavefocus.__main__ import main\nmain()", *arguments, cwd=folder)
 
 
 def test_the_help_has_three_groups_of_at_most_29_commands_with_120_options(capsys):
@@ -104,7 +89,7 @@ for words in json.loads(sys.argv[1]):
 
 @pytest.mark.parametrize("commands", NEEDS, ids=["of banks", "init"])
 def test_a_command_loads_nothing_that_only_others_need(bank, commands):
-    done = python("-c", LOADED, json.dumps([words for words, *_ in commands]), folder=bank.parent)
+    done = python("-c", LOADED, json.dumps([words for words, *_ in commands]), cwd=bank.parent)
     assert done.returncode == 0, done.stderr
     lines = (bank.parent / "loaded").read_text("utf-8").splitlines()
     for (words, code, loaded, not_loaded), line in zip(commands, lines, strict=True):
@@ -123,18 +108,13 @@ def test_the_window_and_grpc_are_extras_and_tests_and_emulator_have_what_they_ne
     assert "wavefocus[remote]" in extras["emulate"]
 
 
-@pytest.mark.parametrize(
-    ("package", "words", "extra"), [("pyqtgraph", ("gui",), "window"), ("grpc", ("emulate", "rig.toml"), "emulate")]
-)
-def test_an_extra_that_is_not_installed_then_exit_2_and_one_line_with_the_command(
-    package, words, extra, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
+# The window without its packages: tests/gui/test_run.py.
+def test_an_extra_that_is_not_installed_then_exit_2_and_one_line_with_the_command(tmp_path):
     assert run(["init", "--rig", "emulated", str(tmp_path)]) == 0
     # The import of the package fails as if it were not installed.
-    done = after(f"import sys\nsys.modules[{package!r}] = None", *words, folder=tmp_path)
+    done = after("import sys\nsys.modules['grpc'] = None", "emulate", "rig.toml", folder=tmp_path)
     assert done.returncode == 2, done.stderr
-    assert f"wavefocus[{extra}]" in done.stderr
+    assert "wavefocus[emulate]" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
@@ -163,8 +143,7 @@ def test_streams_that_are_closed_or_go_away_then_a_campaign_is_measured(lab, scr
     assert done.returncode == 0
     assert not re.search("Traceback|failed", done.stderr)
     assert len(done.stdout.splitlines()) == ("head" in script)
-    with open_bank(lab / "plate.h5") as bank:
-        assert bank.status.all()
+    assert held(lab / "plate.h5") == [1, 1]
 
 
 INTERRUPTED_AT = """

@@ -3,10 +3,9 @@
 import pytest
 
 from tests.lab_files import ABSENT_RIG
-from tests.system.captures import answered, empty_bank
-from wavefocus.__main__ import run
+from tests.system.captures import answered, empty_bank, refused
 from wavefocus.campaign.control import command_line
-from wavefocus.config.rig import RigConfig
+from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
@@ -33,37 +32,30 @@ def test_given_real_instruments_then_the_dry_run_asks_none_of_them(real_lab, cap
 def test_instruments_that_are_not_there_then_capture_names_the_first_and_ends_with_3(real_lab, capsys):
     bank = real_lab / "plate.h5"
     command = ["capture", str(real_lab / "run.toml"), "--bank", str(bank)]
-    assert run(command) == 3
-    told = capsys.readouterr().err.splitlines()[-1]
+    told = refused(capsys, *command, code=3)
     assert told.startswith("wavefocus: recorder Dev1 at localhost:1: ")  # it is asked before a bank is made
     assert told.endswith(f"go on with: {command_line('wavefocus', *command)}")
     assert not bank.exists()
     empty_bank(real_lab, "plate.h5")
-    assert run(command) == 3
-    told = capsys.readouterr().err.splitlines()[-1]
+    told = refused(capsys, *command, code=3)
     assert told.startswith("wavefocus: mirror (generic at ")
     assert "no-such-port" in told
 
 
-def with_vibrometer(port, **more):
-    return RigConfig.model_validate(
-        {
-            "mirror": {"driver": "generic", "port": "COM3"},
-            "recorder": {"driver": "nidaqmx", "device": "Dev1"},
-            "player": {"driver": "sounddevice", "device": "interface"},
-            "vibrometer": {"driver": "polytec-ofv5000", "port": port, **more},
-        }
-    )
+def test_a_vibrometer_states_its_sensitivity_and_another_in_the_file_is_refused(real_lab):
+    rig, absent = real_lab / "rig.toml", (real_lab / "rig.toml").read_text(encoding="utf-8")
 
+    def opened(port, sensitivity=""):
+        table = f'[vibrometer]\ndriver = "polytec-ofv5000"\nport = "{port}"\n{sensitivity}'
+        rig.write_text(absent + table, encoding="utf-8")
+        return openers_of(load_rig(rig)).vibrometer()
 
-def test_a_vibrometer_states_its_sensitivity_and_another_in_the_file_is_refused():
     with EmulatedSerial(PolytecDevice("25mm/s/V"), TcpWire()) as emulated:
-        for configured in ({}, {"sensitivity_m_s_per_v": 0.025}):
-            found = openers_of(with_vibrometer(emulated.address, **configured)).vibrometer()
+        for stated in ("", "sensitivity_m_s_per_v = 0.025"):
+            found = opened(emulated.address, stated)
             assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
             assert "OFV-5000 Vibrometer Controller, VD-09" in found.identity
             assert found.signal_level == pytest.approx(600 / 775)
-        openers = openers_of(with_vibrometer(emulated.address, sensitivity_m_s_per_v=0.125))
         with pytest.raises(InstrumentError, match=r"it is set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
-            openers.vibrometer()
+            opened(emulated.address, "sensitivity_m_s_per_v = 0.125")
         assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy

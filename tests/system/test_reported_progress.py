@@ -4,13 +4,13 @@ import contextlib
 import io
 import json
 import os
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.system.captures import Listener, answered, capture, events_of, held, of_kind, wavefocus
+from tests.system.captures import Listener, answered, capture, captured, held, wavefocus
+from tests.system.lines import wait_until
 from wavefocus.campaign.control import give_order, orders_path
 
 # Three records of two periods of 0.4 s with 0.12 s around them, and 0.05 s a position beside, the sentinel being the
@@ -45,16 +45,14 @@ def test_given_nothing_to_measure_then_a_program_is_told_the_end_of_the_session(
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_so(lab, capsys):
     (lab / "plate.events.jsonl").symlink_to("/dev/full")
-    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
-    told = capsys.readouterr().err
+    told = captured(capsys, lab).err
     assert told.count("plate.events.jsonl cannot be written any more") == 1
     assert "finished: 6 of 6 positions (6 valid)" in told
 
 
 def test_a_run_then_every_position_is_valid_and_events_tell_it_and_what_is_left(lab, capsys):
-    bank = lab / "plate.h5"
-    assert capture(lab, bank) == 0
-    events = events_of(capsys.readouterr().out)
+    bank, told = lab / "plate.h5", captured(capsys, lab)
+    events = told.of()
     assert events[0]["event"] == "session_started"
     assert events[-1]["event"] == "session_ended"
     assert events[-1]["counts"] == {
@@ -62,16 +60,16 @@ def test_a_run_then_every_position_is_valid_and_events_tell_it_and_what_is_left(
     }  # fmt: skip
     end_s = max(event["time_s"] for event in events)  # the sentinel, measured once more, included
     assert end_s == pytest.approx(PLANNED_S, rel=0.02)
-    progress = of_kind(events, "progress")
+    progress = told.of("progress")
     assert [event["done"] for event in progress] == [1, 2, 3, 4, 5, 6]
     for event in progress:
         assert event["remaining_s"] == pytest.approx(end_s - event["time_s"], abs=0.2 * end_s / 7)
     # The sentinel is measured last, with the loopback alone.
     assert progress[-1]["remaining_s"] == pytest.approx((PLANNED_S - 2 * 0.64) / 7 + 0.64, rel=0.05)
-    taken = of_kind(events, "record_taken")
+    taken = told.of("record_taken")
     assert [(event["record"], event["records"]) for event in taken] == [(1, 3), (2, 3), (3, 3)] * 6
     assert [event["position"] for event in taken] == [row for row in range(6) for _ in range(3)]
-    committed = of_kind(events, "position_committed")
+    committed = told.of("position_committed")
     assert [event["position"] for event in committed] == list(range(6))
     assert held(bank) == held(bank, "quality/attempts") == [1] * 6
     assert np.all(np.abs(held(bank, "green")).max(axis=2) > 0)
@@ -93,9 +91,7 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(lab, ca
     def during():
         status("--json")
         give_order(bank, "pause")
-        until_s = time.monotonic() + 60
-        while orders_path(bank).exists() and time.monotonic() < until_s:
-            time.sleep(0.01)
+        wait_until(lambda: not orders_path(bank).exists(), "the order is taken")
 
     def ask():
         status("--json")

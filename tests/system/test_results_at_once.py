@@ -2,9 +2,6 @@
 
 import hashlib
 import json
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -14,8 +11,9 @@ import pytest
 import wavefocus as wf
 from tests.lab_files import POSITIONS as POSITIONS_MM
 from tests.lab_files import change_text, write_positions
+from tests.system.captures import answered, held, refused, wavefocus
+from tests.system.lines import python
 from tests.system.test_trials import TRIALS
-from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
 
 POSITIONS, ACTUATORS, TAPS = 5, 2, 16
@@ -38,12 +36,7 @@ RUNS = "from wavefocus.__main__ import run\nsys.exit(run(sys.argv[1:]))"
 
 def killed_at(renaming, code, *arguments):
     """Run code in a process that is killed before its n-th renaming; whether it came that far."""
-    done = subprocess.run(
-        [sys.executable, "-c", KILLED + code, str(renaming), *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+    done = python("-c", KILLED + code, renaming, *arguments)
     assert done.returncode in (0, 9), done.stderr
     return done.returncode == 9
 
@@ -71,7 +64,7 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
     folder = tmp_path / "sounds"
     outcomes = set()
     for renaming in range(1, 20):
-        assert run(["export", str(first), str(folder), "--to", "wav", "--force"]) == 0
+        assert wavefocus("export", first, folder, "--to", "wav", "--force") == 0
         killed = killed_at(renaming, RUNS, "export", second, folder, "--to", "wav", "--force")
         found = values(folder, tmp_path / f"i{renaming}.h5")
         which = -1 if found is None else next(n for n, one in enumerate(whole) if np.array_equal(found, one))
@@ -87,42 +80,37 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
 @pytest.mark.parametrize("renaming", [pytest.param(1, marks=pytest.mark.nightly), 2], ids=["recordings", "bank"])
 def test_a_capture_and_an_extension_with_recordings_that_are_killed_then_go_on(lab, renaming):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
-    for name, positions, words in (("old", 2, ["capture"]), ("new", 3, ["extend", str(lab / "old.h5"), "--run"])):
+    for name, positions, words in (("old", 2, ["capture"]), ("new", 3, ["extend", lab / "old.h5", "--run"])):
         write_positions(lab, POSITIONS_MM[:positions])
-        command = [*words, str(lab / "run.toml"), "--bank", str(lab / f"{name}.h5")]
+        command = [*words, lab / "run.toml", "--bank", lab / f"{name}.h5"]
         assert killed_at(renaming, RUNS, *command)  # recordings and bank are each made whole
-        assert run(command) == 0
-        assert run(["check", str(lab / f"{name}.raw.h5")]) == 0
-        with wf.open_bank(lab / f"{name}.h5") as bank:
-            assert bank.status.tolist() == [1] * positions
+        assert wavefocus(*command) == 0
+        assert wavefocus("check", lab / f"{name}.raw.h5") == 0
+        assert held(lab / f"{name}.h5") == [1] * positions
 
 
 def test_trials_that_are_killed_while_stimuli_are_prepared_go_on(lab, bank):
     (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
-    common = ["trials", str(lab / "trials.toml"), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--prepare"]
-    whole = prepared_by([*common, "--out", str(lab / "whole")])
-    command = [*common, "--out", str(lab / "out")]
-    assert killed_at(3, RUNS, *command)  # the list, two drives, the list again
-    assert prepared_by(command) == whole
-
-
-def prepared_by(command):
-    """Hashes of the stimuli that a command prepares, as their list has them."""
-    assert run(command) == 0
-    manifest = json.loads((Path(command[-1]) / "stimuli" / "manifest.json").read_text(encoding="utf-8"))
-    return {name: entry["sha256"] for name, entry in manifest["stimuli"].items()}
+    command = ["trials", lab / "trials.toml", "--bank", bank, "--rig", lab / "rig.toml", "--prepare", "--out"]
+    assert killed_at(3, RUNS, *command, lab / "killed")  # the list, two drives, the list again
+    hashes = []
+    for out in (lab / "killed", lab / "whole"):
+        assert wavefocus(*command, out) == 0
+        manifest = json.loads((out / "stimuli" / "manifest.json").read_text(encoding="utf-8"))
+        hashes.append({name: entry["sha256"] for name, entry in manifest["stimuli"].items()})
+    assert hashes[0] == hashes[1]
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
 def test_a_corrected_verification_that_is_killed_then_goes_on(lab, bank):
-    command = ["verify", str(lab / "scene.toml"), "--bank", str(bank), "--rig", str(lab / "rig.toml")]
+    command = ["verify", lab / "scene.toml", "--bank", bank, "--rig", lab / "rig.toml"]
     for renaming in range(1, 60):
         out = lab / str(renaming)
-        this = [*command, "--out", str(out), "--positions", "0,1,2", "--correct", "1"]
+        this = [*command, "--out", out, "--positions", "0,1,2", "--correct", "1"]
         if not killed_at(renaming, RUNS, *this):
             break
-        assert run(this) == 0
+        assert wavefocus(*this) == 0
         record = json.loads((out / "verify.json").read_text(encoding="utf-8"))
         assert record["correction"] is not None
         left = {file.name for file in out.iterdir()}
@@ -151,7 +139,7 @@ def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_pa
         old = dict.fromkeys(("a", "b", "record", "stale"), "old")
         for name, content in old.items():
             (out / name).write_text(content)
-        done = subprocess.run([sys.executable, "-c", code, str(renaming), str(out)], check=False)
+        done = python("-c", code, renaming, out)
         found = {file.name: file.read_text() for file in out.iterdir()}
         if done.returncode == 0:
             assert found == {"a": "new", "b": "new", "record": "new"}
@@ -161,33 +149,32 @@ def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_pa
 
 
 def test_a_smaller_export_then_leaves_no_files_of_the_older_one(tmp_path):
-    bank, folder = str(bank_of(tmp_path / "1.h5", 1.0)), tmp_path / "sounds"
-    assert run(["export", bank, str(folder), "--to", "wav"]) == 0
-    assert run(["export", bank, str(folder), "--to", "wav", "--positions", "1,3"]) == 2
-    assert run(["export", bank, str(folder), "--to", "wav", "--positions", "1,3", "--force"]) == 0
+    folder = tmp_path / "sounds"
+    command = ["export", bank_of(tmp_path / "1.h5", 1.0), folder, "--to", "wav"]
+    assert wavefocus(*command) == 0
+    assert wavefocus(*command, "--positions", "1,3") == 2
+    assert wavefocus(*command, "--positions", "1,3", "--force") == 0
     files = sorted(file.name for file in folder.iterdir())
     assert files == ["bank.json", "places.csv", "position-1.wav", "position-3.wav"]
     (folder / "notes.txt").write_text("mine")
-    assert run(["export", bank, str(folder), "--to", "wav", "--force"]) == 2
+    assert wavefocus(*command, "--force") == 2
     assert (folder / "notes.txt").read_text() == "mine"
 
 
 def test_an_export_then_states_checksums_and_a_file_of_another_export_is_refused(tmp_path, capsys):
     folders = [tmp_path / "1", tmp_path / "2"]
     for factor, folder in zip((1.0, 1.13), folders, strict=True):
-        assert run(["export", str(bank_of(tmp_path / f"{factor}.h5", factor)), str(folder), "--to", "wav"]) == 0
+        assert wavefocus("export", bank_of(tmp_path / f"{factor}.h5", factor), folder, "--to", "wav") == 0
     table: dict[str, Any] = json.loads((folders[0] / "bank.json").read_text(encoding="utf-8"))
     assert all(len(one["sha256"]) == 64 for one in table["files"])
     name = table["files"][2]["file"]
     (folders[0] / name).write_bytes((folders[1] / name).read_bytes())
-    capsys.readouterr()
-    assert run(["import", str(folders[0]), "--bank", str(tmp_path / "i.h5")]) == 2
-    assert name in capsys.readouterr().err
+    command = ["import", folders[0], "--bank", tmp_path / "i.h5"]
+    assert name in refused(capsys, *command)
     for one in table["files"]:
         del one["sha256"]  # as older versions wrote it
     (folders[0] / "bank.json").write_text(json.dumps(table), encoding="utf-8")
-    assert run(["import", str(folders[0]), "--bank", str(tmp_path / "i.h5")]) == 0
-    assert "without a checksum" in capsys.readouterr().out
+    assert "without a checksum" in answered(capsys, *command)["paragraph"]
 
 
 # What a kill would leave of the results, at every renaming, removal and opening of a file: a hook cannot be taken away.
@@ -222,14 +209,13 @@ def test_a_verification_over_an_older_one_never_mixes_with_its_files(lab):
     out, scene, bank = lab / "verify", lab / "scene.toml", lab / "plate.h5"
     write_positions(lab, [*POSITIONS_MM, [0.0, 40.0], [4.0, 40.0]])  # a bank of the scene's positions alone will do
     change_text(scene, "limit_v = 1.0", 'limit_v = 1.0\ninterpolation = "nearest"')
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--scene", str(scene)]) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--scene", scene) == 0
     out.mkdir()
     for name in VERIFIED:
         (out / name).write_text(f"older {name}", encoding="utf-8")
     older = digests(out)
     command = ["verify", scene, "--bank", bank, "--rig", lab / "rig.toml", "--out", out, "--force"]
-    watched = [sys.executable, "-c", WATCHED, str(out), str(lab / "seen.json"), *map(str, command)]
-    assert subprocess.run(watched, check=False, capture_output=True).returncode == 0
+    assert python("-c", WATCHED, out, lab / "seen.json", *command).returncode == 0
     newer = digests(out)
     assert all(older[name] != newer[name] for name in VERIFIED)
     moments = json.loads((lab / "seen.json").read_text(encoding="utf-8"))

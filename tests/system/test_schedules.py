@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import POSITIONS, change_text, write_positions
-from tests.system.captures import answered, capture_process, events_of, held, of_kind, wavefocus
+from tests.lab_files import change_text
+from tests.system.captures import answered, captured, held, refused, resumed_after_a_kill, wavefocus
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.calibration.check import check_bank
@@ -34,7 +34,7 @@ def _as(schedule):
 
 
 @pytest.fixture(scope="module")
-def captured(tmp_path_factory):
+def labs(tmp_path_factory):
     """A lab of each schedule with a bank and its recordings; to be copied."""
     labs = {}
     for schedule in SCHEDULES:
@@ -52,26 +52,18 @@ def _errors_db(bank):
         return compare_with_truth(view, rig), bank_noise_error_db(view)
 
 
-def test_a_staggered_bank_is_as_near_the_truth_as_a_sequential_one(captured):
-    sequential_db, staggered_db = (np.nanmedian(_errors_db(captured[one] / "plate.h5")[0]) for one in SCHEDULES)
-    assert held(captured["staggered"] / "plate.h5") == [1] * 6
+def test_a_staggered_bank_is_as_near_the_truth_as_a_sequential_one(labs):
+    sequential_db, staggered_db = (np.nanmedian(_errors_db(labs[one] / "plate.h5")[0]) for one in SCHEDULES)
+    assert held(labs["staggered"] / "plate.h5") == [1] * 6
     # A period of 0.375 s takes the place of two sweeps of 0.3 s each.
     assert staggered_db < sequential_db + 10 * np.log10(0.6 / 0.375) + 1.5
 
 
-def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab):
-    # Many periods, so that the kill meets the campaign on a machine that is busy too.
-    _with_capture(lab, _as("staggered"), "periods = 6", KEEP)
-    write_positions(lab, POSITIONS[:3])
-    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "reference.h5") == 0
-    bank = lab / "plate.h5"
-    with capture_process(lab, bank) as child:
-        child.hear("position_committed")
-        child.process.kill()
-    assert 0 in held(bank)
-    assert wavefocus("resume", bank) == 0
-    assert bank.read_bytes() == (lab / "reference.h5").read_bytes()
-    assert bank.with_suffix(".raw.h5").read_bytes() == (lab / "reference.raw.h5").read_bytes()
+def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab, labs):
+    _with_capture(lab, _as("staggered"), KEEP)
+    assert 0 in resumed_after_a_kill(lab, lab / "plate.h5", "position_committed")
+    for name in ("plate.h5", "plate.raw.h5"):
+        assert (lab / name).read_bytes() == (labs["staggered"] / name).read_bytes()
 
 
 def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(lab, capsys):
@@ -83,18 +75,16 @@ def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(lab, cap
         f'{trial}\nattempt = 2\nrecord = 1\nkind = "missing_reference"',
         f'{trial}\nattempt = 3\nrecord = 0\nkind = "unplugged"',
     )
-    assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
-    output = capsys.readouterr()
-    compared = events_of(output.out)[0]
+    told = captured(capsys, lab)
+    compared = told.of()[0]
     assert compared["event"] == "schedule_settled"
-    assert str(compared["reason"]) in output.err
+    assert str(compared["reason"]) in told.err
     staggered, sequential = compared["candidates"]
     assert staggered["name"] == compared["chosen"]
     assert -70.0 < sequential["error_db"] < staggered["error_db"] < -25.0
     assert staggered["campaign_s"] < sequential["campaign_s"]
     # The bank is there: nothing is compared again.
-    assert wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
-    assert "schedule_settled" not in capsys.readouterr().out
+    assert not captured(capsys, lab).of("schedule_settled")
     assert wavefocus("resume", bank) == 0
 
 
@@ -118,13 +108,13 @@ def _estimated(lab, out):
     return held(out, "green"), held(out)
 
 
-def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(captured, tmp_path):
-    bank = captured["staggered"] / "plate.h5"
-    assert _estimated(captured["staggered"], tmp_path / "again.h5") == (held(bank, "green"), held(bank))
+def test_given_kept_recordings_then_estimate_makes_the_same_bank_to_the_bit(labs, tmp_path):
+    bank = labs["staggered"] / "plate.h5"
+    assert _estimated(labs["staggered"], tmp_path / "again.h5") == (held(bank, "green"), held(bank))
 
 
-def test_recordings_damaged_incomplete_or_missing_are_told_and_measuring_again_cures(lab, captured, capsys):
-    shutil.copytree(captured["sequential"], lab, dirs_exist_ok=True)
+def test_recordings_damaged_incomplete_or_missing_are_told_and_measuring_again_cures(lab, labs, capsys):
+    shutil.copytree(labs["sequential"], lab, dirs_exist_ok=True)
     raw, bank = lab / "plate.raw.h5", lab / "plate.h5"
     with h5py.File(raw, "r+") as file:
         file["durability/ledger"][2] = 0
@@ -136,8 +126,7 @@ def test_recordings_damaged_incomplete_or_missing_are_told_and_measuring_again_c
     assert wavefocus("remeasure", bank, "--positions", "4") == 0
     assert _estimated(lab, lab / "cured.h5") == (held(bank, "green"), [1] * 6)
     raw.unlink()
-    assert wavefocus("resume", bank) == 2
-    assert "plate.raw.h5 is missing" in capsys.readouterr().err
+    assert "plate.raw.h5 is missing" in refused(capsys, "resume", bank)
 
 
 @pytest.mark.parametrize(
@@ -179,25 +168,23 @@ FAINT = 'role = "recorder"\noperation = "read"\nkind = "faint_reference"\n'
 
 
 def _with_faint_reference(lab, schedule, capsys, *faults, code=0):
-    """Bank and events of a capture in which the reference of some records is at another level."""
+    """Bank of a capture in which the reference of some records is at another level, and what was told."""
     _with_capture(lab, _as(schedule))
     with_faults(lab, *(FAINT + fault for fault in faults))
-    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == code
-    told = capsys.readouterr()
-    return lab / "plate.h5", events_of(told.out), told.err
+    return lab / "plate.h5", captured(capsys, lab, code=code)
 
 
 @pytest.mark.parametrize(
     ("schedule", "level_db"),
     [("sequential", -0.3), pytest.param("staggered", 6.0, marks=pytest.mark.nightly)],
 )
-def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(lab, captured, capsys, schedule, level_db):
+def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(lab, labs, capsys, schedule, level_db):
     records = [0] * 6 if schedule == "staggered" else [0, 1, 2] * 2
     faults = [f"position = {row}\nrecord = {record}\nlevel_db = {level_db}" for row, record in enumerate(records)]
-    bank, events, _ = _with_faint_reference(lab, schedule, capsys, *faults)
-    assert {tuple(one["defects"]) for one in of_kind(events, "position_repeated")} == {("reference level",)}
+    bank, told = _with_faint_reference(lab, schedule, capsys, *faults)
+    assert {tuple(one["defects"]) for one in told.of("position_repeated")} == {("reference level",)}
     assert held(bank) == [1] * 6
-    green, right = (np.array(held(one, "green")) for one in (bank, captured[schedule] / "plate.h5"))
+    green, right = (np.array(held(one, "green")) for one in (bank, labs[schedule] / "plate.h5"))
     assert np.linalg.norm(green - right) < 2e-2 * np.linalg.norm(right)  # the noise of both
 
 
@@ -206,9 +193,9 @@ def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(lab, ca
 )
 def test_a_reference_that_changes_within_its_calibration_is_refused(lab, capsys, schedule, first):
     fault = f"at_call = {first}\ncount = 999\nlevel_db = -0.2"
-    bank, events, _ = _with_faint_reference(lab, schedule, capsys, fault)
+    bank, told = _with_faint_reference(lab, schedule, capsys, fault)
     assert held(bank) == [1, 1, 4, 4, 4, 4]
-    defects = {tuple(one["defects"]) for one in of_kind(events, "position_committed")}
+    defects = {tuple(one["defects"]) for one in told.of("position_committed")}
     assert defects == {(), ("reference level",)}
     assert held(bank, "quality/reference_db") == pytest.approx([0.0, 0.0, -0.2, -0.2, -0.2, -0.2], abs=0.01)
 
@@ -218,9 +205,7 @@ def test_a_reference_that_changes_within_its_calibration_is_refused(lab, capsys,
 )
 def test_a_reference_off_in_every_record_stops_capture_early_and_says_why(lab, capsys, schedule, poor):
     fault = 'purpose = "capture"\ncount = 999\nlevel_db = -0.54'
-    bank, _, told = _with_faint_reference(lab, schedule, capsys, fault, code=3)
-    last = told.splitlines()[-1]
-    assert "every record" in last
-    assert "0.54 dB below its calibration" in last
-    assert "wavefocus doctor" in last
+    bank, told = _with_faint_reference(lab, schedule, capsys, fault, code=3)
+    for words in ("every record", "0.54 dB below its calibration", "wavefocus doctor"):
+        assert words in told.last
     assert held(bank) == [4] * poor + [0] * (6 - poor)

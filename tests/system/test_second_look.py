@@ -4,14 +4,13 @@ import contextlib
 from dataclasses import replace
 from shutil import copyfile
 
-import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import write_positions
-from tests.system.captures import Listener, answered, events_of
+from tests.system.captures import Listener, answered, events_of, held, resumed_after_a_kill, wavefocus
+from tests.system.conftest import with_faults
 from tests.system.lines import Lines
-from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_bank
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
@@ -74,15 +73,10 @@ def captured(folder, schedule, records, *, look, level_db=0.0, noise_v=0.0001):
         folder, RIG, grid="spacing_mm = 40.0\ncheck_positions = 0", sweep="amplitude_v = 3.0", schedule=schedule,
         quality='second_look = "twice"' if look else "", noise_v=noise_v,
     )  # fmt: skip
-    with run_file.open("a", encoding="utf-8") as text:
-        for position, record in records.items():
-            text.write(
-                f'[[virtual.fault_plan]]\nrole = "recorder"\noperation = "read"\nkind = "drift"\n'
-                f'level_db = {level_db}\nposition = {position}\nrecord = {record}\ncount = 1\npurpose = "capture"\n'
-            )
-    assert run(["capture", str(run_file), "--bank", str(folder / "plate.h5")]) == 0
-    with h5py.File(folder / "plate.h5", "r") as file:
-        return file["green"][...].astype(np.float64), file["status"][...]
+    fault = f'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {level_db}\npurpose = "capture"\n'
+    with_faults(folder, *(f"{fault}position = {position}\nrecord = {record}" for position, record in records.items()))
+    assert wavefocus("capture", run_file, "--bank", folder / "plate.h5") == 0
+    return np.array(held(folder / "plate.h5", "green")), np.array(held(folder / "plate.h5"))
 
 
 def gains(rows, clean):
@@ -110,20 +104,12 @@ def test_given_a_coarse_grid_then_a_second_look_replaces_rows_of_another_level(t
 
 # With fewer positions than neighbours all 14 are marked, as planned, before the pass begins.
 def test_a_kill_while_positions_are_marked_ends_as_an_undisturbed_bank(tmp_path, capsys):
-    captured(tmp_path / "quiet", "staggered", {}, look=True)
-    with h5py.File(tmp_path / "quiet" / "plate.h5", "r") as file:
-        assert (file["quality/attempts"][...] == 4).all()
-        positions = len(file["status"])
-    assert planned_looks(tmp_path / "quiet" / "run.toml", capsys) == (positions, positions)
-    bank = tmp_path / "killed.h5"
-    with Lines("capture", tmp_path / "quiet" / "run.toml", "--bank", bank, "--json") as killed:
-        for _ in range(19):
-            killed.hear("position_started")
-        killed.process.kill()
-    with h5py.File(bank, "r", locking=False) as file:
-        assert (file["status"][...] != 0).all()
-    assert run(["resume", str(bank)]) == 0
-    assert bank.read_bytes() == (tmp_path / "quiet" / "plate.h5").read_bytes()
+    lab = tmp_path / "quiet"
+    _, status = captured(lab, "staggered", {}, look=True)
+    assert held(lab / "plate.h5", "quality/attempts") == [4] * len(status)
+    assert planned_looks(lab / "run.toml", capsys) == (len(status), len(status))
+    assert 0 not in resumed_after_a_kill(lab, lab / "killed.h5", *["position_started"] * 19)
+    assert (lab / "killed.h5").read_bytes() == (lab / "plate.h5").read_bytes()
 
 
 LEVEL, SWAPPED, MOVED, CHECKED = 12, 20, 31, 42
@@ -135,7 +121,7 @@ def coarse(tmp_path_factory):
     grid = "spacing_mm = 14.0\nmargin_mm = 10.0\ncheck_positions = 4"
     run_file = lab_of(tmp_path_factory.mktemp("coarse") / "lab", SMALL_RIG, grid=grid)
     bank = run_file.with_name("plate.h5")
-    assert run(["capture", str(run_file), "--bank", str(bank)]) == 0
+    assert wavefocus("capture", run_file, "--bank", bank) == 0
     return bank
 
 
@@ -147,7 +133,7 @@ def spoiled(coarse, tmp_path_factory):
     lab = tmp_path_factory.mktemp("coarse") / "aside"
     run_file = lab_of(lab, SMALL_RIG, grid='positions_file = "positions.csv"', quality='second_look = "never"')
     write_positions(lab, [plan.position_mm[MOVED] + [2.4, -3.2]])
-    assert run(["capture", str(run_file), "--bank", str(lab / "plate.h5")]) == 0
+    assert wavefocus("capture", run_file, "--bank", lab / "plate.h5") == 0
     bank = lab / "spoiled.h5"
     copyfile(coarse, bank)
     with open_bank(lab / "plate.h5") as aside, BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
@@ -163,9 +149,7 @@ def spoiled(coarse, tmp_path_factory):
 
 
 def test_a_sound_coarse_grid_has_no_second_look_and_none_is_planned(coarse, capsys):
-    with h5py.File(coarse, "r") as file:
-        assert (file["status"][...] == 1).all()
-        assert (file["quality/attempts"][...] == 1).all()
+    assert set(held(coarse)) == set(held(coarse, "quality/attempts")) == {1}
     assert planned_looks(coarse.with_name("run.toml"), capsys)[0] == 0
 
 
@@ -177,7 +161,7 @@ def mended(spoiled):
     committed = '"event": "position_committed"'
     listener = Listener((committed, lambda: None), (committed, lambda: copyfile(bank, marked)))
     with contextlib.redirect_stdout(listener):
-        assert run(["resume", str(bank), "--json"]) == 0
+        assert wavefocus("resume", bank, "--json") == 0
     return bank, events_of(listener.told), marked
 
 
@@ -186,10 +170,9 @@ def test_wrong_rows_on_a_coarse_grid_are_named_and_measured_once_more(mended, co
     named = {line["position"]: line["defects"] for line in told if line.get("defects")}
     assert named == {position: ["neighbours"] for position in (LEVEL, SWAPPED, MOVED, CHECKED)}
     assert sorted(line["position"] for line in told if line["event"] == "position_started") == sorted(named)
-    with h5py.File(bank, "r") as file, h5py.File(coarse, "r") as right:
-        assert (file["status"][...] == 1).all()
-        apart = np.linalg.norm(file["green"][...] - right["green"][...], axis=(1, 2))
-        assert (apart < 0.01 * np.linalg.norm(right["green"][...], axis=(1, 2))).all()
+    assert set(held(bank)) == {1}
+    green, right = (np.array(held(one, "green")) for one in (bank, coarse))
+    assert (np.linalg.norm(green - right, axis=(1, 2)) < 0.01 * np.linalg.norm(right, axis=(1, 2))).all()
 
 
 def test_kills_while_a_coarse_grid_is_judged_end_as_an_undisturbed_bank(mended):
@@ -201,5 +184,5 @@ def test_kills_while_a_coarse_grid_is_judged_end_as_an_undisturbed_bank(mended):
             killed.hear("position_committed")
         killed.process.kill()
     assert bank.read_bytes() != undisturbed.read_bytes()
-    assert run(["resume", str(bank)]) == 0
+    assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == undisturbed.read_bytes()

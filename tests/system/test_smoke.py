@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.lab_files import change_text
+from tests.lab_files import POSITIONS, change_text, write_positions
+from tests.system.captures import wavefocus
 from wavefocus.__main__ import run
 from wavefocus.commands.table import COMMANDS
+from wavefocus.storage.bank.reading import open_bank
 
 pytestmark = pytest.mark.smoke
 
@@ -62,6 +64,9 @@ def test_given_no_campaign_is_running_then_an_order_is_refused(order, bank):
 
 def test_a_capture_that_keeps_recordings_then_estimate_makes_their_bank_again(lab):
     change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / BANK)]) == 0
-    assert run(["estimate", str(lab / "plate.raw.h5"), "--bank", str(lab / "again.h5")]) == 0
-    assert (lab / "again.h5").is_file()
+    change_text(lab / "run.toml", "[virtual]", '[virtual]\nplate = "solid"\nforce_deg = 30.0')
+    write_positions(lab, POSITIONS[:2])
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / BANK) == 0
+    assert wavefocus("estimate", lab / "plate.raw.h5", "--bank", lab / "again.h5") == 0
+    with open_bank(lab / "again.h5") as bank:
+        assert bank.directions_deg == (30.0, 0.0)

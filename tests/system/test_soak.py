@@ -12,11 +12,9 @@ from tests.system.crash import cuts, kills, other_faults
 from tests.system.crash.campaign import Campaign
 from tests.system.crash.power_cuts import Share
 from tests.system.crash.processes import How
+from tests.system.lines import of_linux
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and /proc are Linux's"),
-    pytest.mark.may_skip("what is loaded before the program sees the calls of Linux"),
-]
+pytestmark = of_linux("what is loaded before the program sees the calls of Linux")
 # Faults of one test of the soak, so that workers end at about the same time.
 AT_ONCE = 240
 # Of each kind: how many in each change, in the soak, and there with recordings kept.

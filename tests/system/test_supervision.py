@@ -5,7 +5,6 @@ import io
 import json
 import os
 import select
-import signal
 import subprocess
 import sys
 import time
@@ -13,17 +12,24 @@ import time
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import Listener, answered, capture, capture_process, empty_bank, events_of, held, states_of
+from tests.system.captures import (
+    Listener,
+    Told,
+    answered,
+    capture,
+    capture_process,
+    captured,
+    empty_bank,
+    events_of,
+    held,
+    refused,
+    wavefocus,
+)
 from tests.system.conftest import with_faults, write_lab
-from tests.system.lines import Lines
-from wavefocus.__main__ import run
+from tests.system.lines import Lines, of_posix, python, wait_until
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.config.messages.campaign import PositionCommitted, StateChanged
-
-WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
-POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
-
 
 WATCHED = """
 [recovery]
@@ -84,16 +90,15 @@ UNPLUGGED = (
 def test_instruments_unplugged_and_plugged_in_then_bank_is_that_of_quiet_night(watched, quiet, capsys):
     bank = watched / "plate.h5"
     with_faults(watched, *(f'{fault}\nkind = "unplugged"\ntries = 2' for fault in UNPLUGGED))
-    assert capture(watched, bank) == 0
-    told = capsys.readouterr().out
-    tries = events_of(told, "reconnect_tried")
+    told = captured(capsys, watched)
+    tries = told.of("reconnect_tried")
     assert [(one["number"], one["next_try_s"], one["connected"]) for one in tries] == [
         (1, 1.0, False), (2, 2.0, False), (3, None, True),
     ] * len(UNPLUGGED)  # fmt: skip
-    assert states_of(told) == ["running", *["recovering", "running"] * len(UNPLUGGED), "finished"]
-    assert [one["retried"] for one in events_of(told, "fault")] == [True] * len(UNPLUGGED)
+    assert told.states == ["running", *["recovering", "running"] * len(UNPLUGGED), "finished"]
+    assert [one["retried"] for one in told.of("fault")] == [True] * len(UNPLUGGED)
     assert bank.read_bytes() == quiet
-    assert run(["check", str(bank)]) == 0
+    assert wavefocus("check", bank) == 0
 
 
 def test_an_instrument_that_stays_away_then_exit_3_and_the_others_are_at_rest(lab, measured, capsys):
@@ -103,13 +108,10 @@ def test_an_instrument_that_stays_away_then_exit_3_and_the_others_are_at_rest(la
         'role = "player"\noperation = "play"\nkind = "lost"\nposition = 1\nrecord = 0',
         'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
     )
-    assert capture(lab, bank) == 3
-    told = capsys.readouterr()
-    last = told.err.splitlines()[-1]
-    assert "player" in last
-    assert "not back within 10 min 00 s" in last
-    assert "check its cable and its power" in last
-    assert last.endswith(f"go on with: wavefocus resume {bank} --rig {lab / 'rig.toml'}")
+    told = captured(capsys, lab, code=3)
+    for words in ("player", "not back within 10 min 00 s", "check its cable and its power"):
+        assert words in told.last
+    assert told.last.endswith(f"go on with: wavefocus resume {bank} --rig {lab / 'rig.toml'}")
     assert "on the way out: virtual player: muting" in told.err
     assert "on the way out: virtual mirror: parking" in told.err
     assert "Traceback" not in told.err
@@ -118,11 +120,11 @@ def test_an_instrument_that_stays_away_then_exit_3_and_the_others_are_at_rest(la
     assert (beat.state, beat.done, beat.total, beat.pid) == ("failed", 1, 6, os.getpid())
     assert "virtual player" in beat.reason
     assert "virtual player: playing" in beat.fault
-    waits = [one["next_try_s"] for one in events_of(told.out, "reconnect_tried")]
+    waits = [one["next_try_s"] for one in told.of("reconnect_tried")]
     assert waits[:7] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
     assert waits[-1] is None
-    assert events_of(told.out, "session_ended")[0]["state"] == "failed"
-    assert run(["status", str(bank)]) == 0
+    assert told.of("session_ended")[0]["state"] == "failed"
+    assert wavefocus("status", bank) == 0
     people = capsys.readouterr().out
     assert "failed: virtual player" in people
     assert "no process owns the bank" in people
@@ -138,7 +140,7 @@ def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_wh
     def ask():
         for answer, more in zip(answers, (["--json"], []), strict=True):
             with contextlib.redirect_stdout(answer):
-                assert run(["status", str(bank), *more]) == 0
+                assert wavefocus("status", bank, *more) == 0
 
     listener = Listener(('"event": "reconnect_tried"', ask))
     with contextlib.redirect_stdout(listener):
@@ -153,28 +155,17 @@ def test_status_while_instrument_is_waited_for_then_it_says_so_since_when_and_wh
     assert "virtual player" in people
 
 
-def test_ctrl_c_while_an_instrument_is_waited_for_stops_and_can_be_resumed(lab, measured, capsys):
-    bank = empty_bank(lab, "plate.h5")
-    mend = with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 2\nrecord = 1')
-    listener = Listener(('"event": "reconnect_tried"', lambda: signal.raise_signal(signal.SIGINT)))
-    with contextlib.redirect_stdout(listener):
-        assert capture(lab, bank) == 130
-    assert len(events_of(listener.told, "reconnect_tried")) == 1
-    assert events_of(listener.told, "session_ended")[0]["state"] == "stopped"
-    assert f"wavefocus resume {bank}" in capsys.readouterr().err
-    mend()
-    assert capture(lab, bank) == 0
-    assert bank.read_bytes() == measured.read_bytes()
-
-
+# Ctrl-C and a stop while an instrument is waited for are in tests/unit/test_interrupted_sessions.py.
 def _order(bank, word):
     """Give an order by a process of its own, and return it when the capture in this one has heard it."""
     before = read_heartbeat(bank)
     given = Lines(word, bank, "--json")
-    until_s = time.monotonic() + 60.0
-    while (beat := read_heartbeat(bank)) is None or beat.order in ("", None if before is None else before.order):
-        assert time.monotonic() < until_s, f"nobody heard the order {word}"
-        time.sleep(0.01)
+
+    def heard():
+        beat = read_heartbeat(bank)
+        return beat is not None and beat.order not in ("", None if before is None else before.order)
+
+    wait_until(heard, f"the order {word} is heard")
     return given
 
 
@@ -188,7 +179,7 @@ def test_orders_of_other_processes_pause_resume_and_stop_and_the_bank_is_identic
     )
     with contextlib.redirect_stdout(listener):
         assert capture(lab, bank) == 130
-    assert states_of(listener.told) == ["running", "pausing", "paused", "running", "stopping", "stopped"]
+    assert Told(listener.told, "").states == ["running", "pausing", "paused", "running", "stopping", "stopped"]
     # The position under way is finished, no other is begun.
     for end, positions in (('"state": "paused"', 1), ('"state": "stopped"', 2)):
         before = listener.told[: listener.told.index(end)].rpartition("\n")[0]
@@ -201,7 +192,7 @@ def test_orders_of_other_processes_pause_resume_and_stop_and_the_bank_is_identic
             assert order.rest()[-1][answer] is True
             assert order.end() == 0
     assert any("stopped" in line for line in orders[-1].said)
-    assert run(["resume", str(bank)]) == 0
+    assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == measured.read_bytes()
 
 
@@ -230,14 +221,13 @@ def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(lab, 
     with _held(bank) as owner:
         beat = {"at": "2026-01-01T00:00:00+00:00", "pid": owner.pid, "host": "here", "state": "running", "reason": "r"}
         (lab / "plate.h5.heartbeat").write_text(json.dumps(beat), encoding="utf-8")
-        assert run(["pause", str(bank)]) == 1
+        assert wavefocus("pause", bank) == 1
         told = capsys.readouterr().err
         assert f"process {owner.pid}" in told
         assert "does not answer" in told
         assert not (lab / "plate.h5.orders").exists()
-        assert run(["resume", str(bank)]) == 75
-        assert str(owner.pid) in capsys.readouterr().err
-        assert run(["status", str(bank)]) == 0
+        assert str(owner.pid) in refused(capsys, "resume", bank, code=75)
+        assert wavefocus("status", bank) == 0
         assert "owns the bank but has been silent for" in capsys.readouterr().out
         facts = answered(capsys, "status", bank)
     assert facts["silent"] is True
@@ -253,13 +243,11 @@ HANGS = (
 
 
 def test_driver_calls_that_hang_are_connected_afresh_and_nothing_is_lost(watched, quiet, capsys):
-    bank = watched / "plate.h5"
     with_faults(watched, *(f'{fault}\nkind = "hang"' for fault in HANGS))
-    assert capture(watched, bank) == 0
-    told = capsys.readouterr().out
-    assert ["did not come back within" in str(one["cause"]) for one in events_of(told, "fault")] == [True] * len(HANGS)
-    assert [one["connected"] for one in events_of(told, "reconnect_tried")] == [True] * len(HANGS)
-    assert bank.read_bytes() == quiet
+    told = captured(capsys, watched)
+    assert ["did not come back within" in str(one["cause"]) for one in told.of("fault")] == [True] * len(HANGS)
+    assert [one["connected"] for one in told.of("reconnect_tried")] == [True] * len(HANGS)
+    assert (watched / "plate.h5").read_bytes() == quiet
 
 
 def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab):
@@ -271,10 +259,7 @@ def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab
         'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1',
     )
     bank = lab / "plate.h5"
-    ended = subprocess.run(
-        [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank)],
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+    ended = python("-m", "wavefocus", "capture", lab / "run.toml", "--bank", bank)
     assert ended.returncode == 3, ended.stderr
     last = ended.stderr.splitlines()[-1]
     assert "virtual player: playing: the call did not come back within" in last
@@ -288,8 +273,7 @@ def test_a_driver_that_never_returns_ends_with_exit_3_and_the_others_at_rest(lab
 LONG_NIGHT = ("averages = 2", "averages = 8")
 
 
-@POSIX
-@pytest.mark.may_skip("Windows has none of these signals")
+@of_posix
 def test_given_sigterm_then_exit_130_and_the_mirror_is_parked(lab):
     change_text(lab / "run.toml", *LONG_NIGHT)
     # Parking fails, so that it is told.
@@ -303,14 +287,13 @@ def test_given_sigterm_then_exit_130_and_the_mirror_is_parked(lab):
     assert (ended[-1]["event"], ended[-1]["state"]) == ("session_ended", "stopped")
 
 
-@POSIX
-@pytest.mark.may_skip("Windows has no pseudo-terminals")
+@of_posix
 def test_terminal_that_is_closed_then_position_is_finished_and_log_says_why(lab):
     import pty
 
     bank = lab / "plate.h5"
     change_text(lab / "run.toml", *LONG_NIGHT)
-    command = [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank)]
+    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank)]
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(command[0], command)
@@ -336,27 +319,23 @@ def test_terminal_that_is_closed_then_position_is_finished_and_log_says_why(lab)
     ids=["dark", "faint reference"],
 )
 def test_a_condition_out_of_its_band_is_waited_for_and_the_bank_is_the_same(watched, quiet, fault, words, capsys):
-    bank = watched / "plate.h5"
     # From the third position's first record on: its three records, the last good position's, and two probes.
     with_faults(watched, f'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 6\n{fault}')
-    assert capture(watched, bank) == 0
-    told = capsys.readouterr().out
-    assert states_of(told) == ["running", "suspended", "running", "finished"]
-    suspended = next(one for one in events_of(told, "state_changed") if one["state"] == "suspended")
-    assert words in str(suspended["reason"])
+    told = captured(capsys, watched)
+    assert told.states == ["running", "suspended", "running", "finished"]
+    assert words in str(told.of("state_changed")[1]["reason"])
     # Two probes that are no good; from the first good one on it must settle for two more.
-    assert [one["back"] for one in events_of(told, "conditions_seen")] == [False, False, True, True, True]
-    assert bank.read_bytes() == quiet
+    assert [one["back"] for one in told.of("conditions_seen")] == [False, False, True, True, True]
+    assert (watched / "plate.h5").read_bytes() == quiet
 
 
 def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(watched, capsys):
     warming = "noise_v = 1e-4\nroom_c = [[5, 21], [6, 17], [100, 17], [101, 18.5], [150, 18.5], [151, 20]]"
     (watched / "plate.h5").unlink()
     change_text(watched / "run.toml", "noise_v = 1e-4", warming)
-    assert capture(watched, watched / "plate.h5") == 0
-    told = capsys.readouterr().out
-    assert states_of(told) == ["running", "suspended", "running", "finished"]
-    changes = events_of(told, "state_changed")
+    told = captured(capsys, watched)
+    assert told.states == ["running", "suspended", "running", "finished"]
+    changes = told.of("state_changed")
     assert "room temperature 17 degrees C is below 18 degrees C" in str(changes[1]["reason"])
     # 18.5 degrees would not have suspended it and do not let it go on either; 20 seconds it must stay warm.
     assert 151 + 20 <= float(str(changes[2]["time_s"])) <= 151 + 20 + 2 * 10 + 5
@@ -366,12 +345,10 @@ def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(wa
 def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_on(watched, quiet, capsys):
     bank = watched / "plate.h5"
     mend = with_faults(watched, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 9999\nkind = "dark"')
-    assert capture(watched, bank) == 3
-    told = capsys.readouterr()
-    last = told.err.splitlines()[-1]
-    assert "suspended for 5 min" in last
-    assert "vibrometer noise" in last
-    assert states_of(told.out)[-2:] == ["suspended", "failed"]
+    told = captured(capsys, watched, code=3)
+    assert "suspended for 5 min" in told.last
+    assert "vibrometer noise" in told.last
+    assert told.states[-2:] == ["suspended", "failed"]
     assert held(bank) == [1, 1, 0, 0, 0, 0]  # nothing measured in the dark was called anything
     mend()
     assert capture(watched, bank) == 0
@@ -381,8 +358,7 @@ def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_o
 def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspended(watched, capsys):
     dark = 'role = "recorder"\noperation = "read"\nkind = "dark"\nposition = 2\npurpose = "capture"\ncount = 99'
     with_faults(watched, dark)
-    assert capture(watched, watched / "plate.h5") == 0
-    assert "suspended" not in states_of(capsys.readouterr().out)
+    assert "suspended" not in captured(capsys, watched).states
     status = held(watched / "plate.h5")
     assert status[2] & 1 == 0
     assert status[:2] + status[3:] == [1] * 5

@@ -22,10 +22,10 @@ from tests.simulated_people import (
     designs,
 )
 from tests.system import captures
+from tests.system.captures import wavefocus
 from tests.system.conftest import with_faults, write_lab
 from tests.system.crash.processes import How, Order, Processes
 from tests.system.lines import Lines, in_process
-from wavefocus.__main__ import run
 from wavefocus.trials.answers import COLUMNS, AnswersFile, read_answers, read_facts
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import order_of
@@ -90,16 +90,14 @@ def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(tmp_path, 
         purpose + 'role = "player"\noperation = "wait"\nkind = "unplugged"\nposition = 3',
         purpose + 'role = "recorder"\noperation = "read"\nkind = "missing_reference"\nposition = 5',
     )
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
     trials = TRIALS.replace("blocks = 2", "blocks = 2\npause_s = 10.0\nfamiliarise = false") + "plays = 2\n"
     command = experiment(lab, trials + MASKING)
     with Lines(*command, "--lines") as session:  # over ten seconds each, in the wall's time
         assert session.hear("state")["phase"] == "welcome"
         session.send(order="go_on")
         assert session.hear("state")["waiting"] == "playing"
-        capsys.readouterr()
-        assert run([*command, "--lines", "--fast"]) == 75
-        assert str(session.process.pid) in capsys.readouterr().err
+        assert str(session.process.pid) in captures.refused(capsys, *command, "--lines", "--fast", code=75)
         session.close_input()
         assert session.rest()[-1] == {"event": "ended", "done": 0, "of": 8, "complete": False}
         assert session.end() == 130
@@ -121,8 +119,7 @@ def test_a_window_closed_while_a_stimulus_sounds_is_muted_and_resumed(tmp_path, 
         assert row.trials_sha256 == facts["trials_sha256"] == manifest["trials_sha256"]
         assert row.bank_sha256 == facts["bank_sha256"] == manifest["bank_sha256"]
         assert row.stimulus_sha256 == manifest["stimuli"][row.stimulus]["sha256"]
-    assert run([*command, "--lines", "--fast"]) == 2
-    assert "complete" in capsys.readouterr().err
+    assert "complete" in captures.refused(capsys, *command, "--lines", "--fast")
 
 
 def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(lab, bank, capsys):
@@ -185,17 +182,15 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, ba
     described = json.loads((result / "bids" / "dataset_description.json").read_text(encoding="utf-8"))
     assert {"Name", "BIDSVersion", "DatasetType"} <= set(described)
 
-    assert run(["analyse", str(out)]) == 2
-    assert "--force" in capsys.readouterr().err
-    assert run(["analyse", str(out), "--force"]) == 0
+    assert "--force" in captures.refused(capsys, "analyse", out)
+    assert wavefocus("analyse", out, "--force") == 0
     (result / "notes.txt").write_text("mine")
-    assert run(["analyse", str(out), "--force"]) == 2
+    captures.refused(capsys, "analyse", out, "--force")
     assert (result / "notes.txt").read_text() == "mine"
-    assert run(["analyse", str(out), "--out", str(out), "--force"]) == 2
+    captures.refused(capsys, "analyse", out, "--out", out, "--force")
     (out / "trials.json").write_text('{"format": "wavefocus-trials", "design": {"trials": 3}}')
-    assert run(["analyse", str(out), "--out", str(lab / "other")]) == 2
-    assert run(["analyse", str(lab)]) == 2
-    assert "Traceback" not in capsys.readouterr().err
+    captures.refused(capsys, "analyse", out, "--out", lab / "other")
+    captures.refused(capsys, "analyse", lab)
 
 
 @pytest.mark.nightly

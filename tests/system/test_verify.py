@@ -2,9 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
-import time
 
 import h5py
 import numpy as np
@@ -12,21 +9,16 @@ import pytest
 import soundfile
 
 from tests.lab_files import change_text, write_positions
-from tests.system.captures import answered, refused
+from tests.system.captures import answered, refused, wavefocus
 from tests.system.conftest import with_faults
-from wavefocus.__main__ import run
+from tests.system.lines import Lines, wait_until
 from wavefocus.rendering.verify.record import read_record
 from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 
-def _command(lab, bank):
-    files = {"--bank": bank, "--rig": lab / "rig.toml", "--out": lab / "verify"}
-    return ["verify", str(lab / "scene.toml"), *(str(word) for pair in files.items() for word in pair)]
-
-
-def _verify(lab, bank, *more):
-    return run([*_command(lab, bank), "--json", *more])
+def _command(lab, bank, *more):
+    return ["verify", lab / "scene.toml", "--bank", bank, "--rig", lab / "rig.toml", "--out", lab / "verify", *more]
 
 
 def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_says_so(lab, bank, capsys):
@@ -49,7 +41,7 @@ def test_given_a_bank_of_one_position_then_its_field_is_compared_and_no_focus(la
     write_positions(lab, [(0, 0)])
     line = '{ kind = "line", start_mm = [0, 0], end_mm = [8, 0] }'
     change_text(lab / "scene.toml", line, '{ kind = "point", at_mm = [0, 0] }')
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "one.h5")]) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "one.h5") == 0
     figures = {one["name"]: one["value"] for one in answered(capsys, *_command(lab, lab / "one.h5"))["figures"]}
     assert figures["normalised error"] < 2.0
     assert figures["focus to path point"] is None
@@ -59,7 +51,7 @@ def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, b
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
         rig.write("[emulation.finger]\nplace_mm = [0.0, 0.0]\nmass_kg = 2e-4\n")
     change_text(lab / "scene.toml", "step_mm", "amplitude = 3e-4\nstep_mm")
-    printed = answered(capsys, *_command(lab, bank), "--correct", "2", code=1)["correction"]
+    printed = answered(capsys, *_command(lab, bank, "--correct", "2"), code=1)["correction"]
     before, *after = [found["error"] for found in printed["rounds"]]
     assert before > 0.1
     assert after[printed["best"] - 1] < before / 4
@@ -85,7 +77,7 @@ def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, b
 )
 def test_what_cannot_be_verified_is_refused_before_anything_plays(lab, bank, capsys, file, old, new, options, words):
     change_text(lab / file, old, new)
-    assert words in refused(capsys, *_command(lab, bank), *options)
+    assert words in refused(capsys, *_command(lab, bank, *options))
     assert not (lab / "verify" / "scan.h5").exists()
     log = lab / "verify" / "verify.events.jsonl"
     assert not log.exists() or "sentinel" not in log.read_text(encoding="utf-8")
@@ -94,9 +86,9 @@ def test_what_cannot_be_verified_is_refused_before_anything_plays(lab, bank, cap
 def test_given_a_scan_with_a_lost_player_then_exit_3(lab, capsys):
     with_faults(lab, 'role = "player"\noperation = "play"\nkind = "lost"\nposition = 3\npurpose = "scan"')
     bank = lab / "plate.h5"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
     capsys.readouterr()
-    assert _verify(lab, bank) == 3
+    assert wavefocus(*_command(lab, bank)) == 3
     printed = capsys.readouterr().err
     assert "player" in printed.splitlines()[-1]
     assert "on the way out: virtual player" in printed
@@ -104,7 +96,7 @@ def test_given_a_scan_with_a_lost_player_then_exit_3(lab, capsys):
 
 def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(lab, bank):
     files = ["--bank", bank, "--out", lab / "drive.h5", "--wav", lab / "drive.wav"]
-    assert run(["render", *map(str, [lab / "scene.toml", *files])]) == 0
+    assert wavefocus("render", lab / "scene.toml", *files) == 0
     played, rate_hz = soundfile.read(lab / "drive.wav")
     drive_v = read_drive(lab / "drive.h5").drive_v
     assert (rate_hz, played.shape[1]) == (48_000, len(drive_v))
@@ -116,27 +108,22 @@ def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(la
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(drive_v).max())
 
 
-def _killed_in_scan(command, journal):
-    with subprocess.Popen([sys.executable, "-m", "wavefocus", *command], stderr=subprocess.DEVNULL) as killed:
-        while killed.poll() is None and not (journal.exists() and journal.stat().st_size > 2 * 4096):
-            time.sleep(0.01)
-        killed.kill()
-
-
 def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(lab, capsys):
     write_positions(lab, [(x_mm, y_mm) for y_mm in range(-4, 5, 4) for x_mm in range(-4, 13, 4)])
     bank, scene = lab / "more.h5", lab / "scene.toml"
-    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    assert wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
     change_text(scene, "start_mm = [0, 0]", "start_mm = [1, 1]")
-    render = ["render", str(scene), "--bank", str(bank), "--out"]
-    assert run([*render, str(lab / "auto.h5")]) == 0
+    render = ["render", scene, "--bank", bank, "--out"]
+    assert wavefocus(*render, lab / "auto.h5") == 0
     change_text(scene, "[output]", '[output]\ninterpolation = "nearest"')
-    assert run([*render, str(lab / "nearest.h5")]) == 0
-    assert _verify(lab, bank) in (0, 1)
+    assert wavefocus(*render, lab / "nearest.h5") == 0
+    assert wavefocus(*_command(lab, bank)) in (0, 1)
     command, out = _command(lab, bank), lab / "verify"
     undisturbed, journal = (out / "scan.h5").read_bytes(), out / "scan.unfinished"
     shutil.rmtree(out)
-    _killed_in_scan(command, journal)
+    with Lines(*command, "--json") as killed:
+        wait_until(lambda: journal.exists() and journal.stat().st_size > 2 * 4096, "two positions are scanned")
+        killed.process.kill()
     assert not (out / "verify.json").exists()
     torn = journal.read_bytes()
     for of_earlier_version in (False, True):
@@ -149,7 +136,7 @@ def test_verification_killed_in_its_scan_then_same_command_goes_on_to_same_scan(
         for published in ("drive.h5", "report.html"):  # as a kill leaves them that comes while results are moved in
             (out / published).write_bytes(b"of a verification without a record")
         capsys.readouterr()
-        assert run(command) in (0, 1)
+        assert wavefocus(*command) in (0, 1)
         assert "the interrupted scan goes on" in capsys.readouterr().err
         assert (out / "scan.h5").read_bytes() == undisturbed
         assert not journal.exists()
@@ -161,10 +148,9 @@ def test_a_louder_actuator_is_named_first_in_a_scan_that_replaces_another_by_for
     (lab / "verify").mkdir()
     with ScanJournal(lab / "verify" / "scan.unfinished", "another", 5) as journal:
         journal.append(ScannedPosition(0, 1, 1, 0.0, 1.0, 1.0, np.zeros(5, np.float32)))
-    assert _verify(lab, bank) == 2
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in refused(capsys, *_command(lab, bank))
     (lab / "verify" / "scan.unfinished").write_bytes(b"somebody's")
-    assert _verify(lab, bank, "--linearity", "--force", "--positions", "1,4") == 1
+    assert wavefocus(*_command(lab, bank, "--linearity", "--force", "--positions", "1,4"), "--json") == 1
     printed = capsys.readouterr()
     with h5py.File(lab / "verify" / "scan.h5", "r") as file:
         assert list(file["position_index"]) == [1, 4]

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from tests.lab_files import RIG, RUN, change_text, write_positions
+from tests.system.lines import of_linux
 from wavefocus.__main__ import run
 from wavefocus.commands.table import COMMANDS
 
 pytestmark = [
     pytest.mark.nightly,
-    pytest.mark.may_skip("a pseudo-terminal, and the processor time of another process, are read on Linux"),
-    pytest.mark.skipif(sys.platform != "linux", reason="a pseudo-terminal, and /proc"),
+    *of_linux("a pseudo-terminal, and the processor time of another process, are read on Linux"),
 ]
 LONG_S = 2.0
 """Of the command's own processor time, so that a busy machine does not count; one thread computes."""

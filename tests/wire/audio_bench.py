@@ -1,11 +1,9 @@
 """Players on emulated interfaces, closed whatever happens."""
 
-import sys
-import time
-
 import numpy as np
 import pytest
 
+from tests.system.lines import of_linux
 from wavefocus.drivers.audio.stream.player import StreamPlayer
 from wavefocus.mocks.wire.jack_server import JackServer
 
@@ -17,8 +15,7 @@ FULL_SCALE_V = tuple(2.0 ** (channel % 4) for channel in range(CHANNELS))
 # One worker runs all tests that need an audio server: each takes 42 MB of shared memory, of which containers have 64.
 needs_audio_server = [
     pytest.mark.xdist_group("audio server"),
-    pytest.mark.may_skip("an audio server's dummy driver runs on Linux"),
-    pytest.mark.skipif(sys.platform != "linux", reason="needs jackd"),
+    *of_linux("jackd's dummy driver runs on Linux"),
 ]
 
 
@@ -50,11 +47,3 @@ def sounding(frames):
     """The stretch of (channels, frames) from the first to the last frame in which anything sounds."""
     at = np.flatnonzero(frames.any(axis=0))
     return frames[:, at[0] : at[-1] + 1] if at.size else frames[:, :0]
-
-
-def wait_until(happened, what, timeout_s=30.0):
-    """Come back when it happened; a bound, not a measurement."""
-    latest_s = time.monotonic() + timeout_s
-    while not happened():
-        assert time.monotonic() < latest_s, f"{what}: not within {timeout_s} s"
-        time.sleep(0.01)

@@ -4,7 +4,7 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
-from tests.wire.audio_bench import wait_until
+from tests.system.lines import wait_until
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.protocols import RecordLabel, RecordRequest
 from wavefocus.mocks.wire.ni_server import NiServer

@@ -5,8 +5,7 @@ import socket
 from collections.abc import Mapping
 from contextlib import contextmanager
 
-from tests.system.lines import Lines
-from tests.wire.audio_bench import wait_until
+from tests.system.lines import Lines, wait_until
 from tests.wire.serial_bench import DIALECTS
 from wavefocus.configuration import load_rig
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.wire.audio_bench import wait_until
+from tests.system.lines import wait_until
 from tests.wire.daq_bench import Tone, check_tone, take_one
 from tests.wire.emulated import analog_rig
 from wavefocus.acquisition.setup import silence

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import wavefocus
+from tests.system.lines import wait_until
 from tests.wire.audio_bench import (
     CHANNELS,
     FULL_SCALE_V,
@@ -19,7 +20,6 @@ from tests.wire.audio_bench import (
     AudioBench,
     needs_audio_server,
     sounding,
-    wait_until,
 )
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
@@ -228,26 +228,11 @@ PLAYING = """
 import sys, time
 import numpy as np
 from wavefocus.drivers.audio.stream.player import StreamPlayer
-from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 player = StreamPlayer("JACK Audio Connection Kit", "wavefocus interface", channels=21,
                       channel_full_scale_v=[1.0] * 21, interface_rate_hz=48_000)
 player.play({0: np.full(60 * 48_000, 0.5)}, 48_000)
 print(player.process_id, flush=True)
 sys.stdin.readline()
-"""
-# A program that nobody tidies up: it meets the loss, prints it and ends.
-MEETING_THE_LOSS = """
-for call in (lambda: player.wait(90), lambda: time.sleep(1), lambda: player.play({0: np.ones(9)}, 48_000),
-             lambda: player.wait(90), player.reconnect):
-    try:
-        call()
-    except TransientInstrumentError:
-        pass
-    except InstrumentLostError as error:
-        print(error.cause, flush=True)
-player.mute()
-player.close()
-print("closed", flush=True)
 """
 
 
@@ -347,17 +332,20 @@ def test_a_stream_process_that_is_killed_or_hangs_then_a_mute_silences_it(slow, 
 
 
 @pytest.mark.nightly
-def test_given_a_server_that_freezes_then_a_program_gets_its_errors_closes_and_exits(slow):
+def test_given_a_server_that_freezes_then_every_call_says_so_and_closing_ends_it(slow):
     server = slow.serve()
-    with program_of(PLAYING + MEETING_THE_LOSS, server) as program:
-        stream_process = int(program.stdout.readline())
-        server.freeze()
-        output, errors = program.communicate("go\n", timeout=90)
-    assert (program.returncode, errors) == (0, "")
-    *told, last = output.strip().splitlines()
-    assert all("frozen: it asked for nothing more for" in line for line in told[:-1])
-    assert len(told) >= 3
-    assert last == "closed"
+    player = slow.player(server)
+    start_playing(player)
+    stream_process = player.process_id
+    server.freeze()
+    assert "frozen: it asked for nothing more for" in loss_of(player).cause
+    for call in (lambda: start_playing(player), lambda: player.wait(90)):
+        with pytest.raises(InstrumentLostError, match="frozen: it asked for nothing more for"):
+            call()
+    with pytest.raises(InstrumentLostError):
+        player.reconnect()
+    player.mute()
+    player.close()
     assert not alive(stream_process)
 
 

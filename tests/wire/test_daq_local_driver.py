@@ -2,18 +2,13 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
-import pytest
-
 from tests.lab_files import ABSENT_RIG, change_text
+from tests.system.lines import of_linux, python
 
 ROOT = Path(__file__).parents[2]
-pytestmark = [
-    pytest.mark.may_skip("a stand-in for the driver's library can be put on the loader's path on Linux alone"),
-    pytest.mark.skipif(sys.platform != "linux", reason="elsewhere libraries are not found by a path variable"),
-]
+pytestmark = of_linux("a stand-in for the driver's library can be put on the loader's path on Linux alone")
 
 SESSION = r"""
 import ctypes, os, signal, sys, threading, warnings
@@ -151,10 +146,7 @@ def test_the_local_driver_takes_records_and_works_again_after_each_fault(tmp_pat
     (tmp_path / "rig.toml").write_text(ABSENT_RIG.format(folder=tmp_path), encoding="utf-8")
     change_text(tmp_path / "rig.toml", 'address = "localhost:1"\n', "")
     names = {"LD_LIBRARY_PATH": "", "RIG_FILE": "rig.toml", "SHIM_UNPLUGGED": "unplugged", "SHIM_HANGS": "hangs"}
-    done = subprocess.run(
-        [sys.executable, "-c", SESSION],
-        env=os.environ | {name: str(tmp_path / file) for name, file in names.items()},
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    environment = os.environ | {name: str(tmp_path / file) for name, file in names.items()}
+    done = python("-c", SESSION, env=environment, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert not done.stderr

@@ -1,6 +1,5 @@
 """The NI recorder without faults: its packages, records through the real nidaqmx package over gRPC, whole counts."""
 
-import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from ctypes.util import find_library
@@ -13,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.system.lines import python
 from tests.wire.daq_bench import TAKE, Tone, ask, check_tone, daq_bench, take_one
 from tests.wire.emulated import rig_text
 from wavefocus.configuration import load_rig
@@ -47,7 +47,7 @@ opened_without("grpc", "localhost:31763")
 
 
 def test_given_a_package_that_is_not_installed_then_opening_says_how_to_install_it():
-    done = subprocess.run([sys.executable, "-c", OPENING], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = python("-c", OPENING, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     local, remote = "recorder Dev1|opening|", "recorder Dev1 at localhost:31763|opening|"
     assert done.stdout.splitlines() == [

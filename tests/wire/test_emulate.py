@@ -12,6 +12,7 @@ import pytest
 from asitiger.errors import Errors
 from asitiger.tigercontroller import TigerController as AsiTigerClient
 
+from tests.system.captures import refused
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
@@ -43,11 +44,7 @@ def test_a_rig_that_cannot_be_emulated_is_refused_in_one_line(tmp_path, capsys, 
     port.write_text("precious", encoding="utf-8")
     if not kind:
         rig_file.write_text(rig_text(tmp_path, "localhost:1").replace(old.format(folder=tmp_path), new))
-    capsys.readouterr()
-    assert run(["emulate", str(rig_file)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert named in error
+    assert named in refused(capsys, "emulate", rig_file)
     assert port.read_text(encoding="utf-8") == "precious"
 
 

@@ -7,12 +7,16 @@ from pathlib import Path
 import pytest
 
 from tests.wire.daq_bench import daq_bench, take_one
-from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from tests.wire.serial_bench import LOCAL, mirror_bench
 from wavefocus.__main__ import run
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
 from wavefocus.mocks.wire import WireFault
+
+
+def exchanges(record):
+    """What a record holds, its head first."""
+    return [json.loads(line) for line in record.read_text(encoding="utf-8").splitlines()]
 
 
 def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came(tmp_path):
@@ -25,40 +29,14 @@ def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came
             except InstrumentError:
                 continue
         mirror.close()
-    lines = [json.loads(line) for line in (tmp_path / "r.jsonl").read_text(encoding="utf-8").splitlines()]
+    lines = exchanges(tmp_path / "r.jsonl")
     received = "".join(line.get("received", "") for line in lines)
     assert "\xba" in received  # ":" with its top bit set
     assert [line["at_s"] for line in lines[1:]] == sorted(line["at_s"] for line in lines[1:])
     assert any("closed" in line for line in lines)
 
 
-@pytest.mark.long
-@pytest.mark.skipif(LOCAL != "pty", reason="the emulated mirror is behind a path")
-def test_emulated_rig_then_doctors_record_has_what_every_instrument_was_asked(tmp_path, capsys, monkeypatch):
-    rig, record = tmp_path / "rig.toml", tmp_path / "rig.jsonl"
-    vibrometer = f'[vibrometer]\ndriver = "polytec-ofv3001"\nport = "{tmp_path / "vibrometer"}"\n'
-    rig.write_text(rig_text(tmp_path, f"localhost:{free_port()}") + vibrometer, encoding="utf-8")
-
-    def findings(*options):
-        capsys.readouterr()
-        run(["doctor", str(rig), "--json", "--no-play", *options])
-        found = json.loads(capsys.readouterr().out)["findings"]
-        return {(one["instrument"], one["check"]): (one["verdict"], one["what"]) for one in found}
-
-    with emulated_instruments(rig) as emulated:
-        for name, value in emulated.environment.items():
-            monkeypatch.setenv(name, value)
-        live = findings("--record", str(record))
-        assert run(["doctor", str(rig), "--record", str(record)]) == 2  # it exists, and is left alone
-    assert live["record", "file"][0] == "ok"
-    head, *lines = (json.loads(line) for line in record.read_text(encoding="utf-8").splitlines())
-    assert head["drivers"]["mirror"] == "asi-tiger"
-    called = {(line["instrument"], line["called"]) for line in lines if "called" in line}
-    assert {("mirror", "move_to"), ("recorder", "start"), ("recorder", "read"), ("player", "identify")} <= called
-    asked = {line["instrument"].split(" ")[0] for line in lines if "sent" in line}
-    assert {"mirror", "vibrometer"} <= asked
-
-
+# What every instrument of a rig was asked is in the test of the doctor in test_rigs_through_wires.py.
 def test_given_no_folder_for_the_record_then_exit_2_before_any_instrument_is_opened(tmp_path):
     assert run(["init", str(tmp_path / "lab")]) == 0
     assert run(["doctor", str(tmp_path / "lab" / "rig.toml"), "--record", str(tmp_path / "none" / "r.jsonl")]) == 2
@@ -71,7 +49,7 @@ def test_given_a_recorder_that_fails_then_the_record_has_nis_own_error(tmp_path)
             with pytest.raises(InstrumentError):
                 take_one(recorder)
         recorder.abort()  # noted no more
-    lines = [json.loads(line) for line in (tmp_path / "r.jsonl").read_text(encoding="utf-8").splitlines()[1:]]
+    _, *lines = exchanges(tmp_path / "r.jsonl")
     assert [line.get("called") for line in lines] == ["start", None, "read", None]
     assert "-222" in lines[-1]["because"] or "-200" in lines[-1]["because"]
 

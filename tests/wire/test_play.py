@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests.lab_files import ABSENT_RIG, change_text, write_bank
-from tests.system.lines import Lines
-from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
+from tests.system.lines import Lines, wait_until
+from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding
 from wavefocus.drivers.process import SILENT_S
 from wavefocus.mocks.wire import WireFault
 from wavefocus.storage.drive_file import Drive, write_drive

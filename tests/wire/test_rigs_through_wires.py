@@ -2,30 +2,28 @@
 
 import json
 import signal
-import subprocess
-import sys
 import time
 
-import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import POSITIONS, change_text, write_positions
-from tests.system.lines import Lines
+from tests.system.captures import capture_process, held
+from tests.system.lines import Lines, python, wait_until
 from tests.system.test_trials import MASKING, TRIALS
-from tests.wire.audio_bench import wait_until
 from tests.wire.emulated import ACTUATORS, analog_rig, emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
+from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.process import SILENT_S
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.synthesis import output_errors
 from wavefocus.rig.virtual_bench import virtual_settings
+from wavefocus.storage.bank.reading import open_bank
 from wavefocus.trials.answers import read_answers
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
-RATE_HZ = 10_000.0
 RUN = """
 rig = "{rig}"
 
@@ -67,34 +65,15 @@ def lab(tmp_path):
 
 def wavefocus(*arguments, sides=None, code=0):
     """Run a command to its end; its standard output."""
-    done = subprocess.run(
-        [sys.executable, "-m", "wavefocus", *map(str, arguments)],
-        env=sides and dict(sides.environment), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = python("-m", "wavefocus", *arguments, env=sides and dict(sides.environment), timeout=300)
     assert done.returncode == code, done.stderr + done.stdout
     return done.stdout
 
 
 def errors_db(bank, rig_file):
     """In-band relative L2 error of every Green's function against the plate's own, in dB."""
-    plate = VirtualRig(virtual_settings(load_rig(rig_file)))
-    green, position_mm = green_of(bank)
-    return in_band_db(green, np.array([plate.truth(x_mm, y_mm, green.shape[2]) for x_mm, y_mm in position_mm]))
-
-
-def green_of(bank):
-    """Green's functions and where they were measured."""
-    with h5py.File(bank) as file:
-        return file["green"][:].astype(np.float64), file["position_mm"][:]
-
-
-def in_band_db(green, reference):
-    """Relative L2 distance in band of Green's functions from others, in dB."""
-    length = 8192
-    frequency_hz = np.fft.rfftfreq(length, 1 / RATE_HZ)
-    band = (frequency_hz >= 25) & (frequency_hz <= 495)
-    ours, theirs = (np.fft.rfft(one, length)[..., band] for one in (green, reference))
-    return 20 * np.log10(np.linalg.norm(ours - theirs, axis=-1) / np.linalg.norm(theirs, axis=-1))
+    with open_bank(bank) as view:
+        return compare_with_truth(view, VirtualRig(virtual_settings(load_rig(rig_file))))
 
 
 @pytest.mark.nightly
@@ -116,23 +95,21 @@ def test_a_staggered_capture_of_another_plate_through_wires_is_as_good_as_in_pro
     wavefocus("estimate", lab / "wires.raw.h5", "--bank", lab / "again.h5")
     # Recordings are kept in counts of the range, not in the converter's own, which steps a little otherwise: that
     # rounds them once more, 20 dB below their noise.
-    rounded = in_band_db(green_of(lab / "again.h5")[0], green_of(lab / "wires.h5")[0])
+    again, wires = (np.array(held(lab / name, "green")) for name in ("again.h5", "wires.h5"))
+    rounded = 20 * np.log10(np.linalg.norm(again - wires, axis=2) / np.linalg.norm(wires, axis=2))
     assert np.median(rounded) <= np.median(through_wires) - 18
 
 
 def test_after_replugs_of_each_instrument_and_a_kill_resume_measures_the_rest_alone(lab):
     bank = lab / "b.h5"
     with emulated_instruments(lab / "rig.toml") as sides:
-        with subprocess.Popen(
-            [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"],
-            env=dict(sides.environment), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-        ) as capture:  # fmt: skip
+        with capture_process(lab, bank, sides.environment) as capture:
             to_unplug, away, committed = ["mirror", "recorder", "player"], "", 0
-            for event in map(json.loads, capture.stdout):
+            while (event := capture.told()) is not None:
                 committed += event["event"] == "position_committed"
                 if event["event"] == "position_committed" and not away:
                     if not to_unplug:
-                        capture.kill()
+                        capture.process.kill()
                         break
                     away = to_unplug.pop()
                     sides.say(f"unplug {away}")
@@ -142,14 +119,12 @@ def test_after_replugs_of_each_instrument_and_a_kill_resume_measures_the_rest_al
                     elif event["number"] == 1:
                         sides.say(f"plug {away}")
         assert (to_unplug, away) == ([], "")
-        with h5py.File(bank) as file:
-            valid = np.flatnonzero(file["status"][:] == 1)
-            before = file["green"][valid].tobytes()
+        valid = np.flatnonzero(np.array(held(bank)) == 1)
+        before = np.array(held(bank, "green"))[valid]
         assert committed <= len(valid) < len(POSITIONS)
         wavefocus("resume", bank, sides=sides)
-    with h5py.File(bank) as file:
-        assert list(file["status"]) == [1] * len(POSITIONS)
-        assert file["green"][valid].tobytes() == before
+    assert held(bank) == [1] * len(POSITIONS)
+    assert np.array_equal(np.array(held(bank, "green"))[valid], before)
     wavefocus("check", bank)
 
 
@@ -158,11 +133,10 @@ def test_box_unplugged_and_program_stopped_then_bank_is_good_and_beam_was_parked
     analog_rig(lab, address, "opens_s = 0.01\n")
     change_text(lab / "run.toml", "averages = 1", "averages = 2")
     bank = lab / "plate.h5"
-    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
     with emulated_instruments(lab / "rig.toml") as sides:
         states, reasons, committed = [], [], 0
-        with subprocess.Popen(command, env=dict(sides.environment), stdout=subprocess.PIPE, text=True) as capture:
-            for event in map(json.loads, capture.stdout):
+        with capture_process(lab, bank, sides.environment) as capture:
+            while (event := capture.told()) is not None:
                 states.append(event.get("state"))
                 reasons.append(event.get("reason") or "")
                 if event["event"] == "position_committed":
@@ -170,13 +144,13 @@ def test_box_unplugged_and_program_stopped_then_bank_is_good_and_beam_was_parked
                     if committed == 2:
                         sides.say("unplug recorder")
                     if committed == 3:
-                        capture.send_signal(signal.SIGSTOP)
+                        capture.process.send_signal(signal.SIGSTOP)
                         wait_until(lambda: sides.say("spot") == "spot: not on the plate", "the beam is parked")
                         time.sleep(SILENT_S)  # the player's process, too
-                        capture.send_signal(signal.SIGCONT)
+                        capture.process.send_signal(signal.SIGCONT)
                 if event["event"] == "reconnect_tried":
                     sides.say("plug recorder")
-        assert capture.returncode == 0
+            assert capture.end() == 0
         assert states.count("recovering") >= 2
         assert any("this program was stopped for more than 5 s" in reason for reason in reasons)
         assert sides.say("spot") == "spot: not on the plate"
@@ -248,6 +222,7 @@ def swept(lines, actuator):
     return told
 
 
+# A program that is stopped: a capture, above, and `live` in test_play.py.
 def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(rig, sides):
     change_text(rig, "inter_channel_delay_s = 1.4e-5", "")
     for ending in ("end", "signal"):
@@ -261,7 +236,13 @@ def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_e
             if ending == "end":
                 lines.send(order="level")
                 assert lines.hear("level")["response"]["rms_v"] > 0
-                assert swept(lines, actuator=0)["figures"]["snr_db"] > 10
+                lines.send(order="sweep", actuator=0, level_v=1.0, duration_s=5.0, id="long")
+                lines.hear("sweeping")
+                lines.send(order="sweep", actuator=1, level_v=1.0, id="dropped")
+                lines.send(order="mute", id="mute")
+                done = [lines.hear("done") for _ in range(2)]
+                assert [(one["id"], one["ok"]) for one in done] == [("long", False), ("mute", True)]
+                assert swept(lines, actuator=1)["figures"]["snr_db"] > 10
                 with Lines("operate", rig, environment=sides.environment) as second:
                     assert second.end() == 3
                     assert "mirror" in second.said[-1]
@@ -276,29 +257,6 @@ def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_e
         assert sides.say("spot") == "spot: not on the plate"
 
 
-def test_a_mute_ends_a_sweep_before_its_time_and_so_does_a_program_that_is_stopped(rig, sides):
-    with Lines("operate", rig, environment=sides.environment) as lines:
-        lines.hear("ready")
-        lines.send(order="jog", x_mm=30, y_mm=-12)
-        lines.send(order="sweep", actuator=0, level_v=1.0, duration_s=5.0, id="long")
-        lines.hear("sweeping")
-        lines.send(order="sweep", actuator=1, level_v=1.0, id="dropped")
-        lines.send(order="mute", id="mute")
-        done = [lines.hear("done") for _ in range(2)]
-        assert [one["id"] for one in done] == ["long", "mute"]
-        assert not done[0]["ok"]
-        assert swept(lines, actuator=1)["figures"]["snr_db"] > 10
-        lines.send(order="sweep", actuator=0, level_v=1.0, duration_s=10.0, id="stopped")
-        lines.hear("sweeping")
-        lines.process.send_signal(signal.SIGSTOP)
-        time.sleep(SILENT_S + 3.0)
-        lines.process.send_signal(signal.SIGCONT)
-        told = lines.hear("fault")
-        assert "was stopped" in str(told), told
-        lines.send(order="end")
-        assert lines.end() == 0
-
-
 # The interface answers within the post-roll; without a mirror there is no light on a spot.
 FLAWS = """period_frames = 4096
 output_latency_spread_s = 2e-5
@@ -308,25 +266,34 @@ reversed_actuators = [2]
 """
 
 
-def doctor(rig, sides, code=0):
-    findings = json.loads(wavefocus("doctor", rig, "--json", sides=sides, code=code))["findings"]
+def doctor(rig, sides, *options, code=0):
+    findings = json.loads(wavefocus("doctor", rig, "--json", *options, sides=sides, code=code))["findings"]
     return {(one["instrument"], one["check"]): one["verdict"] for one in findings}, findings
 
 
-def test_the_doctor_asks_every_instrument_and_a_missing_one_hides_no_other(rig):
-    change_text(rig, "period_frames = 8192\n", FLAWS)
+def test_the_doctor_asks_and_records_every_instrument_and_a_missing_one_hides_none(rig, tmp_path):
+    vibrometer = f'[vibrometer]\ndriver = "polytec-ofv3001"\nport = "{tmp_path / "vibrometer"}"\n'
+    change_text(rig, "period_frames = 8192\n", FLAWS + vibrometer)
     with emulated_instruments(rig) as sides:
         # Where the loopback's full scale is not calibrated, every position would be poor; the seed is that of the rig.
         full_scale_v = 5.0 * output_errors(len(ACTUATORS) + 1, 2e-5, 1.0, 4)[1][-1]
         change_text(rig, "[player]", f"[player]\nfull_scale_v = {full_scale_v}\nlimit_v = 4.0")
-        for _ in range(5):
-            verdicts, findings = doctor(rig, sides)
+        for number in range(5):
+            record = tmp_path / f"{number}.jsonl"
+            verdicts, findings = doctor(rig, sides, "--record", record)
             if verdicts["player", "latency"] == "ok":  # a busy machine's is worth a warning
                 break
         for key in (("mirror", "corners"), ("recorder", "record"), ("player", "latency"), ("vibrometer", "response")):
             assert verdicts[key] == "ok"
         (corners,) = [one for one in findings if one["check"] == "corners"]
         assert "read back within 0.0" in corners["what"]
+        assert verdicts["record", "file"] == "ok"
+        assert run(["doctor", str(rig), "--record", str(record)]) == 2  # it exists, and is left alone
+        head, *lines = map(json.loads, record.read_text(encoding="utf-8").splitlines())
+        assert head["drivers"]["mirror"] == "asi-tiger"
+        called = {(line["instrument"], line["called"]) for line in lines if "called" in line}
+        assert {("mirror", "move_to"), ("recorder", "start"), ("recorder", "read"), ("player", "identify")} <= called
+        assert {"mirror", "vibrometer"} <= {line["instrument"].split(" ")[0] for line in lines if "sent" in line}
         sides.say("unplug mirror")
         verdicts, _ = doctor(rig, sides, code=1)
         assert [where for where, verdict in verdicts.items() if verdict == "fail"] == [("mirror", "opening")]
