@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.evidence import CLEAR_DB, ROW_CHANGE, SEEN_SHARE, SIGMAS
+from wavefocus.calibration.evidence import CLEAR_DB, ROW_CHANGE, SEEN_SHARE
 from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.config.messages import Instant, Number
 
@@ -103,9 +103,8 @@ def step_of(
     Slow drift, of the room's temperature for one, changes each row by a factor that grows with the distance of its
     actuator: ``exp(c r)``, with one complex c for each part of the band. That part is taken out, and the norm of what
     is left is compared with what changes of `STEP_DB` (louder) and `STEP_SAMPLES` in all rows would leave, but for a
-    fifth (`SEEN_SHARE`), and with the noise of both looks. This limit stays `SIGMAS` standard deviations by that noise
-    below the least of such changes, either way: a guard band (JCGM 106:2012), so that chance hides one in three
-    million. But it is twice the noise at least. A single row is compared with half of itself.
+    fifth (`SEEN_SHARE`), and with the noise of both looks; with twice the noise at least. A single row is compared
+    with half of itself.
 
     then, now, float32 (actuators, taps): Green's functions at the two looks.
     noise_share, float64 (actuators,): Energy of both looks' noise over that of each row.
@@ -117,18 +116,14 @@ def step_of(
     first, second = (np.fft.rfft(green.astype(np.float64), 2 * taps, axis=1)[:, inside] for green in (then, now))
     known = bool(np.isfinite(distance_mm).all()) and len(then) > 2
     weights = distance_mm / np.mean(distance_mm) if known else np.zeros(len(then))
-    # Of a level the fainter side leaves 6 % less than the louder one, of a delay both leave the same.
+    # A fainter level leaves 6 % less than a louder one: above four fifths too. Of a delay both ways leave the same.
     late = np.exp(-2j * np.pi * hertz[inside] * STEP_SAMPLES / sample_rate_hz)
-    factors = (10 ** (STEP_DB / 20), late, 10 ** (-STEP_DB / 20))
-    steps = [_left(first, factor * first, weights) for factor in factors]
-    smallest = min(steps, key=lambda energies: float(energies.sum()))
+    steps = (_left(first, factor * first, weights) for factor in (10 ** (STEP_DB / 20), late))
+    smallest = SEEN_SHARE**2 * min(float(step.sum()) for step in steps)
     left, energy = _left(first, second, weights), np.sum(np.abs(first) ** 2, axis=1)
-    noise = noise_share * energy
-    # Of |step + noise|^2 over the independent bins, half of those that zeros in time have made.
-    deviation = np.sqrt(np.sum((2 * smallest + noise) * noise) / (0.5 * first.shape[1]))
-    seen = min(SEEN_SHARE**2 * min(step.sum() for step in steps[:2]), smallest.sum() - SIGMAS * deviation)
-    # Noise that is not white is known within some 3 dB, so that twice of it must be exceeded.
-    together = left.sum() / max(seen + noise.sum(), 2 * noise.sum(), 1e-300)
+    noise = float(noise_share @ energy)
+    # A step has its noise once. Noise that is not white is known within some 3 dB: twice of it must be exceeded.
+    together = left.sum() / max(smallest + noise, 2 * noise, 1e-300)
     single = left / np.maximum((ROW_CHANGE**2 + 2 * noise_share) * energy, 1e-300)
     return float(np.sqrt(max(together, single.max())))
 
