@@ -1,9 +1,16 @@
-"""The sentinel position against itself: drift, steps, and a mirror that is off."""
+"""The sentinel position against itself: drift, steps, and a mirror that is off.
+
+``python -m pytest -s -m nightly tests/unit/test_sentinel.py -k ten_places`` prints the table of
+docs/reference/point-quality.md.
+"""
+
+import sys
 
 import numpy as np
 import pytest
 
 from tests.unit import analytic_plates
+from tests.unit.analytic_plates import Medium
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
 from wavefocus.config.run import DriftLimits
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
@@ -99,16 +106,26 @@ def truth(place_mm, warmer_k=0.0):
 
 def step(then, now, place_mm, chance):
     """The figure of a change, with the noise of both looks."""
-    rows = []
+    return step_in(then, now, VirtualSettings().actuator_mm - np.array(place_mm), chance, NOISE_SHARE, RATE_HZ, BAND_HZ)
+
+
+def step_in(then, now, actuators_mm, chance, noise_share, rate_hz, band_hz):
+    """The same of any plate, its actuators as seen from the place."""
+    rows, taps = [], then.shape[1]
     for green in (then, now):
         white = np.fft.rfft(chance.standard_normal(green.shape))
-        hertz = np.fft.rfftfreq(TAPS, 1 / RATE_HZ)
-        noise = np.fft.irfft(white * ((hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])), TAPS)
+        hertz = np.fft.rfftfreq(taps, 1 / rate_hz)
+        noise = np.fft.irfft(white * ((hertz >= band_hz[0]) & (hertz <= band_hz[1])), taps)
         norm = np.linalg.norm(green, axis=1, keepdims=True) / np.linalg.norm(noise, axis=1, keepdims=True)
-        rows.append((green + np.sqrt(NOISE_SHARE) * norm * noise).astype(np.float32))
-    distance_mm = np.hypot(*(np.array(VirtualSettings().actuator_mm) - place_mm).T)
-    share = np.full(len(then), 2 * NOISE_SHARE)
-    return step_of(*rows, share, distance_mm, band_hz=BAND_HZ, sample_rate_hz=RATE_HZ)
+        rows.append((green + np.sqrt(noise_share) * norm * noise).astype(np.float32))
+    share = np.full(len(then), 2 * noise_share)
+    return step_of(*rows, share, np.hypot(*actuators_mm.T), band_hz=band_hz, sample_rate_hz=rate_hz)
+
+
+def delayed(green, samples):
+    taps = green.shape[1]
+    turn = np.exp(-2j * np.pi * np.fft.rfftfreq(2 * taps) * samples)
+    return np.fft.irfft(np.fft.rfft(green, 2 * taps) * turn)[:, :taps]
 
 
 WAYS_MM = ((0.0, -0.3), (0.3, 0.0), (0.21, 0.21))
@@ -125,9 +142,7 @@ WARMER_K = (0.5, -0.5, 0.0, 0.25, -0.25)
 )
 def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(place_mm, ways_mm, warmer_k):
     chance, then = np.random.default_rng(7), truth(place_mm)
-    hertz = np.fft.rfftfreq(2 * TAPS, 1 / RATE_HZ)
-    delays = [np.exp(-2j * np.pi * hertz * samples / RATE_HZ) for samples in (0.3, -0.3)]
-    later, earlier = (np.fft.irfft(np.fft.rfft(then, 2 * TAPS) * delay)[:, :TAPS] for delay in delays)
+    later, earlier = delayed(then, 0.3), delayed(then, -0.3)
     aside = [truth((place_mm[0] + x, place_mm[1] + y)) for x, y in ways_mm]
     louder, fainter = then * 10 ** (0.5 / 20), then * 10 ** (-0.5 / 20)
     swapped = then[[1, 0, *range(2, len(then))]]
@@ -136,6 +151,42 @@ def test_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(
     assert all(step(then, now, place_mm, chance) > 1.0 for now in changes)
     warmer = [truth(place_mm, kelvin) for kelvin in warmer_k]
     assert all(step(then, now, place_mm, chance) < 1.0 for now in warmer)
+
+
+ASIDE_MM = np.array([(0.0, 0.0), (0.3, 0.0), (-0.3, 0.0), (0.0, 0.3), (0.0, -0.3)])
+
+
+@pytest.mark.parametrize(
+    ("plate", "every"),
+    [("gel", 30), *(pytest.param(plate, 6, marks=pytest.mark.nightly) for plate in analytic_plates.PLATES)],
+)
+def test_steps_of_the_limits_size_at_ten_places_are_found_and_noise_is_none(plate, every):
+    chance, found = np.random.default_rng(11), {}
+    for place_mm in analytic_plates.places_mm(plate)[3::every]:
+        actuators_mm = analytic_plates.actuators_mm(plate) - place_mm
+        then, *aside = analytic_plates.green(plate, place_mm=place_mm + ASIDE_MM)
+        loudest = np.argmax(np.linalg.norm(then, axis=1))
+        polarity = [-then, np.where(np.arange(len(then))[:, None] == loudest, -then, then)]
+        media = [Medium(1 - 0.005 * kelvin, 1 + 0.02 * kelvin) for kelvin in (0.1, -0.1, 0.5)]
+        *slow, sudden = (analytic_plates.green(plate, medium, place_mm[None])[0] for medium in media)
+        changes = {
+            "level": [10 ** (level_db / 20) * then for level_db in (0.5, -0.5)],
+            "timing": [delayed(then, 0.3), delayed(then, -0.3)],
+            "mirror": aside,
+            "polarity": polarity,
+            "0.1 K": slow,
+            "0.5 K": [sudden],
+            "none": [then, then],
+        }
+        for noise_db in (-48.0, -60.0):
+            sweep = 10 ** (noise_db / 10), analytic_plates.RATE_HZ, analytic_plates.BAND_HZ
+            for name, after in changes.items():
+                marks = [step_in(then, now, actuators_mm, chance, *sweep) > 1.0 for now in after]
+                found.setdefault(name, []).extend(marks)
+    sys.stdout.write(f"\n| {plate} | {' | '.join(f'{sum(one)} of {len(one)}' for one in found.values())} |")
+    assert all(found["level"] + found["timing"] + found["polarity"])
+    assert all(found["mirror"]) or plate == "bending"
+    assert not any(found["none"] + found["0.1 K"])
 
 
 SNR_DB = 50.0

@@ -102,8 +102,9 @@ def step_of(
 
     Slow drift, of the room's temperature for one, changes each row by a factor that grows with the distance of its
     actuator: ``exp(c r)``, with one complex c for each part of the band. That part is taken out, and the norm of what
-    is left is compared with what changes of `STEP_DB` and `STEP_SAMPLES` in all rows would leave of themselves; in a
-    single row, with half of it.
+    is left is compared with what changes of `STEP_DB` (louder) and `STEP_SAMPLES` in all rows would leave, but for a
+    fifth (`SEEN_SHARE`), and with the noise of both looks; with twice the noise at least. A single row is compared
+    with half of itself.
 
     then, now, float32 (actuators, taps): Green's functions at the two looks.
     noise_share, float64 (actuators,): Energy of both looks' noise over that of each row.
@@ -115,14 +116,14 @@ def step_of(
     first, second = (np.fft.rfft(green.astype(np.float64), 2 * taps, axis=1)[:, inside] for green in (then, now))
     known = bool(np.isfinite(distance_mm).all()) and len(then) > 2
     weights = distance_mm / np.mean(distance_mm) if known else np.zeros(len(then))
-    steps = (
-        10 ** (STEP_DB / 20) * first,
-        np.exp(-2j * np.pi * hertz[inside] * STEP_SAMPLES / sample_rate_hz) * first,
-    )
-    smallest = SEEN_SHARE**2 * min(float(_left(first, step, weights).sum()) for step in steps)
-    # The noise is known within some 3 dB, so that twice of it must be exceeded.
+    # A fainter level leaves 6 % less than a louder one: above four fifths too. Of a delay both ways leave the same.
+    late = np.exp(-2j * np.pi * hertz[inside] * STEP_SAMPLES / sample_rate_hz)
+    steps = (_left(first, factor * first, weights) for factor in (10 ** (STEP_DB / 20), late))
+    smallest = SEEN_SHARE**2 * min(float(step.sum()) for step in steps)
     left, energy = _left(first, second, weights), np.sum(np.abs(first) ** 2, axis=1)
-    together = left.sum() / max(smallest + 2 * float(noise_share @ energy), 1e-300)
+    noise = float(noise_share @ energy)
+    # A step has its noise once. Noise that is not white is known within some 3 dB: twice of it must be exceeded.
+    together = left.sum() / max(smallest + noise, 2 * noise, 1e-300)
     single = left / np.maximum((ROW_CHANGE**2 + 2 * noise_share) * energy, 1e-300)
     return float(np.sqrt(max(together, single.max())))
 
