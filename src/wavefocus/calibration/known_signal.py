@@ -214,17 +214,18 @@ class KnownSignalClock:
         self._spectrum = spectrum[self._first :]
         bins = np.arange(self._first, spectrum.size)
         self.highest = spectrum.size / period
-        self._amplitudes = self._spectrum * 2 / period
         lowest = max(int(np.searchsorted(below, 0.01 * below[-1])), 1)
-        self._slope = 2j * np.pi * bins / period
         # Corner frequencies in bins.
         corners = lowest * np.array(CORNERS)
-        self._all_coupling = 1 / (1 + 1j * np.arange(spectrum.size) / corners[:, None])
-        self._coupling = self._all_coupling[:, self._first :]
+        self._coupling = 1 / (1 + 1j * np.arange(spectrum.size) / corners[:, None])
+        # Of the signal, its derivative, and what coupling capacitors leave out.
+        amplitudes = self._spectrum * 2 / period
+        slope, coupled = 2j * np.pi * bins / period * amplitudes, self._coupling[:, self._first :] * amplitudes
+        self._waves = np.concatenate([[amplitudes, slope], coupled])
 
     def coupled(self, fit: KnownSignalFit) -> Complex128Array:
         """Spectrum of the base signal (bins,) as the reference channel carries it, but for the offset."""
-        return np.asarray(self._whole * (fit.gain + fit.coupling @ self._all_coupling))
+        return np.asarray(self._whole * (fit.gain + fit.coupling @ self._coupling))
 
     def fit(self, decimated: Decimated) -> KnownSignalFit:
         """Find offset and ratio, first near a ratio of 1, then further and further away.
@@ -258,8 +259,7 @@ class KnownSignalClock:
     def near(self, length: int, step: int, offset: float, ratio: float) -> NearClock:
         """Make the fit of parts of recordings of `length` samples, a multiple of `step`, of nearly this ratio."""
         place = np.arange(0, length, step)
-        waves = np.stack([self._amplitudes, self._amplitudes * self._slope, *(self._amplitudes * self._coupling)])
-        return NearClock(self._waves_at(waves, place, offset, ratio), length, self.highest, offset, ratio)
+        return NearClock(self._waves_at(self._waves, place, offset, ratio), length, self.highest, offset, ratio)
 
     def _offset(self, values: Float64Array, place: Int64Array, ratio: float) -> float:
         """Offset in samples to about one, from the envelope of the cross-correlation on the ring."""
@@ -276,17 +276,14 @@ class KnownSignalClock:
         energy = float(values @ values)
         middle = 0.5 * (place[0] + place[-1])
         lever = (place - middle) / max(place[-1] - middle, 1.0)
-        ones = np.ones_like(values)
-        coupled = np.zeros((0, values.size))
-        gain, explained, coupling, far = 0.0, 0.0, np.zeros(len(self._coupling)), True
+        # The signal, its derivative, that times the lever, what coupling capacitors leave out, and a constant.
+        model = np.ones((len(self._waves) + 2, values.size))
+        gain, explained, coupling, far = 0.0, 0.0, np.zeros(len(self._waves) - 2), True
         for step in range(MAX_STEPS):
-            waves = [self._amplitudes, self._amplitudes * self._slope]
+            sampled = self._waves_at(self._waves if far else self._waves[:2], place, offset, ratio)
+            model[:2], model[2] = sampled[:2], sampled[1] * lever
             if far:
-                waves += list(self._amplitudes * self._coupling)
-            sampled = self._waves_at(np.stack(waves), place, offset, ratio)
-            if far:
-                coupled = sampled[2:]
-            model = np.concatenate([sampled[:2], (sampled[1] * lever)[None], coupled, ones[None]])
+                model[3:-1] = sampled[2:]
             shares, taken = _least_squares(model @ model.T, model @ values)
             explained = taken / (energy + 1e-300)
             gain, coupling = float(shares[0]), shares[3:-1]

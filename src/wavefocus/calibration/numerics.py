@@ -64,11 +64,14 @@ def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int,
     # The chirp is even, and most of the time goes into exponentials: one side of it serves everywhere.
     chirp = np.exp(0.5j * turn * np.square(np.arange(max(samples, bins), dtype=np.float64)))
     up = np.concatenate([chirp[samples - 1 : 0 : -1], chirp[:bins]])
-    down = signal * chirp[:samples].conj()
+    down = np.zeros((*signal.shape[:-1], length), dtype=np.complex128)
+    np.multiply(signal, chirp[:samples].conj(), out=down[..., :samples])
     if first:
-        down *= np.exp(-1j * (turn * first) * np.arange(samples))
-    product = scipy.fft.ifft(scipy.fft.fft(down, length) * scipy.fft.fft(up, length))[..., samples - 1 : up.size]
-    return np.asarray(product * chirp[:bins].conj(), dtype=np.complex128)
+        down[..., :samples] *= np.exp(-1j * (turn * first) * np.arange(samples))
+    product = scipy.fft.fft(down, overwrite_x=True)
+    product *= scipy.fft.fft(up, length)
+    product = scipy.fft.ifft(product, overwrite_x=True)[..., samples - 1 : up.size]
+    return np.asarray(product * chirp[:bins].conj())
 
 
 def periodic_signal(spectrum: Complex128Array, turn: float, first: int, samples: int) -> Float64Array:

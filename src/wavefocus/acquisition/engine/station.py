@@ -117,7 +117,7 @@ class Station:
         attempt, recordings = recorded.attempt, recorded.recordings
         if not recordings:
             return AttemptResult(attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
-        reference_v, response_v = (np.stack([one.volts[channel] for one in recordings]) for channel in (0, 1))
+        reference_v, response_v = np.stack([one.volts for one in recordings], axis=1)
         count, range_v = self.plan.records, self._range_v(attempt)
         looks = [slice(low, low + count) for low in range(0, len(recordings), count)]
         try:

@@ -159,11 +159,13 @@ class _Spread:
 
     def __call__(self, given: Complex64Array) -> Complex64Array:
         """All bins (rows, bins) from those given (rows, dense and more)."""
-        response = np.empty((len(given), self.bins), dtype=np.complex64)
-        response[:, : self.dense] = given[:, : self.dense]
         around = np.lib.stride_tricks.sliding_window_view(given[:, self.dense :], len(self.weights), axis=1)
-        cells = np.ascontiguousarray(around) @ self.weights
-        response[:, self.dense :] = cells.reshape(len(given), -1)[:, : self.bins - self.dense]
+        cells, every = around.shape[1], self.weights.shape[1]
+        response = np.empty((len(given), self.dense + cells * every), dtype=np.complex64)
+        response[:, : self.dense] = given[:, : self.dense]
+        between = response[:, self.dense :].reshape(len(given), cells, every)
+        np.matmul(np.ascontiguousarray(around), self.weights, out=between)
+        response = response[:, : self.bins]
         response *= self.chain
         return response
 
