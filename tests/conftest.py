@@ -3,6 +3,7 @@
 import gc
 import os
 import shutil
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -80,11 +81,17 @@ LONGEST_NAME = 80
 WHOLE = tuple(Path(__file__).parent / folder for folder in ("system", "gui"))
 
 
+@cache
+def of_whole_commands(file):
+    """Whether a file of tests is one of whole commands and windows; asked once for all its tests."""
+    return any(folder in file.parents for folder in WHOLE)
+
+
 def pytest_collection_modifyitems(items):
     for item in items:
         if len(item.name.split("[")[0]) > LONGEST_NAME:
             raise pytest.UsageError(f"{item.nodeid}: a name of a test has at most {LONGEST_NAME} characters")
-        if any(folder in item.path.parents for folder in WHOLE) and item.get_closest_marker("smoke") is None:
+        if of_whole_commands(item.path) and item.get_closest_marker("smoke") is None:
             item.add_marker(pytest.mark.whole)
         marker = item.get_closest_marker("may_skip")
         if marker is not None and not (marker.args and marker.args[0]):

@@ -5,7 +5,7 @@ Differences count in units of what is allowed. Factors and delays follow by leas
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -185,8 +185,15 @@ def fitted_errors(blocks: Blocks) -> ActuatorErrors:
     """Factors and delays that leave least, each actuator with its own."""
     actuators = blocks[0].green.shape[1]
     errors = ActuatorErrors(np.ones(actuators), np.zeros(actuators))
+    # Step of the search, in periods of the highest frequency: a hundredth of a turn, from where the fit converges.
+    finest_s = 0.01 / max(float(block.frequency_hz.max()) for block in blocks)
+    # Delays are looked for within this time, either way.
+    ahead_s = np.arange(0.0, 0.02, finest_s)
+    delays_s = np.concatenate([-ahead_s[:0:-1], ahead_s])
+    # These exponentials take longer than all else of a step, and are the same in each.
+    turns = [np.exp(2j * np.pi * np.outer(delays_s, block.frequency_hz)) for block in blocks]
     for _ in range(actuators + 1):  # each actuator, and all together
-        step = _best_step(errors.applied(blocks))
+        step = _best_step(errors.applied(blocks), delays_s, turns)
         if step is None:
             break
         errors = ActuatorErrors(errors.factor * step.factor, errors.late_s + step.late_s)
@@ -231,13 +238,11 @@ def _groups(blocks: Blocks, errors: ActuatorErrors, allowed: float) -> Iterator[
         left = [index for index in left if index not in group]
 
 
-def _best_step(blocks: Blocks) -> ActuatorErrors | None:
-    """The change of one actuator, or of all alike, that takes off most; None where none takes off enough."""
-    # Step of the search, in periods of the highest frequency: a hundredth of a turn, from where the fit converges.
-    finest_s = 0.01 / max(float(block.frequency_hz.max()) for block in blocks)
-    # Delays are looked for within this time, either way.
-    ahead_s = np.arange(0.0, 0.02, finest_s)
-    delays_s = np.concatenate([-ahead_s[:0:-1], ahead_s])
+def _best_step(blocks: Blocks, delays_s: Float64Array, turns: Sequence[Complex128Array]) -> ActuatorErrors | None:
+    """The change of one actuator, or of all alike, that takes off most; None where none takes off enough.
+
+    turns: Of each block, ``exp(2 pi j delay frequency)`` of the delays that are tried (delays, K).
+    """
     own = matched = agreement = np.zeros(0)
     for index, block in enumerate(blocks):
         parts, difference = block.parts, block.difference
@@ -246,7 +251,7 @@ def _best_step(blocks: Blocks) -> ActuatorErrors | None:
         these = (
             np.einsum("rak,rak->a", parts.conj(), parts).real,
             np.einsum("rak,rk->a", parts.conj(), difference).real,
-            (np.exp(2j * np.pi * np.outer(delays_s, block.frequency_hz)) @ cross.T).real,
+            (turns[index] @ cross.T).real,
         )
         own, matched, agreement = these if not index else (own + these[0], matched + these[1], agreement + these[2])
     safe = np.where(own > 0.0, own, np.inf)
