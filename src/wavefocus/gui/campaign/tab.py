@@ -6,7 +6,6 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
 
@@ -136,10 +135,6 @@ class CampaignTab(Tab):
         self.map_panel = MapPanel(self.campaign)
         self.position_panel = PositionPanel(context, self.campaign)
         self.events = EventList(self.campaign)
-        seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
-        self._find = ui.action(self, "&Find in events", seek, "Ctrl+F")
-        self._find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)  # editors have this key, too
-        self.addAction(self._find)
         self._lay_out()
         self.run_field.chosen.connect(self._run_chosen)
         self.bank_field.chosen.connect(self._bank_chosen)
@@ -150,7 +145,7 @@ class CampaignTab(Tab):
 
     def menu_actions(self) -> list[QAction | None]:
         """Actions of the buttons, and what a resume may accept."""
-        return [*self.controls.actions_by_name.values(), None, self.run.accept_calibration, None, self._find]
+        return [*self.controls.actions_by_name.values(), None, self.run.accept_calibration]
 
     def open_file(self, path: Path) -> None:
         if path.suffix.lower() == ".toml":
