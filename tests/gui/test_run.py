@@ -38,7 +38,7 @@ def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, sha
     window.open_file(finished)
     with BankWriter.open(finished):
         wait(qtbot, lambda: tab.progress.state.text() == "preparing")
-        assert not tab.controls.buttons["resume"].isEnabled()
+        assert not tab.controls.actions_by_name["resume"].isEnabled()
         # Even one who is quicker than the buttons harms nothing.
         tab.run.start(["resume", str(finished)], finished)
         refused("owned by process")
@@ -52,7 +52,7 @@ def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, sha
     wrong = write_lab(tmp_path / "wrong", 2, 2)
     change_text(wrong, "taps = 1000", "taps = -3")
     window.open_file(wrong)
-    press(qtbot, tab.controls.buttons["start"])
+    press(qtbot, tab.controls.actions_by_name["start"])
     refused("capture.taps")
 
 
@@ -134,10 +134,10 @@ def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_silently(qtb
     run.write_text(text.replace('"rig.toml"', f'"{real_rig}"'), encoding="utf-8")
     window = open_window(real_rig, run)
     tab, rig = campaign_of(window), tab_of(window, RigTab)
-    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+    wait(qtbot, tab.controls.actions_by_name["start"].isEnabled)
     rig.take()
     assert rig.session.running
-    press(qtbot, tab.controls.buttons["start"])
+    press(qtbot, tab.controls.actions_by_name["start"])
     told = "the Rig tab has the instruments of real.toml, so the instruments are busy: stop it first"
     assert window.messages.sentence == told
     assert tab.run.own is None
@@ -149,7 +149,7 @@ def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_silently(qtb
 def test_own_run_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(qtbot, open_window, long_run):
     window, bank = open_window(long_run), long_run.with_name("plate.h5")
     tab, scene = campaign_of(window), tab_of(window, SceneTab)
-    press(qtbot, tab.controls.buttons["start"])
+    press(qtbot, tab.controls.actions_by_name["start"])
     wait(qtbot, lambda: tab.campaign.measured > 0)
     edit(scene.document, line_scene())
     window.close()
@@ -170,9 +170,9 @@ def test_own_run_and_unsaved_scene_then_closing_asks_one_after_other_and_then_ac
     wait(qtbot, lambda: campaign_of(other).campaign.measured > tab.campaign.measured)
     assert other.close()
     assert bank_owner(bank) is not None
-    press(qtbot, campaign_of(again).controls.buttons["stop"])  # an order reaches it all the same
+    press(qtbot, campaign_of(again).controls.actions_by_name["stop"])  # an order reaches it all the same
     wait(qtbot, lambda: bank_owner(bank) is None)
-    press(qtbot, campaign_of(again).controls.buttons["resume"])
+    press(qtbot, campaign_of(again).controls.actions_by_name["resume"])
     wait(qtbot, lambda: bank_owner(bank) is not None)
     again.close()
     answer(again, "Stop after this position")
@@ -185,18 +185,18 @@ def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
     other = write_lab(tmp_path / "other", 2, 2)
     window = open_window(other)
     tab, scene = campaign_of(window), tab_of(window, SceneTab)
-    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+    wait(qtbot, tab.controls.actions_by_name["start"].isEnabled)
     scene.bank_field.line.setText(str(finished))
     scene.bank_field.line.editingFinished.emit()
     wait(qtbot, lambda: "plate.h5 is not of run.toml" in tab.progress.faults.text())
     assert str(finished) in tab.progress.faults.text()
-    wait(qtbot, lambda: not tab.controls.buttons["start"].isEnabled())
+    wait(qtbot, lambda: not tab.controls.actions_by_name["start"].isEnabled())
     window.messages.note("something else")
     assert tab.progress.faults.isVisible()
     window.open_file(finished.with_name("run.toml"))  # the run of that bank
     window.open_file(finished)
     wait(qtbot, lambda: tab.progress.faults.text() == "")
-    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+    wait(qtbot, tab.controls.actions_by_name["start"].isEnabled)
 
 
 def refused_at_start(*words: str, **environment: str) -> None:

@@ -67,7 +67,7 @@ def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone
 
     choose(qtbot, window, tab.run_field, "run.toml")
     assert tab.bank_field.path == bank
-    buttons = tab.controls.buttons
+    buttons = tab.controls.actions_by_name
     press(qtbot, buttons["start"])
     wait(qtbot, lambda: tab.campaign.measured > 5)
     press(qtbot, buttons["pause"])

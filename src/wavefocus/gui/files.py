@@ -1,10 +1,13 @@
 """Settings kept between sessions, file dialogs that do not block, a field for a path, and kinds of TOML files."""
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PyQt5.QtCore import QByteArray, QMetaProperty, QSettings, Qt, pyqtSignal
 from PyQt5.QtWidgets import QFileDialog, QLineEdit, QSplitter, QWidget
@@ -14,6 +17,9 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.surface import VIRTUAL, is_virtual
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.gui.tab import TabContext
 
 
 class Settings:
@@ -126,21 +132,19 @@ class PathField(QWidget):
     word: Label, with an ampersand before its key; empty for none.
     ending, kind: Ending of the files, ``".h5"``, and their name; an empty ending for folders. Where the name is one
         of `FileKind`, a file of another kind is refused.
-    settings: Has the folder of the last choice.
+    context: Has the folder of the last choice, and the message that says that a file is refused.
     saves: Whether the file may not exist yet.
     words: Words allowed in place of a path.
     """
 
     chosen = pyqtSignal(object)
-    #: A sentence: the file is of another kind, and the former one stays. Empty before another path is reported.
-    refused = pyqtSignal(str)
 
     def __init__(
         self,
         word: str,
         ending: str,
         kind: str,
-        settings: Settings,
+        context: TabContext,
         *,
         saves: bool = False,
         words: Collection[str] = (),
@@ -148,7 +152,7 @@ class PathField(QWidget):
         super().__init__()
         self._wanted = next((one for one in FileKind if one == kind), None)
         self._words = words
-        self._ending, self._kind, self._settings, self._saves = ending, kind, settings, saves
+        self._ending, self._kind, self._context, self._saves = ending, kind, context, saves
         self._last: Path | None = None
         self.line = QLineEdit()
         self.line.setAccessibleName(kind)
@@ -180,7 +184,7 @@ class PathField(QWidget):
 
     def _open_dialog(self) -> None:
         """Choose a file in a dialog that does not block."""
-        folder = self.path.parent if self.path else self._settings.folder(self._ending)
+        folder = self.path.parent if self.path else self._context.settings.folder(self._ending)
         dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending])
         if not self._ending:
             # One that does not exist yet can be typed.
@@ -198,16 +202,19 @@ class PathField(QWidget):
         dialog.show()
 
     def _selected(self, name: str) -> None:
-        self._settings.keep(f"folder/{self._ending}", str(Path(name).parent))
+        self._context.settings.keep(f"folder/{self._ending}", str(Path(name).parent))
         self._choose(Path(name))
 
     def _choose(self, path: Path) -> None:
         refusal = "" if self._wanted is None else misplaced(path, self._wanted)
-        self.refused.emit(refusal)
+        self._context.messages.dismiss_old()  # about the former file
+        self._context.report("file", refusal)
         if refusal:
             self.show_path(self._last)
             return
         self.show_path(path)
+        if self._ending:
+            self._context.settings.opened(path)
         self.chosen.emit(path)
 
 

@@ -222,8 +222,12 @@ class CommandProcess(QObject):
         self.deleteLater()
 
 
+# One waits for the process that calculates a scene, one may read a verification of some hundred megabytes.
+_THREADS = 4
+
+
 class Background(QObject):
-    """Runs one piece of work after the other.
+    """Runs pieces of work in threads.
 
     A newer request of the same name makes an older one void: only what was asked for last is shown.
     """
@@ -232,7 +236,8 @@ class Background(QObject):
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="window work")
+        self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="window work")
+        self._ended = False
         self._asked: dict[str, tuple[Callable[[Any], object], Callable[[Exception], object]]] = {}
         self._finished.connect(self._deliver)  # emitted in another thread, and so queued for this one
 
@@ -243,7 +248,9 @@ class Background(QObject):
         done: Callable[[Any], object],
         failed: Callable[[Exception], object],
     ) -> None:
-        """Do `work` in the thread and call `done` with its result, or `failed`, in the window's thread."""
+        """Do `work` in a thread and call `done` with its result, or `failed`, in the window's thread."""
+        if self._ended:
+            return
         then = self._asked[name] = done, failed
         self._pool.submit(lambda: work() if self._asked.get(name) is then else None).add_done_callback(
             partial(self._report, name, then)
@@ -251,6 +258,7 @@ class Background(QObject):
 
     def end(self) -> None:
         """Begin nothing more, and deliver nothing more."""
+        self._ended = True
         self._asked.clear()
         self._pool.shutdown(wait=False, cancel_futures=True)
 

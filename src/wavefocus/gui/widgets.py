@@ -126,7 +126,12 @@ def button(action: QtWidgets.QAction) -> QtWidgets.QToolButton:
     """Make a button of an action."""
     button = QtWidgets.QToolButton()
     button.setDefaultAction(action)
-    button.setAccessibleName(action.text().replace("&", "").rstrip("…"))
+
+    def name() -> None:
+        button.setAccessibleName(action.text().replace("&", "").rstrip("…"))
+
+    action.changed.connect(name)
+    name()
     return button
 
 

@@ -10,7 +10,7 @@ from PyQt5.QtGui import QCloseEvent, QFontDatabase, QGuiApplication, QKeySequenc
 from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import ENDINGS, FileKind, PathField, Settings, kind_of, make_dialog, short_path
+from wavefocus.gui.files import ENDINGS, FileKind, Settings, kind_of, make_dialog, short_path
 from wavefocus.gui.message_bar import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
@@ -51,8 +51,6 @@ class Window(QMainWindow):
         # Messages stand below: no strip above the tabs is blank while there is none, and no control moves.
         ui.column((scrolled, 1), self.messages, owner=centre, margins=(6, 2, 6, 4), spacing=4)
         self.setCentralWidget(centre)
-        for field in self.findChildren(PathField):
-            field.refused.connect(self._refuse_file)
         self._pages.currentChanged.connect(lambda _index: self.context.settle("file"))
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
@@ -102,10 +100,6 @@ class Window(QMainWindow):
             return
         self.tracebacks = [*self.tracebacks[-20:], details]
         self.messages.fault(sentence, ("Copy details", lambda: ui.copy_text(details)))
-
-    def _refuse_file(self, sentence: str) -> None:
-        self.messages.dismiss_old()  # about the former file
-        self.context.report("file", sentence)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
         """Ask the questions of the tabs first, one after the other."""

@@ -181,21 +181,24 @@ class Follower:
         self._put_life(owner)
         self._report("")
 
+    def _put(self, **facts: object) -> None:
+        """Let the window's campaign have other facts."""
+        self._found.put(lambda campaign: vars(campaign).update(facts))
+
     def _put_life(self, owner: Owner | None) -> None:
         self._owner = owner
         beat, asked_s = self._read_heartbeat(self.bank), time.monotonic()
-        self._found.put(lambda campaign: campaign.show_owner(owner, beat, asked_s))
+        self._put(owner=owner, heartbeat=beat, asked_s=asked_s)
 
     def _put_drift(self) -> None:
-        points = read_drift(self.bank)
-        self._found.put(lambda campaign: campaign.show_drift(points))
+        self._put(drift=read_drift(self.bank))
 
     def _put_ledger(self, bank: Bank) -> None:
         began_s = time.monotonic()
         status = bank.status
         figures = per_position(bank.quality, status > 0)
         status[bank.broken] = DAMAGED
-        self._found.put(lambda campaign: campaign.show_ledger(status, figures))
+        self._put(status=status, figures=figures)
         took_s = time.monotonic() - began_s
         self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
         self._stale = False

@@ -223,8 +223,9 @@ class CampaignModel:
     heartbeat: Heartbeat | None = None
     _begun: set[int] = field(default_factory=set)
     """Positions begun since the last fault of an instrument."""
+    asked_s: float = 0.0
+    """When owner and heartbeat were asked for, on the monotonic clock."""
     _logged_s: float = 0.0
-    _asked_s: float = 0.0
 
     def open(self, surface: PlotSurface) -> None:
         """Show the bank, for the first time or after it was replaced."""
@@ -236,18 +237,6 @@ class CampaignModel:
             self._forget_log()
         for record in records:
             self._take_record(record)
-
-    def show_ledger(self, status: NDArray[np.uint8], figures: Mapping[str, Float32Array]) -> None:
-        """Show status bits and quality figures of all positions."""
-        self.status, self.figures = status, figures
-
-    def show_owner(self, owner: Owner | None, heartbeat: Heartbeat | None, asked_s: float) -> None:
-        """Show the bank's owner and heartbeat; asked for at `asked_s` of the monotonic clock."""
-        self.owner, self.heartbeat, self._asked_s = owner, heartbeat, asked_s
-
-    def show_drift(self, points: list[DriftPoint]) -> None:
-        """Show the whole drift history."""
-        self.drift = points
 
     @property
     def measured(self) -> int:
@@ -269,7 +258,7 @@ class CampaignModel:
                 return ShownState(Extra.PREPARING, "checking the bank and the instruments")
             return logged
         if session.goes_on:
-            if self._asked_s <= self._logged_s + _ASKED_AFTER_S:
+            if self.asked_s <= self._logged_s + _ASKED_AFTER_S:
                 return logged
             if not starting:
                 reason = f"its process ended unexpectedly while {logged.word}; Resume continues from there"

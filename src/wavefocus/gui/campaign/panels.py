@@ -45,13 +45,11 @@ class Controls(QtWidgets.QWidget):
     def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
         super().__init__()
         self.actions_by_name: dict[str, QtWidgets.QAction] = {}
-        self.buttons: dict[str, QtWidgets.QToolButton] = {}
         parts: list[QtWidgets.QWidget | int | None] = []
         for name, text, key, tip in _BUTTONS:
             action = self.actions_by_name[name] = ui.action(self, text, acts[name], key, tip=tip)
             action.setEnabled(False)
-            self.buttons[name] = ui.button(action)
-            parts += [self.buttons[name], 10 if name == "stop" else 0]
+            parts += [ui.button(action), 10 if name == "stop" else 0]
         ui.row(*parts, None, owner=self)
 
     def show_possible(
@@ -73,9 +71,7 @@ class Controls(QtWidgets.QWidget):
             ("poor", free and has_bank and poor > 0, f"Remeasure poor{f' ({poor})' * (poor > 0)}"),
         ):
             self.actions_by_name[name].setEnabled(enabled)
-            if self.actions_by_name[name].text() != text:
-                self.actions_by_name[name].setText(text)
-                self.buttons[name].setAccessibleName(text)
+            self.actions_by_name[name].setText(text)
 
 
 class ProgressRow(Themed, QtWidgets.QWidget):
@@ -147,9 +143,6 @@ class EventList(Themed, QtWidgets.QWidget):
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
         tip = "Events shown here (all are in the log next to the bank)"
         self.weight = ui.choice("Least weight", tip, choices, model.Weight.NOTE)
-        self.text = ui.named(QtWidgets.QLineEdit(), "Show only events that contain this text (Ctrl+F)", "Filter text")
-        self.text.setPlaceholderText("filter…")
-        self.text.setClearButtonEnabled(True)
         self.of_position = ui.check("this position", "Show only events of the position that is shown above")
         self.view = ui.table(("time", "weight", "event"), "Events", ())
         self.view.setShowGrid(False)
@@ -164,9 +157,8 @@ class EventList(Themed, QtWidgets.QWidget):
         self.view.setColumnWidth(0, metrics.horizontalAdvance("Wed 00:00:00") + 18)
         self.view.setColumnWidth(1, metrics.horizontalAdvance("warning") + 22)
         title = ui.label(text="Events", role="strong")
-        filters = ui.row(title, self.weight, self.of_position, (self.text, 1))
-        ui.column(filters, (self.view, 1), owner=self)
-        for changed in (self.weight.currentIndexChanged, self.text.textChanged, self.of_position.toggled):
+        ui.column(ui.row(title, self.weight, self.of_position, None), (self.view, 1), owner=self)
+        for changed in (self.weight.currentIndexChanged, self.of_position.toggled):
             changed.connect(self._restrict)
         self.view.doubleClicked.connect(self._want_position)
 
@@ -199,8 +191,7 @@ class EventList(Themed, QtWidgets.QWidget):
 
     def _accepts(self, line: model.EventLine) -> bool:
         position = self._position if self.of_position.isChecked() else -1
-        heavy = line.weight >= self.weight.currentIndex()
-        return heavy and position in (-1, line.position) and self.text.text().casefold() in line.text.casefold()
+        return line.weight >= self.weight.currentIndex() and position in (-1, line.position)
 
     def _restrict(self) -> None:
         self.draw()

@@ -6,7 +6,6 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
 
@@ -120,8 +119,8 @@ class CampaignTab(Tab):
         self._planned_s = math.nan
         self._mismatch = ""
         """Why run file and bank do not belong together."""
-        self.run_field = PathField("&Run", ".toml", "run file", context.settings)
-        self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings, saves=True)
+        self.run_field = PathField("&Run", ".toml", "run file", context)
+        self.bank_field = PathField("&Bank", ".h5", "bank file", context, saves=True)
         self.controls = Controls(
             {
                 "start": self._start_run,
@@ -136,13 +135,9 @@ class CampaignTab(Tab):
         self.map_panel = MapPanel(self.campaign)
         self.position_panel = PositionPanel(context, self.campaign)
         self.events = EventList(self.campaign)
-        seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
-        self._find = ui.action(self, "&Find in events", seek, "Ctrl+F")
-        self._find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)  # editors have this key, too
-        self.addAction(self._find)
         self._lay_out()
         self.run_field.chosen.connect(self._run_chosen)
-        self.bank_field.chosen.connect(self._bank_chosen)
+        self.bank_field.chosen.connect(self.follow)
         self.run.accept_calibration.toggled.connect(lambda _on: self._read_plan())
         for panel in (self.position_panel, self.events):
             self.map_panel.map.shown_changed.connect(panel.show_position)
@@ -150,7 +145,7 @@ class CampaignTab(Tab):
 
     def menu_actions(self) -> list[QAction | None]:
         """Actions of the buttons, and what a resume may accept."""
-        return [*self.controls.actions_by_name.values(), None, self.run.accept_calibration, None, self._find]
+        return [*self.controls.actions_by_name.values(), None, self.run.accept_calibration]
 
     def open_file(self, path: Path) -> None:
         if path.suffix.lower() == ".toml":
@@ -238,7 +233,6 @@ class CampaignTab(Tab):
 
     def _run_chosen(self, path: Path) -> None:
         """Use a run; a chosen bank stays, unless it belongs to another run."""
-        self.context.settings.opened(path)
         self._share_run(path)
         former, self._run_file = self._run_file, path
         another = former is not None and not same_file(former, path)
@@ -252,10 +246,6 @@ class CampaignTab(Tab):
         if (rig := rig_of_run(path)) is not None:
             self.context.share(self, FileKind.RIG, rig)
         self._read_plan()
-
-    def _bank_chosen(self, path: Path) -> None:
-        self.context.settings.opened(path)
-        self.follow(path)
 
     def _read_plan(self) -> None:
         """Read the campaign of the run file, for the map and the hours, and whether the bank is of it."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from PyQt5 import QtGui, QtWidgets
-from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt, pyqtSignal
+from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.editing import commented_table, completions, example, help_at
@@ -148,21 +148,6 @@ class _Colours(QtGui.QSyntaxHighlighter):
                 self.setFormat(match.capturedStart(), match.capturedLength(), style)
 
 
-class _SearchLine(QtWidgets.QLineEdit):
-    """Takes Escape itself, also while a message is shown that Escape would dismiss."""
-
-    left = pyqtSignal()
-
-    def event(self, event: QEvent | None) -> bool:
-        """Claim Escape before it is taken for a shortcut."""
-        if isinstance(event, QtGui.QKeyEvent) and event.key() == Qt.Key.Key_Escape:
-            event.accept()
-            if event.type() == QEvent.Type.KeyPress:
-                self.left.emit()
-            return True
-        return bool(super().event(event))
-
-
 class TextPanel(Themed, QtWidgets.QWidget):
     """The text with a line to search in it, and its mistakes below, each with its line."""
 
@@ -170,18 +155,17 @@ class TextPanel(Themed, QtWidgets.QWidget):
         super().__init__()
         self._document = document
         self.text = _TomlEdit(document)
-        self.search = ui.named(_SearchLine(), "Enter: next place, Escape: close", "Search in the text")
+        self.search = ui.named(QtWidgets.QLineEdit(), "Enter: next place with this text (Ctrl+F)", "Search in the text")
         self.search.setPlaceholderText("search: Enter finds the next place")
-        self.search.hide()
         self.problem = ui.label("Mistakes of the text", wraps=True, selectable=True)
         self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.LinksAccessibleByMouse)
         self.problem.linkActivated.connect(lambda line: self.text.go_to_line(int(line)))
         ui.column(self.search, (self.text, 1), self.problem, owner=self, spacing=4)
         self.search.returnPressed.connect(self._find_next)
-        find = ui.action(self, "&Find", self._find, "Ctrl+F")
+        seek = partial(self.search.setFocus, Qt.FocusReason.ShortcutFocusReason)
+        find = ui.action(self, "&Find", seek, "Ctrl+F")
         find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
         self.addAction(find)
-        self.search.left.connect(self._leave)
         document.changed.connect(self._show_mistakes)
         self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
         self._show_mistakes()
@@ -199,15 +183,6 @@ class TextPanel(Themed, QtWidgets.QWidget):
             lines.append(f"and {more} more")
         self.problem.setText("<br>".join(lines))
         self.problem.setVisible(bool(lines))
-
-    def _find(self) -> None:
-        self.search.show()
-        self.search.setFocus(Qt.FocusReason.ShortcutFocusReason)
-        self.search.selectAll()
-
-    def _leave(self) -> None:
-        self.search.hide()
-        self.text.setFocus(Qt.FocusReason.OtherFocusReason)
 
 
 _MISTAKES_SHOWN = 3

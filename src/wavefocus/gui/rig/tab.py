@@ -128,7 +128,7 @@ class RigTab(Tab):
         self.rig: Path | None = None
         self.session = ManualSession(context)
         self.calibration = Calibration(context)
-        self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
+        self.rig_field = PathField("Ri&g", ".toml", "rig file", context)
         self.examination = _ExaminationPage(context, self.do)
         self.manual_page = ManualPage(self.session, self.take)
         self.calibration_page = CalibrationPage(self.calibration, self.calibrate)
@@ -150,7 +150,6 @@ class RigTab(Tab):
     def open_file(self, path: Path) -> None:
         """Use another rig; open instruments are closed first."""
         self.session.release()
-        self.context.settings.opened(path)
         self._show_rig(path)
         self.context.share(self, FileKind.RIG, path)
 

@@ -21,9 +21,9 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import FileState, file_state
-from wavefocus.gui.process import Background
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.surface import PlotSurface, surface_of
+from wavefocus.gui.tab import TabContext
 from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
@@ -70,12 +70,11 @@ class Calculation(QObject):
     #: Why the stage cannot be calculated.
     refused = pyqtSignal(str)
 
-    def __init__(self, document: SceneDocument, parent: QObject) -> None:
-        super().__init__(parent)
-        self._document = document
+    def __init__(self, context: TabContext, document: SceneDocument) -> None:
+        super().__init__(document)
+        self._context, self._document = context, document
         self._pool: ProcessPoolExecutor | None = None
         self._newest = multiprocessing.get_context("spawn").Value("q", 0)
-        self._background = Background(self)  # waits for the process
         self._cancelled_s = 0.0
         self.busy = False
 
@@ -108,7 +107,7 @@ class Calculation(QObject):
         assert self._pool is not None
         self._cancelled_s, self.busy = 0.0, True
         step = partial(self._pool.submit, work, self._newest.value, *arguments)
-        self._background.ask("scene", lambda: step().result(), self._take, self._fail)
+        self._context.background.ask("scene", lambda: step().result(), self._take, self._fail)
         self.stage.emit(stage)
 
     def _fail(self, failure: Exception) -> None:

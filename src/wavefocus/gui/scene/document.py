@@ -175,7 +175,6 @@ class SceneDocument(TextDocument):
     """The text of one scene file.
 
     draft: The scene that the text says; the last one that could be read.
-    problem: Why the text is no scene; empty where it is one.
     chosen: The list and the index of the source or quiet place in whose table the cursor is; `NOTHING` for none.
     """
 
@@ -186,15 +185,18 @@ class SceneDocument(TextDocument):
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__("scene", parent)
-        self.draft, self.problem, self.chosen = NEW_SCENE, "", NOTHING
+        self.draft, self.chosen = NEW_SCENE, NOTHING
         self.bank: Path | None = None
-        self.text.setPlainText(scene_toml(self.draft))
-        self.text.setModified(False)
-        self._soon.stop()  # the draft says the same
+        self.clear()
 
     @property
     def worth_keeping(self) -> bool:
         return bool(self.draft.source or self.path or (self.mistakes and self.toml().strip()))
+
+    @property
+    def problem(self) -> str:
+        """Why the text is no scene; empty where it is one."""
+        return self.mistakes[0].sentence if self.mistakes else ""
 
     @property
     def source(self) -> config.SourceTable | None:
@@ -247,12 +249,11 @@ class SceneDocument(TextDocument):
 
     def read(self) -> None:
         self._soon.stop()
-        text, empty = self.toml(), not _SOURCE.search(self.toml())
+        empty = not _SOURCE.search(self.toml())
         # A scene without a source is not finished, but not wrong.
-        self.mistakes = mistakes_in(f"{text}\n{_ANY_SOURCE}" if empty else text, self.model)
-        self.problem = self.mistakes[0].sentence if self.mistakes else ""
+        text = f"{self.toml()}\n{_ANY_SOURCE}" if empty else self.toml()
+        self.mistakes = mistakes_in(text, self.model)
         if not self.mistakes:
-            tables = parse_toml(f"{text}\n{_ANY_SOURCE}" if empty else text, str(self.place))
-            draft = validated(config.SceneConfig, tables, str(self.place))
+            draft = validated(config.SceneConfig, parse_toml(text, str(self.place)), str(self.place))
             self.draft = changed(draft, source=()) if empty else draft
         self.changed.emit()

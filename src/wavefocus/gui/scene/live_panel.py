@@ -87,7 +87,7 @@ class LivePanel(Themed, QWidget):
         )
         tip = "Save each session as a scene in a new folder, named by the time, inside this one"
         self.records = ui.check("&Record in", tip, "Record the session")
-        self.folder = PathField("", "", "folder for recordings", context.settings)
+        self.folder = PathField("", "", "folder for recordings", context)
         self.state = ui.Badge("State of the live session")
         self.figures = ui.label("Figures of the live session", wraps=True)
         self.hint = ui.label("Hint", role="faint", wraps=True)

@@ -17,7 +17,6 @@ from PyQt5.QtCore import QObject, pyqtSignal
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.loading import read_toml
 from wavefocus.config.scene import SceneConfig
-from wavefocus.gui.process import Background
 from wavefocus.gui.scene.document import SceneDocument, build_draft
 from wavefocus.gui.surface import PlotSurface, path_line, surface_from, surface_of
 from wavefocus.gui.tab import TabContext
@@ -79,12 +78,10 @@ class LivePreview(QObject):
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__(document)
         self._context, self._document = context, document
-        self._background = Background(self)
         self.backdrop = _bare_backdrop()
         self.problem = ""
         self._traces: Sequence[Trace] = ()
         self._shown = document.draft, self.backdrop
-        self._ended = False
         self._lost: Path | None = None
         self._rig: Path | None = None
         for signal in (document.changed, document.file_changed):
@@ -105,12 +102,11 @@ class LivePreview(QObject):
     def read_bank(self) -> None:
         """Read the bank's surface; again when a campaign may have filled it."""
         bank = self._document.bank
-        if self._ended:
-            return
         if bank is None:
             self._use_backdrop(_bare_backdrop(self._rig))
         else:
-            self._background.ask("bank", partial(_backdrop_of, bank), self._use_backdrop, partial(self._no_bank, bank))
+            read, failed = partial(_backdrop_of, bank), partial(self._no_bank, bank)
+            self._context.background.ask("surface", read, self._use_backdrop, failed)
 
     def use_rig(self, rig: Path | None) -> None:
         """Draw on the surface of a rig while there is no bank."""
@@ -125,16 +121,10 @@ class LivePreview(QObject):
             self._lost = None
             self.read_bank()
 
-    def shut_down(self) -> None:
-        self._ended = True
-        self._background.end()
-
     def _ask(self) -> None:
-        if self._ended:
-            return
         document, shown = self._document, (self._document.draft, self.backdrop)
         work = partial(_sources_of, *shown, document.place, self.traces)
-        self._background.ask("scene", work, partial(self._show, shown), self._context.report_failure)
+        self._context.background.ask("preview", work, partial(self._show, shown), self._context.report_failure)
 
     def _show(self, shown: tuple[SceneConfig, Backdrop], drawn: tuple[Sequence[Trace], str]) -> None:
         self._shown, (self._traces, self.problem) = shown, drawn

@@ -204,7 +204,7 @@ class ResultsPanel(Themed, QWidget):
         super().__init__()
         self.setAccessibleName("Results of the scene")
         self._context, self._document = context, document
-        self.calculation = Calculation(document, self)
+        self.calculation = Calculation(context, document)
         self.output = Output(context, document)
         self._due_s = self._look_due_s = 0.0
         self._wanted = False
@@ -213,7 +213,7 @@ class ResultsPanel(Themed, QWidget):
         self.complete = False
         self.drives, self.field = _DrivesView(), _FieldView()
         self.figures = ui.table(("figure", "value", "verdict"), "Figures of the scene", (0,))
-        self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings, words=(VIRTUAL,))
+        self.rig_field = PathField("Ri&g", ".toml", "rig file", context, words=(VIRTUAL,))
         tip = "Rig file whose limits count and that plays the scene; virtual: the built-in rig"
         self.rig_field.line.setToolTip(tip)
         self.rig_field.line.setText(context.settings.text("scene/rig"))

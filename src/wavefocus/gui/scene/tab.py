@@ -50,7 +50,7 @@ class SceneTab(Tab):
         self.live = LivePreview(context, self.document)
         self.files = TextFiles(context, self.document, self)
         self.bar = FileBar(self, self.document, self.files)
-        self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
+        self.bank_field = PathField("&Bank", ".h5", "bank file", context)
         self.editor = TextPanel(self.document)
         self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
@@ -97,7 +97,6 @@ class SceneTab(Tab):
         return closing_question(self.context, [self.files])
 
     def shut_down(self) -> None:
-        self.live.shut_down()
         self.results.calculation.close()
 
     def save_settings(self) -> None:
@@ -163,7 +162,6 @@ class SceneTab(Tab):
             self.context.share(self, FileKind.SCENE, self.document.path)
 
     def _bank_chosen(self, path: Path) -> None:
-        self.context.settings.opened(path)
         self.document.use_bank(path)
         self.context.share(self, FileKind.BANK, path)
 

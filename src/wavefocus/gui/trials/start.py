@@ -24,11 +24,10 @@ class TrialsStart(QDialog):
         self.setWindowTitle(f"Trials: {trials.name}")
         self._context, self._trials = context, trials
         self.command = OwnCommand(context)
-        settings = context.settings
         self.participant = ui.named(QLineEdit(), "Code of the participant, no name: letters, digits, -", "Participant")
-        self.bank = PathField("", ".h5", "bank file", settings)
-        self.rig = PathField("", ".toml", "rig file", settings, words=(VIRTUAL,))
-        self.out = PathField("", "", "folder for the answers", settings)
+        self.bank = PathField("", ".h5", "bank file", context)
+        self.rig = PathField("", ".toml", "rig file", context, words=(VIRTUAL,))
+        self.out = PathField("", "", "folder for the answers", context)
         for field, kind, name in ((self.bank, FileKind.BANK, "plate.h5"), (self.rig, FileKind.RIG, "rig.toml")):
             beside, found = trials.with_name(name), context.shared.get(kind)
             if beside.is_file() and (found is None or found.parent != trials.parent):

@@ -21,7 +21,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import LogTail
 from wavefocus.gui.files import FileKind, PathField, names_virtual_rig, record_of
 from wavefocus.gui.message_bar import error_text
-from wavefocus.gui.process import Background, CommandProcess
+from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import ClosingQuestion, OwnCommand, Tab, TabContext
 from wavefocus.gui.theme import Themed
@@ -139,12 +139,11 @@ class _RequestForm(QWidget):
     def __init__(self, context: TabContext) -> None:
         super().__init__()
         self._context = context
-        settings = context.settings
-        self.scene = PathField("&Scene", ".toml", "scene file", settings)
-        self.bank = PathField("&Bank", ".h5", "bank file", settings)
-        self.rig = PathField("Ri&g", ".toml", "rig file", settings, words=(VIRTUAL,))
+        self.scene = PathField("&Scene", ".toml", "scene file", context)
+        self.bank = PathField("&Bank", ".h5", "bank file", context)
+        self.rig = PathField("Ri&g", ".toml", "rig file", context, words=(VIRTUAL,))
         self.rig.line.setToolTip(f"A rig file, or the word {VIRTUAL} for the rig in software")
-        self.out = PathField("F&older", "", "folder for the report", settings)
+        self.out = PathField("F&older", "", "folder for the report", context)
         self._filled: dict[PathField, Path] = {}
         """What was filled in by itself, and follows the bank."""
         tip = "Bank rows to scan: path (along the scene's paths), every:4 (one in four), or rows as 3,5-9; empty: all"
@@ -156,14 +155,11 @@ class _RequestForm(QWidget):
             "scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out, "rows": self.positions,
         }  # fmt: skip
         self.bank.chosen.connect(self.take_bank)
-        for field in (self.scene, self.rig):
-            field.chosen.connect(settings.opened)
         self.rig.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
 
     def take_bank(self, bank: Path) -> None:
         """Verify a bank; empty fields are filled with the files next to it."""
         self.bank.show_path(bank)
-        self._context.settings.opened(bank)
         self._context.share(self, FileKind.BANK, bank)
         for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml"), (self.out, "verify")):
             neighbour = bank.with_name(name)
@@ -268,7 +264,6 @@ class VerificationTab(Tab):
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
         self.results: Results | None = None
-        self._background = Background(self)  # reading some hundred megabytes must hold up no other tab
         self._reading = ""
         self.run = _VerificationRun(context, self._open_record)
         self.form = _RequestForm(context)
@@ -308,8 +303,7 @@ class VerificationTab(Tab):
         self.row.show_run(self.run, self._reading or missing)
 
     def shut_down(self) -> None:
-        self._reading = ""
-        self._background.end()
+        self._reading = ""  # ends the reading
 
     def _lay_out(self) -> None:
         waveforms, shown = QWidget(), QWidget()
@@ -345,7 +339,7 @@ class VerificationTab(Tab):
         self.context.settings.opened(record)
         reading = self._reading = f"reading {record.parent.name}…"
         work = partial(read_results, record, lambda: self._reading is reading)
-        self._background.ask("verification", work, self._show, self._fail)
+        self.context.background.ask("verification", work, self._show, self._fail)
 
     def _show(self, results: Results) -> None:
         self._reading = ""
