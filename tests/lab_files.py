@@ -85,6 +85,13 @@ def point_scene(at_mm, signal, *tables):
     return "\n".join([source, *tables, ""])
 
 
+def stroke_scene(start_mm, end_mm, signal, *tables, speed_mm_s=100.0, step_mm=4.0):
+    """The text of a scene of one source along a line, more keys of that source, and more tables of the scene."""
+    path = f'path = {{ kind = "line", start_mm = {start_mm}, end_mm = {end_mm} }}'
+    source = f"[[source]]\nspeed_mm_s = {speed_mm_s}\nstep_mm = {step_mm}\n{path}\nsignal = {{ {signal} }}"
+    return "\n".join([source, *tables, ""])
+
+
 def change_text(file, old, new):
     """Replace a text in a file, which has to hold it."""
     text = file.read_text(encoding="utf-8")

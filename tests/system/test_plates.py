@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.lab_files import stroke_scene
 from tests.system.captures import answered, wavefocus
 from wavefocus.storage.bank.reading import open_bank
 
@@ -33,17 +34,8 @@ taps = 2000
 plate = "{plate}"
 """
 
-SCENE = """
-[[source]]
-speed_mm_s = 80.0
-step_mm = 4.0
-path = { kind = "line", start_mm = [-15, 1], end_mm = [16, -3] }
-signal = { kind = "impulse" }
-
-[output]
-limit_v = 1.0
-interpolation = "kernel"
-"""
+OUTPUT = '[output]\nlimit_v = 1.0\ninterpolation = "kernel"'
+SCENE = stroke_scene([-15, 1], [16, -3], 'kind = "impulse"', OUTPUT, speed_mm_s=80.0)
 
 
 SMALL, LARGE = (90.0, 60.0, 4.0, 22.0), (300.0, 200.0, 20.0, 18.0)
