@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.lab_files import stroke_scene
+from tests.lab_files import RUN, stroke_scene
 from tests.system.captures import answered, wavefocus
 from wavefocus.storage.bank.reading import open_bank
 
@@ -14,24 +14,6 @@ width_mm = {width}
 
 [actuators]
 position_mm = [[39.0, 0.0], [10.0, 24.0], [-38.0, 8.0], [-5.0, -24.0]]
-"""
-
-RUN = """
-rig = "rig.toml"
-
-[grid]
-spacing_mm = {spacing}
-margin_mm = {margin}
-
-[sweep]
-duration_s = 0.3
-
-[capture]
-averages = 2
-taps = 2000
-
-[virtual]
-plate = "{plate}"
 """
 
 OUTPUT = '[output]\nlimit_v = 1.0\ninterpolation = "kernel"'
@@ -62,9 +44,11 @@ def test_given_a_plate_then_it_is_captured_measured_again_and_verified(
 ):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
     length, width, spacing, margin = size
+    text = RUN.partition("[quality]")[0].replace("decay_s = 0.1\ntaps = 1000", "taps = 2000")
+    grid = f"spacing_mm = {spacing}\nmargin_mm = {margin}"
     files = {
         "rig": RIG.format(kind=kind, length=length, width=width),
-        "run": RUN.format(plate=plate, spacing=spacing, margin=margin) + keys,
+        "run": text.replace('positions_file = "positions.csv"', grid) + f'[virtual]\nplate = "{plate}"\n{keys}',
         "scene": SCENE,
     }
     for name, text in files.items():

@@ -9,7 +9,7 @@ import wavefocus as wf
 from tests.lab_files import stroke_scene
 from wavefocus.__main__ import run
 
-SCENE = stroke_scene(
+SCENE = '[scene]\nname = "stroke"\n' + stroke_scene(
     [-10, 0], [10, 0], 'kind = "sine", frequency_hz = 200.0, duration_s = 0.05', 'emission = "per_point"',
     '[output]\ninterpolation = "bilinear"', step_mm=5.0,
 )  # fmt: skip
