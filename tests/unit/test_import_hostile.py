@@ -134,7 +134,8 @@ HOSTILE = {
     "two rates": (archive(time_s=np.arange(40) / 4000), "sample_rate_hz is 2000, and time_s has 4000"),
     "two drives": (archive(drive_unit="N"), "drive_unit is 'N'"),
     "axes exchanged": (
-        archive(green=GREEN.transpose(0, 2, 1), time_s=np.arange(40) / 2000), "the responses 2 samples; as many are needed, or another order of the axes with --axes",
+        archive(green=GREEN.transpose(0, 2, 1), time_s=np.arange(40) / 2000),
+        "the responses 2 samples; as many are needed, or another order of the axes with --axes",
     ),
     "some fill values": (filled("_FillValue", slice(8, None)), "position 2"),
     "all missing values": (filled("missing_value", slice(0, 40)), "position 2"),
