@@ -37,10 +37,9 @@ def lab_of(folder, rig, *, grid, sweep="", quality="", schedule="staggered", noi
     """Write rig and run file into a new folder."""
     folder.mkdir()
     (folder / "rig.toml").write_text(rig, encoding="utf-8")
-    text = RUN.replace('positions_file = "positions.csv"', grid).replace(
-        "duration_s = 0.3", f"duration_s = 0.3\n{sweep}"
-    )
-    text = text.replace("[capture]", f'[capture]\nexcitation = "{schedule}"').replace('second_look = "never"', quality)
+    text = RUN.replace('positions_file = "positions.csv"', grid).replace('second_look = "never"', quality)
+    text = text.replace("duration_s = 0.3", f"duration_s = 0.3\n{sweep}")
+    text = text.replace("[capture]", f'[capture]\nexcitation = "{schedule}"')
     text = text.replace("seed = 3\nnoise_v = 1e-4", f"seed = 5\nnoise_v = {noise_v}")
     (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder / "run.toml"
