@@ -13,6 +13,7 @@ import soundfile
 import xarray
 
 import wavefocus as wf
+from tests.lab_files import write_arrays
 from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.places import coordinates, read_places
@@ -152,10 +153,7 @@ def test_a_dimension_without_values_and_words_for_units_are_read_as_xarray_write
 def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_path, imported):
     green = GREEN.copy()
     green[2] = 1e25
-    with h5py.File(tmp_path / "a.nc", "w") as file:
-        file["green"], file["position_mm"] = green, PLACES_MM
-        file.attrs["sample_rate_hz"] = 1000.0
-    _, bank = imported(tmp_path / "a.nc")
+    _, bank = imported(write_arrays(tmp_path / "a.nc", green, PLACES_MM, 1000.0))
     assert bank.status.tolist() == [1, 1, 4, 1]
     assert any("position" in warning and "200 dB" in warning for warning in bank.import_facts["warnings"])
     with wf.open_bank(tmp_path / "a.nc") as bank:  # without an import
