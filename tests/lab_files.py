@@ -85,6 +85,13 @@ def point_scene(at_mm, signal, *tables):
     return "\n".join([source, *tables, ""])
 
 
+def stroke_scene(start_mm, end_mm, signal, *tables, speed_mm_s=100.0, step_mm=4.0):
+    """The text of a scene of one source along a line, more keys of that source, and more tables of the scene."""
+    path = f'path = {{ kind = "line", start_mm = {start_mm}, end_mm = {end_mm} }}'
+    source = f"[[source]]\nspeed_mm_s = {speed_mm_s}\nstep_mm = {step_mm}\n{path}\nsignal = {{ {signal} }}"
+    return "\n".join([source, *tables, ""])
+
+
 def change_text(file, old, new):
     """Replace a text in a file, which has to hold it."""
     text = file.read_text(encoding="utf-8")
@@ -169,9 +176,14 @@ def write_foreign(path, gain=1.0):
     """A bank of another program, no more in it than there must be: 5 x 3 positions, three actuators, 60 taps, 2 kHz."""
     x_mm, y_mm = np.meshgrid(np.arange(5) * 4.0, np.arange(3) * 4.0)
     green = np.random.default_rng(4).standard_normal((15, 3, 60)) * np.exp(-np.arange(60) / 15)
+    return write_arrays(path, green * gain, np.column_stack([x_mm.ravel(), y_mm.ravel()]))
+
+
+def write_arrays(path, green, position_mm, rate_hz=2000.0, **attributes):
+    """A bank of another program: Green's functions (positions, actuators, taps), their places, and more attributes."""
     with h5py.File(path, "w") as file:
-        file["green"], file["position_mm"] = green * gain, np.column_stack([x_mm.ravel(), y_mm.ravel()])
-        file.attrs["sample_rate_hz"] = 2000.0
+        file["green"], file["position_mm"] = green, position_mm
+        file.attrs.update(sample_rate_hz=rate_hz, **attributes)
     return path
 
 

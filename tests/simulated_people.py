@@ -33,12 +33,14 @@ speed_mm_s = 200
 step_mm = 4
 """
 """Tables of a trials file: a stroke of 8 mm to the left, and one to the right."""
-_TRIALS = f"""
+WHICH_WAY = """
 [trials]
 question = "Which way?"
 answers = ["left", "right"]
 correct = "path"
-familiarise = false
+"""
+"""The first keys of a trials file about strokes."""
+_TRIALS = f"""{WHICH_WAY}familiarise = false
 most_alike = 0
 REPETITIONS
 {STROKES}amplitude = LEVELS

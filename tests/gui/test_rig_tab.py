@@ -11,29 +11,13 @@ from PyQt5.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, pixel, press, shown_tab, wait
-from wavefocus.calibration.mirror_map import MirrorMap
+from tests.system.test_calibrate import PRACTICE, TRUE
 from wavefocus.config.messages.rig_checks import Act, AskJog, Finding
 from wavefocus.gui.files import FileKind, kind_of, names_virtual_rig, rig_of_run
 from wavefocus.gui.rig.tab import RigTab, button_of, remedy_of
 from wavefocus.gui.window import Window
 
-MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
-TRUE = MirrorMap(MAP)
-RIG = f"""
-[rig]
-name = "practice"
-
-[actuators]
-position_mm = [[110.0, 0.0], [40.0, 66.0], [-40.0, 66.0], [-110.0, 0.0], [-40.0, -66.0], [40.0, -66.0]]
-
-[player]
-limit_v = 2.0
-
-[emulation]
-dead_actuators = [2]
-mirror_map = {[list(row) for row in MAP]}
-"""
-
+RIG = PRACTICE.replace("limit_v = 4.0", "limit_v = 2.0") + "dead_actuators = [2]\n"
 REAL_RIG = '[rig]\nname = "lab"\n\n[mirror]\ndriver = "mirrorcle"\n\n[player]\nlimit_v = 2.0\n'
 
 

@@ -15,24 +15,17 @@ from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, pixel, shown_tab, wait
-from tests.lab_files import with_check_rows
+from tests.lab_files import stroke_scene, with_check_rows
 from wavefocus.__main__ import run
 from wavefocus.gui.files import FileKind, kind_of
 from wavefocus.gui.film_player import TimeSlider
 from wavefocus.gui.verification.tab import VerificationTab, unused_folder
 from wavefocus.gui.window import Window
 
-SCENE = """
-[[source]]
-speed_mm_s = 100.0
-step_mm = 1.5
-path = { kind = "line", start_mm = [0, 1.5], end_mm = [4.5, 1.5] }
-signal = { kind = "sine", frequency_hz = 200.0, duration_s = 0.02 }
-emission = "per_point"
-
-[output]
-limit_v = 1.0
-"""
+SCENE = stroke_scene(
+    [0, 1.5], [4.5, 1.5], 'kind = "sine", frequency_hz = 200.0, duration_s = 0.02', 'emission = "per_point"',
+    "[output]\nlimit_v = 1.0", step_mm=1.5,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session")

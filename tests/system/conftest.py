@@ -4,23 +4,13 @@ import shutil
 
 import pytest
 
-from tests.lab_files import POSITIONS, RIG, RUN, write_positions
+from tests.lab_files import POSITIONS, RIG, RUN, stroke_scene, write_positions
 from wavefocus.__main__ import run
 
-SCENE = """
-[scene]
-name = "stroke"
-
-[[source]]
-speed_mm_s = 100.0
-step_mm = 4.0
-path = { kind = "line", start_mm = [0, 0], end_mm = [8, 0] }
-signal = { kind = "sine", frequency_hz = 200.0, duration_s = 0.05 }
-emission = "per_point"
-
-[output]
-limit_v = 1.0
-"""
+SCENE = stroke_scene(
+    [0, 0], [8, 0], 'kind = "sine", frequency_hz = 200.0, duration_s = 0.05', 'emission = "per_point"',
+    "[output]\nlimit_v = 1.0",
+)  # fmt: skip
 
 
 def write_lab(folder):

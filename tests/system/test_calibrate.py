@@ -25,7 +25,7 @@ SEED, SPREAD_S, SPREAD_DB, DELAY_S = 7, 20e-6, 1.0, 8.3e-6
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
 ACTUATORS = [[110.0, 0.0], [40.0, 66.0], [-40.0, 66.0], [-110.0, 0.0], [-40.0, -66.0], [40.0, -66.0]]
 OUTPUTS = len(ACTUATORS) + 1
-RIG = f"""
+PRACTICE = f"""
 [rig]
 name = "practice"
 
@@ -36,12 +36,13 @@ position_mm = {ACTUATORS}
 limit_v = 4.0
 
 [emulation]
-seed = {SEED}
+mirror_map = {[list(row) for row in MAP]}
+"""
+RIG = f"""{PRACTICE}seed = {SEED}
 clock_ppm = 41.0
 inter_channel_delay_s = {DELAY_S}
 output_latency_spread_s = {SPREAD_S}
 output_gain_spread_db = {SPREAD_DB}
-mirror_map = {[list(row) for row in MAP]}
 """
 TRUE = MirrorMap(MAP)
 TRUE_LATE_S, TRUE_GAIN = output_errors(OUTPUTS, SPREAD_S, SPREAD_DB, SEED)

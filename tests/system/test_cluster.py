@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import write_arrays
 from tests.system.lines import python
 from tests.system.raw_script import Sweep, echoes, swept, write
 from wavefocus import cluster
@@ -48,9 +49,7 @@ def lab(tmp_path):
     random = np.random.default_rng(3)
     green = (random.standard_normal((60, 4, 200)) * np.exp(-np.arange(200) / 40)).astype(np.float32)
     green[7] = 0.0
-    with h5py.File(tmp_path / "bank.h5", "w") as file:
-        file["green"], file["position_mm"] = green, np.column_stack([4.0 * np.arange(60), np.zeros(60)])
-        file.attrs["sample_rate_hz"] = 2000.0
+    write_arrays(tmp_path / "bank.h5", green, np.column_stack([4.0 * np.arange(60), np.zeros(60)]))
     none = np.zeros(0, np.int64)
     drive_v = random.standard_normal((4, 3000))
     write_drive(tmp_path / "drive.h5", Drive(drive_v, 2000.0, -0.1, "sampled", 1.0, 0.0, none, none, none))

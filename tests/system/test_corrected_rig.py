@@ -19,8 +19,15 @@ def test_given_a_wrong_port_then_the_printed_command_opens_the_corrected_one(lab
     bank, rig = place / "plate.h5", lab / "rig.toml"
     rig.write_text(ABSENT_RIG.format(folder=lab.as_posix()), encoding="utf-8")
     change_text(lab / "run.toml", "[virtual]\nseed = 3\nnoise_v = 1e-4\n", "")
+    capture = ["capture", lab / "run.toml", "--bank", bank]
+    told = refused(capsys, *capture, code=3)
+    assert told.startswith("wavefocus: recorder Dev1 at localhost:1: ")  # it is asked before a bank is made
+    assert (_printed(told), bank.exists()) == ([str(word) for word in capture], False)
     empty_bank(lab, "my lab/plate.h5")
-    command = _printed(refused(capsys, "capture", lab / "run.toml", "--bank", bank, code=3))
+    told = refused(capsys, *capture, code=3)
+    assert told.startswith("wavefocus: mirror (generic at ")
+    assert "no-such-port" in told
+    command = _printed(told)
     change_text(rig, "no-such-port", "new port")
     told = refused(capsys, *command, code=3)
     assert "new port" in told

@@ -8,7 +8,7 @@ import pytest
 import pyuff
 
 import wavefocus as wf
-from tests.lab_files import point_scene
+from tests.lab_files import point_scene, write_arrays
 from tests.system.captures import refused, wavefocus
 from wavefocus.storage.units import drive_of
 
@@ -20,10 +20,7 @@ RIG = "[actuators]\nposition_mm = [[0, 0], [9, 0]]\n"
 
 
 def foreign(path, **attributes):
-    with h5py.File(path, "w") as file:
-        file["green"], file["position_mm"] = GREEN, [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]]
-        file.attrs.update(sample_rate_hz=2000.0, **attributes)
-    return path
+    return write_arrays(path, GREEN, [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]], **attributes)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import write_foreign
+from tests.lab_files import stroke_scene, write_foreign
 from tests.system.captures import answered, refused, wavefocus
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
@@ -12,27 +12,16 @@ from wavefocus.rendering.scene.model import load_scene
 
 RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
 
-SCENE = """
-[scene]
-name = "stroke"
 
-[[source]]
-start_s = 0.01
-speed_mm_s = 200.0
-step_mm = 4.0
-amplitude = 0.5
-path = {{ kind = "line", start_mm = [0, 0], end_mm = [12, 4] }}
-signal = {{ kind = "sine", frequency_hz = 150.0, duration_s = 0.03 }}
-emission = "{emission}"
-
-[regularisation]
-saturation = 0.7
-"""
+def scene_of(emission):
+    keys = f'start_s = 0.01\namplitude = 0.5\nemission = "{emission}"'
+    sine = 'kind = "sine", frequency_hz = 150.0, duration_s = 0.03'
+    return stroke_scene([0, 0], [12, 4], sine, keys, "[regularisation]\nsaturation = 0.7", speed_mm_s=200.0)
 
 
 @pytest.fixture
 def bank(tmp_path):
-    (tmp_path / "scene.toml").write_text(SCENE.format(emission="per_point"), encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(scene_of("per_point"), encoding="utf-8")
     return write_foreign(tmp_path / "foreign.h5")
 
 
@@ -40,7 +29,7 @@ def bank(tmp_path):
 def test_given_a_bank_of_ten_lines_then_drive_and_field_are_those_of_its_arrays(bank, tmp_path, emission, capsys):
     """Those of arrays are held against the equations in tests/unit/test_drive.py and test_path_figures.py."""
     scene, drive_file, field_file = tmp_path / "scene.toml", tmp_path / "drive.h5", tmp_path / "field.h5"
-    scene.write_text(SCENE.format(emission=emission), encoding="utf-8")
+    scene.write_text(scene_of(emission), encoding="utf-8")
     told = answered(capsys, "render", scene, "--bank", bank, "--out", drive_file)
     assert told["method"] == ("sampled" if emission == "per_point" else "exact")
     assert told["omitted_bound"] == 0.0

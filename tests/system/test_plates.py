@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.lab_files import RUN, stroke_scene
 from tests.system.captures import answered, wavefocus
 from wavefocus.storage.bank.reading import open_bank
 
@@ -15,35 +16,8 @@ width_mm = {width}
 position_mm = [[39.0, 0.0], [10.0, 24.0], [-38.0, 8.0], [-5.0, -24.0]]
 """
 
-RUN = """
-rig = "rig.toml"
-
-[grid]
-spacing_mm = {spacing}
-margin_mm = {margin}
-
-[sweep]
-duration_s = 0.3
-
-[capture]
-averages = 2
-taps = 2000
-
-[virtual]
-plate = "{plate}"
-"""
-
-SCENE = """
-[[source]]
-speed_mm_s = 80.0
-step_mm = 4.0
-path = { kind = "line", start_mm = [-15, 1], end_mm = [16, -3] }
-signal = { kind = "impulse" }
-
-[output]
-limit_v = 1.0
-interpolation = "kernel"
-"""
+OUTPUT = '[output]\nlimit_v = 1.0\ninterpolation = "kernel"'
+SCENE = stroke_scene([-15, 1], [16, -3], 'kind = "impulse"', OUTPUT, speed_mm_s=80.0)
 
 
 SMALL, LARGE = (90.0, 60.0, 4.0, 22.0), (300.0, 200.0, 20.0, 18.0)
@@ -70,9 +44,11 @@ def test_given_a_plate_then_it_is_captured_measured_again_and_verified(
 ):
     monkeypatch.setenv("WAVEFOCUS_CACHE", str(tmp_path / "cache"))
     length, width, spacing, margin = size
+    text = RUN.partition("[quality]")[0].replace("decay_s = 0.1\ntaps = 1000", "taps = 2000")
+    grid = f"spacing_mm = {spacing}\nmargin_mm = {margin}"
     files = {
         "rig": RIG.format(kind=kind, length=length, width=width),
-        "run": RUN.format(plate=plate, spacing=spacing, margin=margin) + keys,
+        "run": text.replace('positions_file = "positions.csv"', grid) + f'[virtual]\nplate = "{plate}"\n{keys}',
         "scene": SCENE,
     }
     for name, text in files.items():

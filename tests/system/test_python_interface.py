@@ -6,22 +6,13 @@ import numpy as np
 import pytest
 
 import wavefocus as wf
+from tests.lab_files import stroke_scene
 from wavefocus.__main__ import run
 
-SCENE = """
-[scene]
-name = "stroke"
-
-[[source]]
-speed_mm_s = 100.0
-step_mm = 5.0
-path = { kind = "line", start_mm = [-10, 0], end_mm = [10, 0] }
-signal = { kind = "sine", frequency_hz = 200.0, duration_s = 0.05 }
-emission = "per_point"
-
-[output]
-interpolation = "bilinear"
-"""
+SCENE = '[scene]\nname = "stroke"\n' + stroke_scene(
+    [-10, 0], [10, 0], 'kind = "sine", frequency_hz = 200.0, duration_s = 0.05', 'emission = "per_point"',
+    '[output]\ninterpolation = "bilinear"', step_mm=5.0,
+)  # fmt: skip
 PLACES_MM = [[x, y] for y in (-5, 0, 5) for x in (-10, -5, 0, 5, 10)]
 
 

@@ -10,7 +10,7 @@ import pytest
 import soundfile
 from PIL import Image, ImageSequence
 
-from tests.lab_files import change_text, write_foreign
+from tests.lab_files import change_text, point_scene, stroke_scene, write_foreign
 from tests.system.captures import answered, refused, wavefocus
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
@@ -18,25 +18,11 @@ from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 
 RATE_HZ = 2000.0
-SCENE = """
-[scene]
-name = "two"
-
-[[source]]
-speed_mm_s = 200.0
-step_mm = 4.0
-path = { kind = "line", start_mm = [0.5, 0], end_mm = [12, 4] }
-signal = { kind = "sine", frequency_hz = 150.0, duration_s = 0.03 }
-emission = "per_point"
-
-[[source]]
-start_s = 0.02
-path = { kind = "point", at_mm = [4, 8] }
-signal = { kind = "impulse" }
-
-[regularisation]
-saturation = 0.7
-"""
+STROKE = stroke_scene(
+    [0.5, 0], [12, 4], 'kind = "sine", frequency_hz = 150.0, duration_s = 0.03', 'emission = "per_point"',
+    speed_mm_s=200.0,
+)  # fmt: skip
+SCENE = STROKE + point_scene([4, 8], 'kind = "impulse"', "start_s = 0.02", "[regularisation]\nsaturation = 0.7")
 RIG = "[actuators]\nposition_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]\n\n[player]\n"
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.lab_files import ABSENT_RIG, POSITIONS, write_positions
 from tests.system.captures import Listener, answered, capture, captured, held, wavefocus
 from tests.system.lines import wait_until
 from wavefocus.campaign.control import give_order, orders_path
@@ -28,6 +29,18 @@ def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(lab, bank,
     told = capsys.readouterr()
     assert told.err == ""
     assert "6, 3 actuators, 18 records" in told.out
+
+
+def test_given_real_instruments_then_the_dry_run_asks_none_of_them(lab, capsys):
+    (lab / "rig.toml").write_text(ABSENT_RIG.format(folder=lab.as_posix()), encoding="utf-8")
+    (lab / "run.toml").write_text('rig = "rig.toml"\n[grid]\npositions_file = "positions.csv"\n', encoding="utf-8")
+    write_positions(lab, POSITIONS[:2])
+    facts = answered(capsys, "plan", lab / "run.toml")
+    assert (facts["records"], facts["second_looks"]) == (6, 0)
+    # Two positions and the sentinel; the loopback alone at the beginning and with the sentinel.
+    assert facts["duration_s"] == pytest.approx(3 * (3 * (3 * 1.2 + 0.12) + 0.05) + 2 * (0.52 + 0.12))
+    assert facts["instruments"][0] == f"mirror generic at {lab.as_posix()}/no-such-port, not asked"
+    assert "player sounddevice no such interface, 4 outputs, not asked" in facts["instruments"]
 
 
 def test_given_nothing_to_measure_then_a_program_is_told_the_end_of_the_session(bank, capsys, monkeypatch):

@@ -10,7 +10,7 @@ import pytest
 
 import wavefocus as wf
 from tests.lab_files import POSITIONS as POSITIONS_MM
-from tests.lab_files import change_text, write_positions
+from tests.lab_files import change_text, write_arrays, write_positions
 from tests.system.captures import answered, held, refused, wavefocus
 from tests.system.lines import python
 from tests.system.test_trials import TRIALS
@@ -43,10 +43,7 @@ def killed_at(renaming, code, *arguments):
 
 def bank_of(path, factor):
     green = np.random.default_rng(3).standard_normal((POSITIONS, ACTUATORS, TAPS)) * factor
-    with h5py.File(path, "w") as file:
-        file["green"], file["position_mm"] = green.astype(np.float32), [[4.0 * row, 0.0] for row in range(POSITIONS)]
-        file.attrs["sample_rate_hz"] = 2000.0
-    return path
+    return write_arrays(path, green.astype(np.float32), [[4.0 * row, 0.0] for row in range(POSITIONS)])
 
 
 def values(folder, out):

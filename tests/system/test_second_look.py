@@ -7,7 +7,7 @@ from shutil import copyfile
 import numpy as np
 import pytest
 
-from tests.lab_files import write_positions
+from tests.lab_files import RUN, write_positions
 from tests.system.captures import Listener, answered, events_of, held, resumed_after_a_kill, wavefocus
 from tests.system.conftest import with_faults
 from tests.system.lines import Lines
@@ -31,32 +31,17 @@ width_mm = 100.0
 [actuators]
 position_mm = [[64, 3], [35, 49], [2, 48], [-64, -5], [-37, -49], [4, -48]]
 """
-RUN = """
-rig = "rig.toml"
-[grid]
-{grid}
-[sweep]
-duration_s = 0.3
-{sweep}
-[capture]
-averages = 2
-decay_s = 0.1
-taps = 1000
-excitation = "{schedule}"
-[quality]
-{quality}
-[virtual]
-seed = 5
-noise_v = {noise_v}
-"""
 
 
-def lab_of(folder, rig, **keys):
+def lab_of(folder, rig, *, grid, sweep="", quality="", schedule="staggered", noise_v=5e-5):
     """Write rig and run file into a new folder."""
     folder.mkdir()
     (folder / "rig.toml").write_text(rig, encoding="utf-8")
-    values = {"sweep": "", "quality": "", "schedule": "staggered", "noise_v": 5e-5, **keys}
-    (folder / "run.toml").write_text(RUN.format(**values), encoding="utf-8")
+    text = RUN.replace('positions_file = "positions.csv"', grid).replace('second_look = "never"', quality)
+    text = text.replace("duration_s = 0.3", f"duration_s = 0.3\n{sweep}")
+    text = text.replace("[capture]", f'[capture]\nexcitation = "{schedule}"')
+    text = text.replace("seed = 3\nnoise_v = 1e-4", f"seed = 5\nnoise_v = {noise_v}")
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder / "run.toml"
 
 

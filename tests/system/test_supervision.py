@@ -27,6 +27,7 @@ from tests.system.captures import (
 )
 from tests.system.conftest import with_faults, write_lab
 from tests.system.lines import Lines, of_posix, python, wait_until
+from tests.unit.test_bank_writer import HOLD
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.config.messages.campaign import PositionCommitted, StateChanged
@@ -196,22 +197,13 @@ def test_orders_of_other_processes_pause_resume_and_stop_and_the_bank_is_identic
     assert bank.read_bytes() == measured.read_bytes()
 
 
-HOLDER = """
-import sys
-from wavefocus.storage.bank.writer import BankWriter
-with BankWriter.open(sys.argv[1]):
-    print("mine", flush=True)
-    sys.stdin.read()
-"""
-
-
 @contextlib.contextmanager
 def _held(bank):
     """A process that owns a bank and says nothing."""
-    command = [sys.executable, "-c", HOLDER, str(bank)]
+    command = [sys.executable, "-c", HOLD, str(bank)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
         assert owner.stdout is not None
-        assert owner.stdout.readline().strip() == b"mine"
+        assert owner.stdout.readline().strip() == b"open"
         yield owner
         owner.communicate(timeout=20)
 

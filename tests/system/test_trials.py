@@ -16,6 +16,7 @@ from tests.simulated_people import (
     QUEST,
     STROKES,
     UP_DOWN,
+    WHICH_WAY,
     Observer,
     SimulatedParticipant,
     coverage,
@@ -30,23 +31,13 @@ from wavefocus.trials.answers import COLUMNS, AnswersFile, read_answers, read_fa
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import order_of
 
-TRIALS = f"""
-[trials]
-question = "Which way?"
-answers = ["left", "right"]
-keys = ["Left", "Right"]
-correct = "path"
+TRIALS = f"""{WHICH_WAY}keys = ["Left", "Right"]
 repetitions = 4
 blocks = 2
 {STROKES}emission = "per_point"
 amplitude = 0.001
 """
-ADAPTIVE = f"""
-[trials]
-name = "felt_or-not"
-question = "Which way?"
-answers = ["left", "right"]
-correct = "path"
+ADAPTIVE = f"""{WHICH_WAY}name = "felt_or-not"
 familiarise = false
 {STROKES}emission = "per_point"
 amplitude = [0.0001, 0.0002, 0.0004, 0.0006, 0.001]

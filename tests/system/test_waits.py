@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.lab_files import RIG, RUN, change_text, write_positions
+from tests.lab_files import RIG, RUN, change_text, stroke_scene, write_positions
 from tests.system.lines import of_linux
 from wavefocus.__main__ import run
 from wavefocus.commands.table import COMMANDS
@@ -21,16 +21,8 @@ pytestmark = [
 LONG_S = 2.0
 """Of the command's own processor time, so that a busy machine does not count; one thread computes."""
 POSITIONS = [(x_mm, y_mm) for y_mm in range(-51, 52, 6) for x_mm in range(-72, 73, 6)][:402]
-SCENE = """
-[[source]]
-speed_mm_s = 80.0
-step_mm = 4.0
-path = { kind = "line", start_mm = [-30, 1], end_mm = [30, 1] }
-signal = { kind = "noise", band_hz = [50, 450], duration_s = 0.1, seed = 1 }
-[output]
-interpolation = "waves"
-limit_v = 0.5
-"""
+NOISE = 'kind = "noise", band_hz = [50, 450], duration_s = 0.1, seed = 1'
+SCENE = stroke_scene([-30, 1], [30, 1], NOISE, '[output]\ninterpolation = "waves"\nlimit_v = 0.5', speed_mm_s=80.0)
 AT = "--bank bank.h5"
 # In this order, on one bank; the first that needs its waves fits them.
 WALK = (

@@ -7,7 +7,7 @@ import random
 import numpy as np
 import pytest
 
-from tests.simulated_people import STROKES
+from tests.simulated_people import STROKES, WHICH_WAY
 from wavefocus.config.trials import AdaptiveTable
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import QuestPlus, Trial, UpDown, order_of, share_right, track_of
@@ -52,12 +52,7 @@ def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder, sign):
 
 
 TAP = '\ntap = { kind = "impulse" }'
-DESIGN = f"""
-[trials]
-question = "Which way?"
-answers = ["left", "right"]
-correct = "path"
-familiarise = false
+DESIGN = f"""{WHICH_WAY}familiarise = false
 
 [adaptive]
 method = "up_down"

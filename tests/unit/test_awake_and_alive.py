@@ -10,6 +10,7 @@ import time
 
 import pytest
 
+from tests.system.lines import wait_until
 from wavefocus.config.rig import MessagesSection
 from wavefocus.rig.unattended import AliveSignal, alive_findings, kept_awake
 from wavefocus.storage.errors import InputError
@@ -43,22 +44,15 @@ def watch():
     server.server_close()
 
 
-def until(true, within_s=20.0):
-    latest_s = time.monotonic() + within_s
-    while not true():
-        assert time.monotonic() < latest_s
-        time.sleep(0.01)
-
-
 @pytest.mark.parametrize("hangs", [False, True])
 def test_file_and_address_receive_signs_of_life_and_no_server_holds_up_the_end(watch, tmp_path, hangs):
     file = tmp_path / "alive"
     if hangs:
         watch.hangs.set()
     with AliveSignal(MessagesSection(alive_url=watch.url, alive_file=str(file)), every_s=0.05):
-        until(lambda: len(watch.asked) >= (1 if hangs else 3) and file.exists())
+        wait_until(lambda: len(watch.asked) >= (1 if hangs else 3) and file.exists(), "a sign of life")
         os.utime(file, (0, 0))
-        until(lambda: file.stat().st_mtime > 1e9)
+        wait_until(lambda: file.stat().st_mtime > 1e9, "a new sign of life")
         began_s = time.monotonic()
     assert time.monotonic() - began_s < 5.0
     assert set(watch.asked) == {"/secret-check"}
@@ -73,7 +67,7 @@ def test_given_no_server_or_folder_then_it_is_said_once_and_without_the_address(
     watch.status = 500
     section = MessagesSection(alive_url=watch.url, alive_file=str(tmp_path / "none" / "alive"))
     with AliveSignal(section, every_s=0.05):
-        until(lambda: len(watch.asked) >= 3)
+        wait_until(lambda: len(watch.asked) >= 3, "a sign of life")
     said = capsys.readouterr().err
     assert said.count("messages.alive_url") == said.count("messages.alive_file") == 1
     assert "secret-check" not in said
@@ -93,12 +87,12 @@ def test_session_manager_then_it_is_told_reason_and_released_however_run_ends(tm
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     with kept_awake("measuring plate.h5") as accepted:
         assert accepted
-        until(noted.exists)
+        wait_until(noted.exists, "the request")
         assert "--who=wavefocus --why=measuring plate.h5" in noted.read_text()
     assert noted.read_text().endswith("over\n")
     noted.unlink()
     hold = "import time; from wavefocus.rig.unattended import kept_awake\nwith kept_awake('x'): time.sleep(100)"
     with subprocess.Popen([sys.executable, "-c", hold]) as holder:
-        until(noted.exists)
+        wait_until(noted.exists, "the request")
         holder.kill()
-    until(lambda: "over" in noted.read_text())
+    wait_until(lambda: "over" in noted.read_text(), "the release")

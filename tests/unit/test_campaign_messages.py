@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.system.lines import wait_until
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.campaign import control
@@ -20,13 +21,6 @@ from wavefocus.config.messages.campaign import State
 from wavefocus.gui.campaign.model import line_of
 from wavefocus.mocks.virtual import VirtualClock
 from wavefocus.storage.ledger.owner import Owner
-
-
-def _until(condition, seconds=30.0):
-    until_s = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until_s
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -171,7 +165,7 @@ def test_a_heartbeat_that_cannot_be_written_is_told_once_and_orders_work(bank, c
             time.sleep(0.02)
         assert not stop.requested
         control.give_order(bank, "stop")
-        _until(lambda: stop.requested)
+        wait_until(lambda: stop.requested, "the order is taken")
     assert capsys.readouterr().err.count("heartbeat of") == 1
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from tests.lab_files import put
+from tests.lab_files import attribute, put, without
 from tests.unit.mutations import mutated
 from wavefocus import export_bank
 from wavefocus.__main__ import run
@@ -32,8 +32,8 @@ def exported(folder, kind):
     return out
 
 
-def hdf5(change):
-    """A maker of a sound file with one change."""
+def hdf5(*changes):
+    """A maker of a sound file with some changes."""
 
     def make(folder):
         with h5py.File(folder / "a.nc", "w") as file:
@@ -41,7 +41,8 @@ def hdf5(change):
                 if name != "response_unit":
                     file[name] = values
             file.attrs["response_unit"] = "m/s/V"
-            change(file)
+            for change in changes:
+                change(file)
         return folder / "a.nc"
 
     return make
@@ -85,6 +86,13 @@ def archive(**changes):
     return saved("a.npz", lambda file: np.savez(file, **ARRAYS | changes))
 
 
+def filled(attribute_name, taps):
+    """A maker of a file with fill values of another type at a position."""
+    green = GREEN.astype(np.float64)
+    green[2, 1, taps] = 1e20
+    return hdf5(put("green", green), attribute(attribute_name, np.float32(1e20), of="green"))
+
+
 def unfolding_mat(tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", {"green": GREEN})
     header = (tmp_path / "a.mat").read_bytes()[:128]
@@ -119,6 +127,25 @@ HOSTILE = {
     "not finite": (archive(green=NOT_FINITE), "position 3 to actuator 1"),
     "control characters": (archive(response_unit="m/s/V\x1b[31m"), "control characters"),
     "two places": (archive(position_mm=PLACES_MM[:2]), "places of 2 positions"),
+    "places in two units": (archive(position_m=np.ones((6, 2))), "position_m and position_mm are different places"),
+    "actuators in two units": (
+        archive(actuator_mm=np.ones((2, 2)), actuator_in=np.ones((2, 2))), "actuator_mm and actuator_in",
+    ),
+    "two rates": (archive(time_s=np.arange(40) / 4000), "sample_rate_hz is 2000, and time_s has 4000"),
+    "two drives": (archive(drive_unit="N"), "drive_unit is 'N'"),
+    "axes exchanged": (
+        archive(green=GREEN.transpose(0, 2, 1), time_s=np.arange(40) / 2000),
+        "the responses 2 samples; as many are needed, or another order of the axes with --axes",
+    ),
+    "some fill values": (filled("_FillValue", slice(8, None)), "position 2"),
+    "all missing values": (filled("missing_value", slice(0, 40)), "position 2"),
+    "time in ms": (
+        hdf5(without("sample_rate_hz"), put("time_s", np.arange(40.0)), attribute("units", "ms", of="time_s")),
+        "time_s states the units 'ms'",
+    ),
+    "places in m": (hdf5(attribute("units", "m", of="position_mm")), "position_mm states the units 'm'"),
+    **{f"{rate_hz} Hz": (hdf5(put("sample_rate_hz", rate_hz)), "sample rate") for rate_hz in (1e-320, 1e40)},
+    "1 Hz": (hdf5(put("sample_rate_hz", 1.0)), "sample rate is 1 Hz"),
     "short text": (ascii_short, "declares 99999999 numbers"),
 }  # fmt: skip
 

@@ -3,10 +3,10 @@
 import json
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import write_arrays
 from tests.unit.plate_banks import ACTUATOR_MM, RATE_HZ, SQUARE_MM, plate_greens
 from wavefocus import InputError, open_bank, read_drive, render, write_drive
 from wavefocus.rendering.drive.coil_limits import DriveLimits, peaks
@@ -47,10 +47,7 @@ def bank(tmp_path):
 
 
 def write_bank(path, position_mm):
-    with h5py.File(path, "w") as file:
-        file["green"] = plate_greens(position_mm).astype(np.float32)
-        file["position_mm"] = position_mm
-        file.attrs["sample_rate_hz"] = RATE_HZ
+    write_arrays(path, plate_greens(position_mm).astype(np.float32), position_mm, RATE_HZ)
 
 
 def design_of(folder, text=TRIALS):

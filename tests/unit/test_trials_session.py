@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from tests.simulated_people import STROKES
+from tests.simulated_people import STROKES, WHICH_WAY
 from wavefocus.config.messages import Refused
 from wavefocus.config.messages.trials import Answer, AnswerStored, EndTrials, GoOn, Replay, TrialsState, Welcome
 from wavefocus.drivers.errors import InstrumentLostError
@@ -16,12 +16,7 @@ from wavefocus.trials.order import Experiment
 from wavefocus.trials.presentation import Onset
 from wavefocus.trials.session import TrialsSession
 
-TRIALS = f"""
-[trials]
-question = "Which way?"
-answers = ["left", "right"]
-keys = ["Left", "Right"]
-correct = "path"
+TRIALS = f"""{WHICH_WAY}keys = ["Left", "Right"]
 repetitions = 4
 blocks = 2
 replays = 1

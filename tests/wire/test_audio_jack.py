@@ -243,12 +243,6 @@ def slow():
         yield AudioBench(stack, period_frames=4096)
 
 
-def program_of(text, server):
-    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    environment = {**os.environ, **server.environment, "PYTHONPATH": str(Path(wavefocus.__file__).parents[1])}
-    return subprocess.Popen([sys.executable, "-W", "error", "-c", text], env=environment, text=True, **pipes)
-
-
 def loss_of(player):
     """The error of a player that is about to be lost, underflows of a busy machine apart."""
     while True:
@@ -352,7 +346,10 @@ def test_given_a_server_that_freezes_then_every_call_says_so_and_closing_ends_it
 @pytest.mark.nightly
 def test_parent_that_is_killed_in_play_then_stream_ends_and_outputs_are_silent(slow):
     server = slow.serve()
-    with program_of(PLAYING, server) as program:
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    environment = {**os.environ, **server.environment, "PYTHONPATH": str(Path(wavefocus.__file__).parents[1])}
+    command = [sys.executable, "-W", "error", "-c", PLAYING]
+    with subprocess.Popen(command, env=environment, text=True, **pipes) as program:
         stream_process = int(program.stdout.readline())
 
         def latest():

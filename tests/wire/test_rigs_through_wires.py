@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.lab_files import POSITIONS, change_text, write_positions
+from tests.lab_files import POSITIONS, RUN, change_text, write_positions
 from tests.system.captures import capture_process, held
 from tests.system.lines import Lines, python, wait_until
 from tests.system.test_trials import MASKING, TRIALS
@@ -24,20 +24,12 @@ from wavefocus.trials.answers import read_answers
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
-RUN = """
-rig = "{rig}"
-
-[grid]
-positions_file = "positions.csv"
-
-[sweep]
-duration_s = 0.25
-
-[capture]
-averages = 1
-decay_s = 0.2
-taps = 2000
-"""
+BRIEF = (
+    RUN.partition("[quality]")[0]
+    .replace("averages = 2", "averages = 1")
+    .replace("duration_s = 0.3", "duration_s = 0.25")
+)
+BRIEF = BRIEF.replace("decay_s = 0.1\ntaps = 1000", "decay_s = 0.2\ntaps = 2000")
 VIRTUAL_RIG = f"""
 [actuators]
 position_mm = {ACTUATORS}
@@ -58,7 +50,7 @@ def lab(tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
     (tmp_path / "virtual-rig.toml").write_text(VIRTUAL_RIG, encoding="utf-8")
     for run_file, rig in (("run.toml", "rig.toml"), ("virtual-run.toml", "virtual-rig.toml")):
-        (tmp_path / run_file).write_text(RUN.format(rig=rig), encoding="utf-8")
+        (tmp_path / run_file).write_text(BRIEF.replace("rig.toml", rig), encoding="utf-8")
     write_positions(tmp_path, POSITIONS)
     return tmp_path
 

@@ -8,8 +8,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tests.lab_files import ABSENT_RIG
 from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.config.rig_instruments import VibrometerSection
+from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.registry import VIBROMETERS
 from wavefocus.mocks.virtual.mirror import MirrorMotion
@@ -17,6 +19,7 @@ from wavefocus.mocks.wire import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 from wavefocus.mocks.wire.vibrometer import VIBROMETER_DRIVERS, Ofv3001Device, PolytecDevice, vibrometer_device
+from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.setup import WatchedVibrometer, range_band
 
 DEVICES = {"polytec-ofv5000": PolytecDevice, "polytec-ofv3001": Ofv3001Device}
@@ -196,6 +199,19 @@ def test_range_that_is_changed_meanwhile_then_condition_is_left_until_it_is_set_
             left = band.left(vibrometer.sensitivity())
             assert words in left
             assert bool(left) == bool(words)
+
+
+def test_a_sensitivity_in_the_rig_file_that_the_controller_has_not_is_refused(tmp_path):
+    rig, named = tmp_path / "rig.toml", ABSENT_RIG.format(folder=tmp_path) + f'[vibrometer]\ndriver = "{NEWER}"\n'
+    with controller(PolytecDevice("25mm/s/V"), tmp_path) as emulated:
+        for stated in ("", "sensitivity_m_s_per_v = 0.025", "sensitivity_m_s_per_v = 0.125"):
+            rig.write_text(f'{named}port = "{emulated.address}"\n{stated}', encoding="utf-8")
+            opened = openers_of(load_rig(rig)).vibrometer
+            if "0.125" not in stated:
+                assert opened().sensitivity_m_s_per_v == pytest.approx(0.025)
+        with pytest.raises(InstrumentError, match=r"set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
+            opened()
+        assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy
 
 
 # -- OFV-3001: range numbers, remote control, answers of one digit --------------------------------------

@@ -7,54 +7,28 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from tests.lab_files import POSITIONS, RIG, RUN, write_positions
+from tests.system.conftest import with_faults
 from tests.system.crash.processes import HungError, Processes
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.writer import open_raw
 
-RIG = """
-[rig]
-name = "two coils"
-
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0]]
-"""
-# Each position is measured once, so that what it may hold at any instant is known.
-# Position 2 stays poor for a while, so that there is something to measure again.
-RUN = """
-rig = "rig.toml"
-[grid]
-positions_file = "positions.csv"
-[sweep]
-duration_s = 0.2
-[capture]
-averages = 2
-decay_s = 0.1
-taps = 200
-sample_rate_hz = 2000.0
-[quality]
-second_look = "never"
-[virtual]
-seed = 3
-noise_v = 1e-4
-[[virtual.fault_plan]]
-role = "recorder"
-operation = "read"
-kind = "dropout"
-position = 2
-count = 6
-"""
-POSITIONS = "x_mm,y_mm\n0,0\n4,0\n8,0\n8,4\n"
+# Each position is measured once, so that what it may hold at any instant is known. This one stays poor for a while, so
+# that there is something to measure again.
+POOR = 'role = "recorder"\noperation = "read"\nkind = "dropout"\nposition = 2\ncount = 6'
 BANK, RAW = "plate.h5", "plate.raw.h5"
 
 
 def write_lab(folder, *, keep_raw):
     """Write the campaign's files; return the run file."""
     folder.mkdir(parents=True, exist_ok=True)
-    run = RUN.replace("[capture]", f"[capture]\nkeep_raw = {str(keep_raw).lower()}")
-    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    (folder / "run.toml").write_text(run, encoding="utf-8")
-    (folder / "positions.csv").write_text(POSITIONS, encoding="utf-8")
+    kept = f"[capture]\nkeep_raw = {str(keep_raw).lower()}\nsample_rate_hz = 2000.0"
+    run = RUN.replace("[capture]", kept).replace("duration_s = 0.3", "duration_s = 0.2")
+    (folder / "rig.toml").write_text(RIG.replace(", [-110.0, 10.0]", ""), encoding="utf-8")
+    (folder / "run.toml").write_text(run.replace("taps = 1000", "taps = 200"), encoding="utf-8")
+    write_positions(folder, POSITIONS[:4])
+    with_faults(folder, POOR)
     return folder / "run.toml"
 
 
@@ -88,7 +62,7 @@ class Campaign:
         self.resume = ("resume", self.bank, "--json")
         self.remeasure = ("remeasure", self.bank, "--status", "poor", "--json")
         # What each position may hold: as first measured, and as measured again.
-        self.rows: list[list[np.ndarray]] = [[] for _ in range(POSITIONS.count("\n") - 1)]
+        self.rows: list[list[np.ndarray]] = [[] for _ in POSITIONS[:4]]
         self.recordings: list[list[np.ndarray | None]] = [[] for _ in self.rows]
 
     def __enter__(self):
