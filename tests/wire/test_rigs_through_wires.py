@@ -13,6 +13,7 @@ from tests.system.lines import Lines, python, wait_until
 from tests.system.test_trials import MASKING, TRIALS
 from tests.wire.emulated import ACTUATORS, analog_rig, emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
+from wavefocus.benchmarks.harness import band_error_db
 from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.process import SILENT_S
@@ -88,7 +89,7 @@ def test_a_staggered_capture_of_another_plate_through_wires_is_as_good_as_in_pro
     # Recordings are kept in counts of the range, not in the converter's own, which steps a little otherwise: that
     # rounds them once more, 20 dB below their noise.
     again, wires = (np.array(held(lab / name, "green")) for name in ("again.h5", "wires.h5"))
-    rounded = 20 * np.log10(np.linalg.norm(again - wires, axis=2) / np.linalg.norm(wires, axis=2))
+    rounded = band_error_db(*(one.reshape(-1, 2000) for one in (again, wires)), 10_000.0, (20.0, 500.0), 8192)
     assert np.median(rounded) <= np.median(through_wires) - 18
 
 
