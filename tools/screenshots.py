@@ -163,8 +163,8 @@ class Pictures:
         from wavefocus.gui.campaign.tab import CampaignTab
 
         tab, window = self.tab(CampaignTab), self.window
-        self.until(tab.controls.buttons["start"].isEnabled)
-        tab.controls.buttons["start"].click()
+        self.until(tab.controls.actions_by_name["start"].isEnabled)
+        tab.controls.actions_by_name["start"].trigger()
         self.until(lambda: tab.campaign.measured > 120)
         tab.map_panel.map.show_position(100)
         self.until(lambda: tab.position_panel.greens is not None)
