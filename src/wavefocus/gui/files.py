@@ -7,19 +7,17 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from PyQt5.QtCore import QByteArray, QMetaProperty, QSettings, Qt, pyqtSignal
 from PyQt5.QtWidgets import QFileDialog, QLineEdit, QSplitter, QWidget
 
 from wavefocus.config.loading import hdf5_kind, kind_of_tables, read_toml
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.message_bar import MessageBar
 from wavefocus.gui.surface import VIRTUAL, is_virtual
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from wavefocus.gui.tab import TabContext
 
 
 class Settings:
@@ -126,6 +124,18 @@ def choose_place(
     dialog.show()
 
 
+class _Context(Protocol):
+    """What a field for a path needs of `wavefocus.gui.tab.TabContext`."""
+
+    @property
+    def settings(self) -> Settings: ...
+
+    @property
+    def messages(self) -> MessageBar: ...
+
+    def report(self, topic: str, sentence: str) -> None: ...
+
+
 class PathField(QWidget):
     """A line for a path, with a button that opens a dialog.
 
@@ -144,7 +154,7 @@ class PathField(QWidget):
         word: str,
         ending: str,
         kind: str,
-        context: TabContext,
+        context: _Context,
         *,
         saves: bool = False,
         words: Collection[str] = (),
