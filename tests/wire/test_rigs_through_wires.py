@@ -215,7 +215,6 @@ def swept(lines, actuator):
     return told
 
 
-# A program that is stopped: a capture, above, and `live` in test_play.py.
 def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(rig, sides):
     change_text(rig, "inter_channel_delay_s = 1.4e-5", "")
     for ending in ("end", "signal"):
@@ -248,6 +247,20 @@ def test_real_drivers_then_beam_goes_where_it_is_sent_and_is_parked_however_it_e
                 lines.process.send_signal(signal.SIGTERM)
                 assert lines.end() == 130
         assert sides.say("spot") == "spot: not on the plate"
+
+
+def test_an_operate_that_is_stopped_in_a_sweep_then_the_fault_says_so_and_it_goes_on(rig, sides):
+    with Lines("operate", rig, environment=sides.environment) as lines:
+        lines.hear("ready")
+        lines.send(order="sweep", actuator=0, level_v=1.0, duration_s=10.0, id="stopped")
+        lines.hear("sweeping")
+        lines.process.send_signal(signal.SIGSTOP)
+        time.sleep(SILENT_S + 3.0)
+        lines.process.send_signal(signal.SIGCONT)
+        told = lines.hear("fault")
+        assert "was stopped" in str(told), told
+        lines.send(order="end")
+        assert lines.end() == 0
 
 
 # The interface answers within the post-roll; without a mirror there is no light on a spot.

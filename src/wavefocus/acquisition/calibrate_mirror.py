@@ -115,7 +115,8 @@ def measure_mirror(
     def meet(mark: int, start: Place) -> Place:
         view = AskJog(mark + 1, len(marks_mm), marks_mm[mark], start)
         at_mrad, is_moved = _met(setup, view, limit_mrad, operator)
-        moved.update({mark} if is_moved else ())
+        if is_moved:
+            moved.add(mark)
         return at_mrad
 
     for mark, place_mm in enumerate(marks_mm):

@@ -39,11 +39,9 @@ def finding(
     instrument: str, check: str, verdict: Verdict, what: str, remedy: str = "", act: Act | None = None
 ) -> Finding:
     """A finding; what would put it right is left out where nothing is wrong."""
-    return (
-        Finding(instrument, check, verdict, what)
-        if verdict == "ok"
-        else Finding(instrument, check, verdict, what, remedy, act)
-    )
+    if verdict == "ok":
+        return Finding(instrument, check, verdict, what)
+    return Finding(instrument, check, verdict, what, remedy, act)
 
 
 def _worse(verdict: Verdict, *, unless: bool) -> Verdict:
@@ -262,11 +260,15 @@ class _Examination(RigFindings):
 
     def _put_to_rest(self) -> None:
         """Mute, park and release whatever is open; only failures are reported."""
-        for name, role, quieten in (
-            ("player", self._player, "mute"), ("recorder", self._recorder, "abort"), ("mirror", self._mirror, "park")
-        ):  # fmt: skip
-            for step in (quieten, "close") if role is not None else ():
-                self.ask(name, "putting it to rest", getattr(role, step), ANSWER_S)
+        player, recorder, mirror = self._player, self._recorder, self._mirror
+        at_rest: dict[str, tuple[Callable[[], None], ...]] = {
+            "player": () if player is None else (player.mute, player.close),
+            "recorder": () if recorder is None else (recorder.abort, recorder.close),
+            "mirror": () if mirror is None else (mirror.park, mirror.close),
+        }
+        for name, steps in at_rest.items():
+            for step in steps:
+                self.ask(name, "putting it to rest", step, ANSWER_S)
 
 
 # Corners that the mirror is tried at: of the largest rectangle on the surface, a little within.

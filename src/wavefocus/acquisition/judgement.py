@@ -127,7 +127,7 @@ def _named(
         unnamed[list(worst)] = False
 
     if np.any(dead):
-        name(_worst_first(dead, dead * 1.0), "dead channel", _DEAD, Cure.REPEAT)
+        name(tuple(np.flatnonzero(dead).tolist()), "dead channel", _DEAD, Cure.REPEAT)
     for figure, (title, sentence, cure) in _KINDS.items():
         limit_db = {"harmonic_db": limits.poor_harmonic_db, "slip_db": SLIP_DB}.get(figure, limits.poor_residual_db)
         worst = _worst_first(unnamed & (figures[figure] > limit_db), figures[figure])
@@ -148,7 +148,7 @@ def _named(
         with_light = estimate.noise_v < 10 ** (HEARD_DB / 20) * np.median(estimate.noise_v)
         silent = unnamed & (estimate.snr_db < HEARD_DB) & nearer & with_light
         if silent.any():
-            name(_worst_first(silent, silent * 1.0), "silent", _SILENT, Cure.NOTHING)
+            name(tuple(np.flatnonzero(silent).tolist()), "silent", _SILENT, Cure.NOTHING)
     return found
 
 

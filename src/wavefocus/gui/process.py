@@ -1,4 +1,4 @@
-"""Commands of wavefocus in child processes, and a thread for work that the window must not wait for."""
+"""Commands of wavefocus in child processes, and threads for work that the window must not wait for."""
 
 import io
 import json

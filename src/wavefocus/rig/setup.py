@@ -160,8 +160,8 @@ def range_band(sensitivity_m_s_per_v: float) -> AllowedRange:
     """The range that a session began with, and no other."""
     least, most = ((1 + off) * sensitivity_m_s_per_v for off in (-SAME_SENSITIVITY, SAME_SENSITIVITY))
     words = f"vibrometer range (set to {sensitivity_m_s_per_v:g} m/s per V at the start)"
-    within = {"leaves_below": least, "returns_above": least, "returns_below": most, "leaves_above": most}
-    return AllowedRange(words, "m/s per V", BandSection(**within, settle_s=0.0))
+    band = BandSection(leaves_below=least, returns_above=least, returns_below=most, leaves_above=most, settle_s=0.0)
+    return AllowedRange(words, "m/s per V", band)
 
 
 def in_time_or_failed(name: str, sensor: Sensor, limit_s: float) -> Sensor:

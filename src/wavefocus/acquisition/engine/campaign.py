@@ -369,5 +369,11 @@ class Campaign:
 
 def _failure_kind(failure: BaseException) -> str:
     """The `failure` of a session that this exception ended."""
-    kinds = (DriftError, "drift"), (InstrumentError, "instrument"), (OSError | FileLostError, "file")
-    return next((kind for types, kind in kinds if isinstance(failure, types)), "other")
+    match failure:
+        case DriftError():
+            return "drift"
+        case InstrumentError():
+            return "instrument"
+        case OSError() | FileLostError():
+            return "file"
+    return "other"

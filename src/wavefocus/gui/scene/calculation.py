@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,9 +105,14 @@ class Calculation(QObject):
 
     def _submit(self, stage: str, work: Callable[..., SceneResults], *arguments: object) -> None:
         assert self._pool is not None
+        try:
+            future = self._pool.submit(work, self._newest.value, *arguments)
+        except (BrokenProcessPool, OSError):
+            self.close()
+            self.refused.emit(LOST)
+            return
         self._cancelled_s, self.busy = 0.0, True
-        step = partial(self._pool.submit, work, self._newest.value, *arguments)
-        self._context.background.ask("scene", lambda: step().result(), self._take, self._fail)
+        self._context.background.ask("scene", future.result, self._take, self._fail)
         self.stage.emit(stage)
 
     def _fail(self, failure: Exception) -> None:

@@ -60,8 +60,14 @@ def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Sent
     """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
     then, rate_hz = np.asarray(bank.green(sentinel.position), np.float32), bank.sample_rate_hz
     figures = compare_sentinel(then, sentinel.green, band_hz=bank.band_hz, sample_rate_hz=rate_hz)
-    changes = float(figures.level_db), 1e6 * figures.delay_samples / rate_hz, figures.correlation
-    return SentinelDrift(sentinel.position, *changes, wave_speed(sentinel, bank), figures.verdict(limits))
+    return SentinelDrift(
+        sentinel.position,
+        float(figures.level_db),
+        1e6 * figures.delay_samples / rate_hz,
+        figures.correlation,
+        wave_speed(sentinel, bank),
+        figures.verdict(limits),
+    )
 
 
 def drift_figures(drift: SentinelDrift) -> tuple[Figure, ...]:

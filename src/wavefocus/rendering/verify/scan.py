@@ -149,8 +149,13 @@ class Scan:
         from wavefocus.storage.field_file import Field
 
         there = (self.status & (Status.FAILED | Status.POOR_SIGNAL)) == 0
-        grid = self.sample_rate_hz, self.start_s, self.response_unit
-        return Field(self.field[there], self.position_index[there], *grid)
+        return Field(
+            field=self.field[there],
+            position_index=self.position_index[there],
+            sample_rate_hz=self.sample_rate_hz,
+            start_s=self.start_s,
+            response_unit=self.response_unit,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,11 +239,18 @@ class _ScanRun:
         # The response channel is sampled later, so its samples of an instant come earlier in the record.
         self._delay_samples = -setup.response_delay_s * drive.sample_rate_hz
         self._place = {int(row): index for index, row in enumerate(rows)}
-        unknown = np.full((3, rows.size), np.nan)
         self._scan = Scan(
-            np.zeros((rows.size, samples), np.float32), rows, drive.sample_rate_hz, drive.start_s, field_unit(bank),
-            np.full(rows.size, Status.FAILED, np.uint8), np.zeros(rows.size, np.int64), *unknown,
-        )  # fmt: skip
+            field=np.zeros((rows.size, samples), np.float32),
+            position_index=rows,
+            sample_rate_hz=drive.sample_rate_hz,
+            start_s=drive.start_s,
+            response_unit=field_unit(bank),
+            status=np.full(rows.size, Status.FAILED, np.uint8),
+            attempts=np.zeros(rows.size, np.int64),
+            noise_rms=np.full(rows.size, np.nan),
+            clock_ratio=np.full(rows.size, np.nan),
+            playback_gain=np.full(rows.size, np.nan),
+        )
         self._faults: dict[int, str] = {}
         self._given_up_in_a_row = 0
         self._done = 0
