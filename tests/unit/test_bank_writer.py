@@ -147,7 +147,7 @@ def test_a_position_measured_again_is_replaced_and_a_disabled_one_keeps_its_data
     path = measured(tmp_path / "bank.h5")
     with BankWriter.open(path) as writer:
         writer.commit(1, green_of(1, 2), record_of(1, 2, status=4))
-        writer.disable(2)
+        writer.amend(2, status=16)
         assert writer.status.tolist() == [1, 4, 16, 1]
         assert writer.attempts.tolist() == [1, 2, 1, 1]
         assert np.array_equal(writer.green(1), green_of(1, 2))

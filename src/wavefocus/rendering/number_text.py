@@ -1,6 +1,9 @@
-"""Numbers as text: three digits, the unit, a dash where there is none."""
+"""Numbers as text: three digits, the unit, a dash where there is none; the first of many."""
 
 import math
+from collections.abc import Sequence
+
+_NAMED = 8
 
 
 def number(value: float | None, unit: str = "") -> str:
@@ -16,6 +19,12 @@ def number(value: float | None, unit: str = "") -> str:
         text = text.removeprefix("-") if not text.strip("-0.") else text
         text = text.replace("-", "\N{MINUS SIGN}")
     return text if unit == "1" else f"{text} {unit}".rstrip()
+
+
+def listed(items: Sequence[int]) -> str:
+    """The first of some numbers, and how many more there are."""
+    shown = ", ".join(map(str, items[:_NAMED]))
+    return shown if len(items) <= _NAMED else f"{shown} and {len(items) - _NAMED} more"
 
 
 def precise(value: float | None) -> str:

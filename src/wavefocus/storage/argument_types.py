@@ -26,7 +26,7 @@ Positions = Sequence[int] | NDArray[np.integer[Any]] | NDArray[np.bool_]
 """Rows of a bank: their numbers, in any order, or a mask with an entry for each row of the bank."""
 
 
-def bank_rows(positions: Positions, count: int, name: str = "positions") -> NDArray[np.int64]:
+def bank_rows(positions: Positions, count: int) -> NDArray[np.int64]:
     """Numbers of bank rows, int64 (rows,), from numbers or from a mask of the bank's length.
 
     positions: Whole numbers from 0 to `count` - 1, or `count` booleans; a single number is a list of one.
@@ -37,17 +37,17 @@ def bank_rows(positions: Positions, count: int, name: str = "positions") -> NDAr
     try:
         rows = np.atleast_1d(np.asarray(positions if isinstance(positions, np.ndarray) else list(_listed(positions))))
     except (TypeError, ValueError):  # not a list, or lists of different lengths
-        raise _refused(name, positions, "row numbers of the bank, or a mask") from None
+        raise _refused("positions", positions, "row numbers of the bank, or a mask") from None
     if rows.ndim == 1 and rows.dtype == np.bool_:
         if len(rows) != count:
-            raise InputError(f"{name} is a mask of {len(rows)} entries; the bank has {count} rows")
+            raise InputError(f"positions is a mask of {len(rows)} entries; the bank has {count} rows")
         return np.flatnonzero(rows)
     if not rows.size:
         return np.zeros(0, np.int64)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
-        raise _refused(name, positions, "row numbers of the bank, or a mask")
+        raise _refused("positions", positions, "row numbers of the bank, or a mask")
     if (outside := rows[(rows < 0) | (rows >= count)]).size:
-        raise InputError(f"{name} holds {outside[0]}; allowed are 0 to {count - 1}")
+        raise InputError(f"positions holds {outside[0]}; allowed are 0 to {count - 1}")
     return rows.astype(np.int64)
 
 

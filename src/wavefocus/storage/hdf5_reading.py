@@ -328,7 +328,7 @@ def _plain_attribute(file: h5py.File | h5py.Dataset, name: str) -> NDArray[np.ge
     return np.asarray(attributes[name])
 
 
-def require_format(file: h5py.File, name: str, version: int = 1, *, may_lack: bool = False) -> None:
+def require_format(file: h5py.File, name: str, *, may_lack: bool = False) -> None:
     """Refuse another format or version; a file that names none is refused unless it may lack it."""
     found = text(file, "format")
     if found is None:
@@ -337,9 +337,8 @@ def require_format(file: h5py.File, name: str, version: int = 1, *, may_lack: bo
         return
     if found != name:
         raise InputError(f"{path_of(file)} has the format {found!r}; {name!r} is needed")
-    found_version = number(file, "format_version")
-    if found_version != version:
-        raise InputError(f"{path_of(file)} has {name} version {found_version:g}; this program reads version {version}")
+    if (version := number(file, "format_version")) != 1:
+        raise InputError(f"{path_of(file)} has {name} version {version:g}; this program reads version 1")
 
 
 def require_sample_times(file: h5py.File, samples: int, sample_rate_hz: float, start_s: float) -> None:

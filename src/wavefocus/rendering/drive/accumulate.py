@@ -177,26 +177,21 @@ def _choose_fft_samples(reach: int, span: int, actuators: int, paths: Sequence[t
     rows = sum(nodes * len(np.unique(position)) for position, nodes in paths)
     moves = sum(nodes * np.count_nonzero(np.diff(position)) for position, nodes in paths)
     staying = sum(nodes for _, nodes in paths)
-    best, least = 0, np.inf
-    # Hops that are weighed, relative to how far one event reaches.
-    for hop in sorted(
-        {
-            min(span, max(512, int(share * reach)))
-            for share in (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 1.5, 2.0, 3.0, 4.0)
-        }
-    ):
-        fft_samples = fast_length(reach + hop - 1)
+
+    def cost_s(fft_samples: int) -> float:
         blocks = -(-span // (fft_samples - reach + 1))
         pairs = moves + staying * blocks
         transform_s = 0.35e-9 * fft_samples * np.log2(fft_samples)
         # Seconds per sample and factor 2 of a transform, per bin and actuator of a product, per sample that overlap-
         # add touches. Measured with scipy's transforms in float64 on a 2.5 GHz Xeon; only their ratios matter, and not
         # much.
-        cost_s = (
+        return float(
             transform_s * (actuators * (rows + blocks) + pairs)
             + 1.5e-9 * pairs * actuators * fft_samples / 2
             + 0.6e-9 * blocks * actuators * fft_samples
         )
-        if cost_s < least:
-            best, least = fft_samples, cost_s
-    return best
+
+    # Hops that are weighed, relative to how far one event reaches.
+    shares = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 1.5, 2.0, 3.0, 4.0)
+    hops = (min(span, max(512, int(share * reach))) for share in shares)
+    return min((fast_length(reach + hop - 1) for hop in hops), key=cost_s)

@@ -230,18 +230,15 @@ class Convolution:
         """Transform length that costs least per row: a transform per actuator, a product and one back per block."""
         taps, (actuators, samples), factor = self._reader.taps, self._drive_v.shape, self._decimation.factor
         reach = taps + self._decimation.kernel_samples - 1 + factor
-        best, least = 0, np.inf
-        # Hops that are weighed, relative to the taps.
-        for hop in sorted(
-            {
-                min(samples, max(512, int(part * taps)))
-                for part in (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-            }
-        ):
-            length = factor * fast_length(-(-(reach + hop) // factor))
+
+        def cost(length: int) -> float:
             blocks = -(-samples // (length - reach))
             # Cost of a bin of a product, in samples of a transform times factors of 2.
-            cost = length * np.log2(length) * (actuators + blocks / factor) + 2.0 * length * actuators * blocks / 2
-            if cost < least:
-                best, least = length, cost
-        return best
+            return float(
+                length * np.log2(length) * (actuators + blocks / factor) + 2.0 * length * actuators * blocks / 2
+            )
+
+        # Hops that are weighed, relative to the taps.
+        parts = (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+        hops = (min(samples, max(512, int(part * taps))) for part in parts)
+        return min((factor * fast_length(-(-(reach + hop) // factor)) for hop in hops), key=cost)

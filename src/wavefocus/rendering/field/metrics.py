@@ -201,7 +201,6 @@ def focus_spot(
     near_mm: Place,
     radius_mm: float,
     spacing_mm: float | None,
-    others_mm: Float64Array | None = None,
 ) -> FocusSpot | None:
     """All figures of the focus near a point; None where no position lies within the radius."""
     peak = focus_peak(position_mm, field, near_mm, radius_mm)
@@ -213,7 +212,7 @@ def focus_spot(
         at_mm=peak.at_mm,
         off_mm=math.hypot(peak.at_mm[0] - near_mm[0], peak.at_mm[1] - near_mm[1]),
         width_mm=math.nan if width is None else width,
-        artefact_db=artefact_level_db(position_mm, field, near_mm, radius_mm, others_mm),
+        artefact_db=artefact_level_db(position_mm, field, near_mm, radius_mm),
     )
 
 

@@ -10,6 +10,7 @@ from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.device import WORKERS, Device, host_device, threaded_map
 from wavefocus.rendering.field.convolution import BankSpectra, Convolution, Decimation
 from wavefocus.rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
+from wavefocus.rendering.number_text import listed
 from wavefocus.storage.argument_types import Positions, bank_rows, float_type
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
@@ -18,8 +19,6 @@ from wavefocus.storage.units import drive_of, response_unit
 
 RealArray = Float32Array | Float64Array
 OnProgress = Callable[[int, int], None]
-
-LISTED = 8
 
 
 class Prediction:
@@ -185,9 +184,7 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Positions | Non
     status = np.asarray(bank.status)
     refused = [int(row) for row in index if refusal(int(status[row]))]
     if refused:
-        more = f" and {len(refused) - LISTED} more" if len(refused) > LISTED else ""
-        named = ", ".join(map(str, refused[:LISTED]))
         raise InputError(
-            f"positions holds {named}{more}: {refusal(int(status[refused[0]]))}; leave them out or measure them"
+            f"positions holds {listed(refused)}: {refusal(int(status[refused[0]]))}; leave them out or measure them"
         )
     return index

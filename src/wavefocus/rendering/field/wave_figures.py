@@ -192,16 +192,17 @@ class PathSpectrum:
     @property
     def centroid_hz(self) -> float:
         """Mean frequency of the energy of all points; NaN without any."""
-        energy = np.square(self.magnitude).sum(axis=0)
-        total = float(energy.sum())
-        return float(energy @ self.frequency_hz) / total if total > 0 else float("nan")
+        return self._mean_of(self.frequency_hz)
 
     def share_within(self, band_hz: tuple[float, float]) -> float:
         """Share of the energy of all points that lies within a band, 0 to 1; NaN without any energy."""
+        return self._mean_of((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
+
+    def _mean_of(self, values: NDArray[Any]) -> float:
+        """Mean of values of the bins, weighted by the energy of all points."""
         energy = np.square(self.magnitude).sum(axis=0)
-        inside = (self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1])
         total = float(energy.sum())
-        return float(energy[inside].sum()) / total if total > 0 else float("nan")
+        return float(energy @ values) / total if total > 0 else float("nan")
 
 
 def path_spectrum(

@@ -169,7 +169,7 @@ def colour_limit(frames: Float32Array, peak: Float64Array | None) -> float:
 OnProgress = Callable[[int, int], None]
 
 COLOURS = "RdBu_r"
-LEFT_PX, TOP_PX, BAR_PX, BOTTOM_PX = 52, 30, 92, 42
+WIDTH_PX, LEFT_PX, TOP_PX, BAR_PX, BOTTOM_PX = 720, 52, 30, 92, 42
 SNAPSHOT_PX, MAX_SNAPSHOTS = 346, 6
 
 
@@ -189,7 +189,6 @@ def write_movie(
     drive: Drive | None,
     plan: FramePlan,
     *,
-    width_px: int = 720,
     on_progress: OnProgress | None = None,
 ) -> float:
     """Write a GIF of a field on the surface.
@@ -206,7 +205,7 @@ def write_movie(
     frames = read_frames(field, plan.sample)
     top = colour_limit(frames, None if drive is None else Foci.of(drive).seen(field)[2])
     with rc_context(STYLE):
-        draw = _stage(field, surface, drive, plan, top, max(width_px, 240))
+        draw = _stage(field, surface, drive, plan, top)
         # The first frame has half the colours at best; the palette is that of the loudest one.
         loudest = int(np.argmax(np.einsum("ij,ij->i", frames, frames)))
         palette = draw(frames, loudest).quantize(256)
@@ -227,17 +226,17 @@ def write_movie(
 
 
 def _stage(
-    field: FieldRowReader, surface: ReportSurface, drive: Drive | None, plan: FramePlan, top: float, width_px: int
+    field: FieldRowReader, surface: ReportSurface, drive: Drive | None, plan: FramePlan, top: float
 ) -> Callable[[Float32Array, int], Image]:
     """One figure that all frames are drawn on: what does not change is drawn once. Gives what draws a frame."""
     from PIL import Image
 
     drive_foci = None if drive is None else Foci.of(drive)
     factor, unit = scaled_unit(top, field.response_unit)
-    map_px = width_px - LEFT_PX - BAR_PX
+    map_px = WIDTH_PX - LEFT_PX - BAR_PX
     height = surface.height_px(map_px)
     height_px = round(TOP_PX + height + BOTTOM_PX)
-    canvas = Canvas("movie", width_px, height_px, density=1)
+    canvas = Canvas("movie", WIDTH_PX, height_px, density=1)
     figure = canvas.figure
     axes = canvas.axes(LEFT_PX, TOP_PX, map_px, height)
     draw_surface(axes, surface, "black")
@@ -248,9 +247,9 @@ def _stage(
     )  # fmt: skip
     canvas.colour_bar(cells, (LEFT_PX + map_px + 12, TOP_PX, 11, height), f"y ({unit})", extend="both")
     (rings,) = axes.plot([], [], "o", ms=13, mfc="none", mec=INK, mew=1.3, zorder=7)
-    clock = figure.text(LEFT_PX / width_px, 1 - 20 / height_px, "", color=INK, fontsize=10)
+    clock = figure.text(LEFT_PX / WIDTH_PX, 1 - 20 / height_px, "", color=INK, fontsize=10)
     speed = _speed(plan.slowed)
-    figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, speed, color=FAINT, ha="right", fontsize=9)
+    figure.text((LEFT_PX + map_px) / WIDTH_PX, 1 - 20 / height_px, speed, color=FAINT, ha="right", fontsize=9)
 
     def draw(frames: Float32Array, frame: int) -> Image.Image:
         time_s = field.start_s + int(plan.sample[frame]) / field.sample_rate_hz

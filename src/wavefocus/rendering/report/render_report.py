@@ -18,6 +18,7 @@ from wavefocus.rendering.field.wave_figures import impulse_travel
 from wavefocus.rendering.greens.interpolation.errors import InterpolationErrors
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowReader
+from wavefocus.rendering.number_text import listed
 from wavefocus.rendering.scene.emission import ContinuousEmission
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import SampledSource
@@ -97,7 +98,6 @@ def _end_of(energy: Float64Array) -> tuple[float, float]:
 
 SPREAD_SHARE = 0.1
 """Share of the signal's energy that cutting it into segments may move out of the band without a warning."""
-NAMED = 8
 
 
 class RenderWarning(UserWarning):
@@ -198,14 +198,14 @@ def report_render(
 def _silent(rows: BankRows) -> list[str]:
     if not (silent := rows.silent_actuators):
         return []
-    return [f"actuator {_listed(silent)}: all Green's functions on the path are zero, so the drive is zero there"]
+    return [f"actuator {listed(silent)}: all Green's functions on the path are zero, so the drive is zero there"]
 
 
 def _doubtful(rows: BankRows) -> list[str]:
     doubtful = [row for row in rows.used if int(rows.status[row]) & DOUBTFUL_BITS]
     if not doubtful:
         return []
-    return [f"position {_listed(doubtful)} on the path: measured over range or with poor signal; remeasure to be sure"]
+    return [f"position {listed(doubtful)} on the path: measured over range or with poor signal; remeasure to be sure"]
 
 
 def _too_fast(scene: Scene, rows: BankRows) -> list[str]:
@@ -247,8 +247,3 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
         f" lies outside the bank's band ({100 * own:.0f} % of the signal's own does); lower the speed or use a finer"
         " interpolation"
     ]
-
-
-def _listed(items: Sequence[int]) -> str:
-    shown = ", ".join(str(item) for item in items[:NAMED])
-    return shown if len(items) <= NAMED else f"{shown} and {len(items) - NAMED} more"

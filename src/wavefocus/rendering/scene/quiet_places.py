@@ -203,8 +203,7 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
         )
     warnings: list[str] = []
     applies = _applies(scene, places, sampled, knots, rate_hz, warnings)
-    sets: dict[tuple[int, bytes], QuietSet] = {}
-    number: dict[tuple[int, bytes], int] = {}
+    sets: list[QuietSet] = []
     of_source = np.zeros((len(scene.sources), len(knots)), dtype=np.int64)
     place_of = np.repeat(np.arange(len(places)), [rows_of_place.shape[1] for rows_of_place in rows])
     for source in range(len(scene.sources)):
@@ -213,13 +212,10 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
             axis=1,
         )
         different, inverse = np.unique(used, axis=0, return_inverse=True)
-        numbers = []
-        for used_rows in different:
-            key = (source, used_rows.tobytes())
-            numbers.append(number.setdefault(key, len(number)))
-            sets.setdefault(key, (source, used_rows[used_rows >= 0], place_of[used_rows >= 0]))
-        of_source[source] = np.array(numbers)[inverse.ravel()]
-    return QuietPlan(places, knots, rows, tuple(sets.values()), of_source, tuple(warnings))
+        # None is that of another source.
+        of_source[source] = len(sets) + inverse.ravel()
+        sets += [(source, one[one >= 0], place_of[one >= 0]) for one in different]
+    return QuietPlan(places, knots, rows, tuple(sets), of_source, tuple(warnings))
 
 
 def _rows(place: PlannedPlace, knots: Int64Array, rate_hz: float, place_rows: PlaceRows) -> Int64Array:

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM
-from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, Bilinear, Nearest, OffGridError, grid_of
+from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, Bilinear, OffGridError, grid_of, near
 from wavefocus.rendering.greens.interpolation.errors import ON_POSITION
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
@@ -50,20 +50,20 @@ def scene_rows(
     Raises InputError where a path leaves the grid, or the grid does not allow the scene's interpolation.
     """
     grid = grid_of(position_mm, np.zeros(len(position_mm), bool) if check is None else check)
-    nearest, auto = Nearest(grid), "waves" if coarse else "kernel"
+    auto = "waves" if coarse else "kernel"
     method = auto if scene.output.interpolation == "auto" else scene.output.interpolation
     tree = cKDTree(position_mm)
     path: set[int] = set()
     checks: set[int] = set()
     for source in scene.sources:
         points_mm, step_mm = _along(source.path, grid.spacing_mm)
-        rows = _nearby_rows(tree, points_mm, nearest.nodes(points_mm).distance_mm + step_mm)
+        rows = _nearby_rows(tree, points_mm, near(grid, points_mm)[1] + step_mm)
         path |= rows | _more_rows(method, grid, tree, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
     for place in places_of(scene):
         # Between positions a quiet place takes the best interpolation, whatever the scene's is.
         points_mm, step_mm = _along(place.path, grid.spacing_mm)
-        away_mm = nearest.nodes(points_mm).distance_mm
+        _, away_mm = near(grid, points_mm)
         reach_mm = away_mm + step_mm + place.radius_mm
         rows = _nearby_rows(tree, points_mm, reach_mm)
         between = step_mm + place.radius_mm > 0 or away_mm.max() > ON_POSITION * grid.spacing_mm

@@ -5,13 +5,12 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage import durable, hdf5_digest, hdf5_reading
+from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.bank.ledger import (
     BANK,
     FIRST_QUALITY_NAMES,
@@ -32,6 +31,7 @@ from wavefocus.storage.hdf5_writing import (
 )
 from wavefocus.storage.ledger.layout import (
     LedgerLayout,
+    OnGrid,
     create_file,
     find_layout,
     later_datasets,
@@ -41,6 +41,7 @@ from wavefocus.storage.ledger.layout import (
     require_checksum,
     require_header,
     require_ledger,
+    write_attributes,
 )
 from wavefocus.storage.ledger.pages import RowShape
 
@@ -48,7 +49,7 @@ Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BankHeader:
+class BankHeader(OnGrid):
     """What a bank says about itself and what no resume may change; out of range, InputError.
 
     sample_rate_hz: Rate of the Green's functions in Hz, > 0.
@@ -96,16 +97,6 @@ class BankHeader:
             raise InputError(f"taps is {self.taps}; at least 1 is needed")
 
     @property
-    def positions(self) -> int:
-        """Number P of grid positions."""
-        return len(self.position_mm)
-
-    @property
-    def actuators(self) -> int:
-        """Number N of actuators."""
-        return len(self.actuator_mm)
-
-    @property
     def rows(self) -> RowShape:
         """Sizes of a position's Green's functions and of its ledger row."""
         return bank_row_shape(self.actuators, self.taps)
@@ -142,18 +133,15 @@ _NUMBERS = {
 _FIRST_FIGURES = ("/status", *(f"/quality/{name}" for name in FIRST_QUALITY_NAMES))
 
 
-def create_bank(
-    path: str | Path, header: BankHeader, *, open_file: durable.OpenFile = durable.open_file
-) -> LedgerLayout:
+def create_bank(path: str | Path, header: BankHeader) -> LedgerLayout:
     """Make an unmeasured bank with all its space reserved; an existing file is never touched.
 
     header: What the bank says about itself.
-    open_file: How the file is opened when its space is reserved.
 
     Raises ExistsError: when the path exists. InputError: when the folder is missing, or the disk is too small; nothing
     is left behind.
     """
-    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header), open_file)
+    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header))
 
 
 def quality_shape(name: str, positions: int, actuators: int) -> tuple[int, ...]:
@@ -184,14 +172,8 @@ def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> Ledger
 
 
 def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
-    attributes: dict[str, Any] = {"format": BANK.name, "format_version": 1}
-    attributes |= {name: getattr(header, own) for name, own in _TEXTS.items()}
-    for name, kind in _NUMBERS.items():
-        given = getattr(header, name)
-        attributes[name] = None if given is None or given == () else np.array(given, kind)
-    for name, value in attributes.items():
-        if value is not None and not (name in _MAY_LACK and value == ""):
-            file.attrs[name] = value
+    file.attrs["format"], file.attrs["format_version"] = BANK.name, 1
+    write_attributes(file, header, _TEXTS, _NUMBERS, _MAY_LACK)
     count, actuators, taps = header.positions, header.actuators, header.taps
     position = dimension_scale(file, "position", np.arange(count, dtype="<i4"))
     actuator = dimension_scale(file, "actuator", np.arange(actuators, dtype="<i4"))
@@ -238,13 +220,6 @@ def _later_checksum(layout: LedgerLayout) -> int:
     return offsets_crc([offset for name, (offset, _) in layout.figures.items() if name not in _FIRST_FIGURES])
 
 
-def read_header(file: h5py.File, path: Path) -> BankHeader:
-    """Read and verify what a bank of this program says about itself. Raises InputError: it is damaged."""
-    header = _read_header(file, path)
-    require_checksum(file, path, "header_crc32", header.checksum(), "its header's")
-    return header
-
-
 def read_check_rows(file: h5py.File, positions: int) -> tuple[int, ...]:
     """Rows of attribute ``check_rows``, ascending; none where there is no such attribute."""
     if not hdf5_reading.holds_attribute(file, "check_rows"):
@@ -256,7 +231,8 @@ def read_check_rows(file: h5py.File, positions: int) -> tuple[int, ...]:
     return tuple(sorted(set(rows.tolist())))
 
 
-def _read_header(file: h5py.File, path: Path) -> BankHeader:
+def read_header(file: h5py.File, path: Path) -> BankHeader:
+    """Read and verify what a bank of this program says about itself. Raises InputError: it is damaged."""
     green = hdf5_reading.plain_dataset(file, "/green")
     if green.ndim != 3:
         raise InputError(f"{path}: /green has shape {green.shape}; (position, actuator, tap) is needed")
@@ -275,7 +251,7 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
     if not np.array_equal(time_s, counted):
         raise InputError(f"{path} is damaged: /time_s does not count samples at sample_rate_hz; restore a copy")
     with hdf5_reading.named(path):
-        return BankHeader(
+        header = BankHeader(
             rate,
             taps,
             (low, high),
@@ -288,6 +264,8 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
                 hdf5_reading.number(file, "inter_channel_delay_s") if "inter_channel_delay_s" in file.attrs else None
             ),
         )
+    require_checksum(file, path, "header_crc32", header.checksum(), "its header's")
+    return header
 
 
 def rows_off_grid(positions: int, check_rows: Sequence[int], run_json: str | None) -> NDArray[np.bool_]:

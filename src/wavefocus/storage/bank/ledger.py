@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,16 +108,6 @@ _ALL_BITS = 31
 _STATUS_MASK, _ROUND_AT, _SUSPECT_AT, _UNJUDGEABLE_AT = 255, 8, 30, 31
 _MAX_ROUND = (1 << _SUSPECT_AT - _ROUND_AT) - 1
 
-BANK = LedgerFormat(
-    name="wavefocus-bank",
-    kind="bank",
-    datasets=("/green",),
-    dtype="<f4",
-    row_name=b"WFLEDGER",
-    journal_name=b"WFREPLAC",
-    crc_at=40,
-    remedy="measure it again with: wavefocus resume {path}, or restore a copy",
-)
 # The later figures are whole numbers: their step, and the number that stands for zero; 0 is a row that has none.
 _LATER = {"moved_mm": (1e-3, 1), "reference_db": (1e-3, 32768), "leak_db": (1e-2, 32768)}
 _QUALITY_AT = 48
@@ -180,6 +171,25 @@ class LedgerFigures:
     unjudgeable: NDArray[np.bool_]
     quality: dict[str, Float32Array]
     rms: NDArray[np.float64]
+
+
+def _file_figures(rows: Bytes, holds: NDArray[np.bool_], shape: RowShape) -> dict[str, NDArray[Any]]:
+    """``/status`` and ``/quality``."""
+    found = figures_of(rows, holds, shape.dimensions[0])
+    return {"/status": found.status, **{f"/quality/{name}": found.quality[name].astype("<f4") for name in QUALITY}}
+
+
+BANK = LedgerFormat(
+    name="wavefocus-bank",
+    kind="bank",
+    datasets=("/green",),
+    dtype="<f4",
+    row_name=b"WFLEDGER",
+    journal_name=b"WFREPLAC",
+    crc_at=40,
+    remedy="measure it again with: wavefocus resume {path}, or restore a copy",
+    figures=_file_figures,
+)
 
 
 def bank_row_shape(actuators: int, taps: int) -> RowShape:

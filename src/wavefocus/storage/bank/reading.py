@@ -19,12 +19,12 @@ from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
 from wavefocus.storage.bank.foreign import ForeignRows, read_foreign
 from wavefocus.storage.bank.layout import BankHeader, read_header, read_layout
-from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, LedgerFigures, figures_of
+from wavefocus.storage.bank.ledger import BANK, LedgerFigures, figures_of
 from wavefocus.storage.bank.notes import Note, read_notes
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import sample_times
-from wavefocus.storage.ledger.layout import JOURNAL, LEDGER, LedgerLayout, has_ledger
+from wavefocus.storage.ledger.layout import JOURNAL, LEDGER, LedgerLayout, OnGrid, has_ledger
 from wavefocus.storage.ledger.reader import LedgerReader, damage_of
 
 Float32Array = NDArray[np.float32]
@@ -37,7 +37,7 @@ _FOREIGN_CACHE_BYTES = 64 << 20  # a compressed chunk may hold many positions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bank(Closing):
+class Bank(Closing, OnGrid):
     """A bank open for reading; a context manager, made by :func:`open_bank`.
 
     P positions, N actuators, L taps. What the file does not say is None, or NaN in arrays.
@@ -100,16 +100,6 @@ class Bank(Closing):
             f"  {self.positions} positions, {self.actuators} actuators, {self.taps} taps\n"
             f"  at {self.sample_rate_hz:g} Hz{band}, {self.response_unit}; by {self.software or 'another program'})"
         )
-
-    @property
-    def positions(self) -> int:
-        """Number P of grid positions."""
-        return len(self.position_mm)
-
-    @property
-    def actuators(self) -> int:
-        """Number N of actuators."""
-        return len(self.actuator_mm)
 
     @property
     def check(self) -> NDArray[np.bool_]:
@@ -260,18 +250,6 @@ class LedgerRows(LedgerReader):
         if chunks is None:
             return np.zeros(shape.dimensions, np.float32)
         return np.frombuffer(chunks[0], "<f4").reshape(shape.dimensions).astype(np.float32, copy=False)
-
-    def differing(self) -> NDArray[np.bool_]:
-        """Positions (P,) whose ``/status`` or ``/quality`` in the file are not those of the ledger."""
-        noted_status = np.frombuffer(self.figure("/status"), np.uint8)
-        differs = np.asarray(noted_status != self.figures.status, bool)
-        for name in QUALITY_NAMES:
-            if f"/quality/{name}" in self._layout.figures:  # else a bank of the first edition
-                # Bit by bit, so that NaN is as good as any other value.
-                noted = np.frombuffer(self.figure(f"/quality/{name}"), "<u4").reshape(len(differs), -1)
-                held = np.ascontiguousarray(self.figures.quality[name], "<f4").view("<u4").reshape(len(differs), -1)
-                differs |= (noted != held).any(axis=1)
-        return differs
 
 
 class _CopiedFile(Closing):

@@ -75,21 +75,6 @@ class BankWriter(LedgerWriter):
             )
         self._commit(position, [values.tobytes()], encode_row(position, record, values))
 
-    def disable(self, position: int) -> None:
-        """Exclude a position: its status loses the valid bit and gains 16; what was measured stays.
-
-        Raises InputError: when there is no such position. WavefocusError: when the disk failed.
-        """
-        self._require_position(position)
-        if self._status[position]:
-            kept = self.record(position)
-        else:
-            unknown = np.full(self.header.actuators, np.nan, np.float32)
-            kept = PointRecord(Status.DISABLED, int(self._attempts[position]), unknown, unknown, unknown, unknown)
-        self.commit(
-            position, self.green(position), replace(kept, status=(kept.status & ~Status.VALID) | Status.DISABLED)
-        )
-
     def amend(self, position: int, **changes: Any) -> None:
         """Change fields of a measured position's `PointRecord`; InputError where it is not measured."""
         self.commit(position, self.green(position), replace(self.record(position), **changes))
@@ -132,19 +117,15 @@ class BankWriter(LedgerWriter):
         return float(np.median(self._reference_db[chosen])) if chosen.size else None
 
     def _noted(self, position: int) -> None:
+        super()._noted(position)
         kept = self.record(position)  # rounded as the ledger rounds them
-        for name, (offset, size) in self._layout.figures.items():
-            figure = np.asarray(getattr(kept, name.rpartition("/")[2]), "u1" if name == "/status" else "<f4")
-            self._file.write(offset + position * size, figure.tobytes())
         self._status[position], self._attempts[position] = kept.status, kept.attempts
         self._reference_db[position] = kept.reference_db
 
     def _recover(self) -> NDArray[np.bool_]:
         """Verify all rows, make those that a crash left half-written read as zeros, and rebuild status and quality."""
-        layout, shape = self._layout, self._shape
-        ledger = shape.decode(self._file.read(layout.ledger_offset, layout.positions * shape.row_bytes))
-        figures = figures_of(ledger.rows, ledger.holds, self.header.actuators)
-        trusted = figures.status > 0
+        layout, shape, ledger = self._layout, self._shape, self._read_ledger()
+        trusted = figures_of(ledger.rows, ledger.holds, self.header.actuators).status > 0
         for position, offset in enumerate(layout.chunk_offset[0].tolist()):
             chunk = self._file.read(offset, shape.chunk_bytes)
             if trusted[position]:
@@ -152,15 +133,10 @@ class BankWriter(LedgerWriter):
             elif ledger.empty[position] and not is_empty(chunk):
                 self._file.write(offset, bytes(shape.chunk_bytes))
         self._damaged = tuple(np.flatnonzero(~trusted & ~ledger.empty).tolist())
-        self._status = np.where(trusted, figures.status, 0).astype(np.uint8)
-        self._attempts = np.where(trusted, figures.quality["attempts"], 0).astype(np.int64)
-        self._reference_db = np.where(trusted, figures.quality["reference_db"], np.nan)
-        for name, (offset, _) in layout.figures.items():
-            derived = self._status if name == "/status" else figures.quality[name.rpartition("/")[2]].astype("<f4")
-            derived[~trusted] = 0 if name in ("/status", "/quality/attempts") else np.nan
-            content = derived.tobytes()
-            if self._file.read(offset, len(content)) != content:
-                self._file.write(offset, content)
+        self._restore_figures(ledger.rows, trusted)
+        figures = figures_of(ledger.rows, trusted, self.header.actuators)
+        self._status, self._attempts = figures.status, figures.quality["attempts"].astype(np.int64)
+        self._reference_db = figures.quality["reference_db"]
         return trusted
 
 

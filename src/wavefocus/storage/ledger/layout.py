@@ -2,7 +2,7 @@
 
 import shutil
 import zlib
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,24 @@ from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
 LEDGER = "/durability/ledger"
 JOURNAL = "/durability/journal"
 _NOT_WRITTEN = "it cannot be written into, restore it from a whole copy"
+
+
+class OnGrid:
+    """What is stated of positions (P, 2) on a surface and actuators (N, 2) about it."""
+
+    __slots__ = ()
+    position_mm: NDArray[np.float64]
+    actuator_mm: NDArray[np.float64]
+
+    @property
+    def positions(self) -> int:
+        """Number P of grid positions."""
+        return len(self.position_mm)
+
+    @property
+    def actuators(self) -> int:
+        """Number N of actuators."""
+        return len(self.actuator_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +110,23 @@ def require_checksum(
     """Refuse a file whose attribute `name` is another checksum of `what`."""
     if found != hdf5_reading.number(file, name):
         raise error(f"{path} is damaged: {what} checksum does not hold; restore it from a copy")
+
+
+def write_attributes(
+    file: h5py.File, header: Any, texts: Mapping[str, str], numbers: Mapping[str, str], may_lack: Collection[str]
+) -> None:
+    """Write what a file says about itself.
+
+    texts: Fields of the header that attributes hold as texts, by attribute.
+    numbers: Types of fields that are attributes as they are; None and what is empty are left out.
+    may_lack: Attributes that are left out where their text is empty.
+    """
+    for name, own in texts.items():
+        if getattr(header, own) or name not in may_lack:
+            file.attrs[name] = getattr(header, own)
+    for name, kind in numbers.items():
+        if getattr(header, name) not in (None, ()):
+            file.attrs[name] = np.array(getattr(header, name), kind)
 
 
 def lay_out_data(file: h5py.File, shape: RowShape, count: int, units: Sequence[str]) -> tuple[h5py.Dataset, ...]:
@@ -185,17 +220,11 @@ def later_datasets(layout: LedgerLayout) -> frozenset[str]:
     return frozenset({*layout.shape.format.datasets, *layout.figures, LEDGER, JOURNAL})
 
 
-def create_file(
-    path: Path,
-    about_bytes: int,
-    lay_out: Callable[[h5py.File], LedgerLayout],
-    open_file: durable.OpenFile = durable.open_file,
-) -> LedgerLayout:
+def create_file(path: Path, about_bytes: int, lay_out: Callable[[h5py.File], LedgerLayout]) -> LedgerLayout:
     """Make a ledger file with all its space reserved, and return where it lies; an existing file is never touched.
 
     about_bytes: How large it will be, a little rounded up.
     lay_out: Writes attributes and datasets and returns where they lie.
-    open_file: How the file is opened when its space is reserved.
 
     Raises ExistsError: when the path exists. InputError: when the folder is missing, or the disk is too small; nothing
     is left behind.
@@ -214,7 +243,7 @@ def create_file(
             with created(place.temporary, laid_out_once=True) as file:
                 layout = lay_out(file)
                 hdf5_digest.seal_contents(file, later_datasets(layout))
-            with open_file(place.temporary, write=True) as disk:
+            with durable.open_file(place.temporary, write=True) as disk:
                 disk.reserve(max(-(-disk.size() // PAGE) * PAGE, layout.file_bytes))
                 disk.sync()
             place.complete()

@@ -20,7 +20,7 @@ from wavefocus.storage.text_file import permission_words, read_regular, require_
 
 # Asking for the owner holds a shared lock for microseconds; a writer that meets it tries again.
 _TRIES = 5
-_PAUSE_S = 0.02
+_PAUSE_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +61,24 @@ def bank_owner(path: str | Path) -> Owner | None:
 
 def take_ownership(path: Path, file: PositionedFile, kind: str) -> None:
     """Lock an open file, a `kind` in messages, until it is closed; BankBusyError where another process owns it."""
-    for attempt in range(_TRIES):
-        if attempt:
-            time.sleep(_PAUSE_S)
-        if file.try_lock():
-            return
+    if _locked(file):
+        return
     owner = _named_owner(path)
     who = f"process {owner.pid} on {owner.host}" if owner.pid else "another process"
     raise BankBusyError(
         f"{kind} {path} is owned by {who}; wait until it has finished or stop it, then try again"
         " (reading and status are possible meanwhile)"
     )
+
+
+def _locked(file: PositionedFile) -> bool:
+    """Lock an open file until it is closed; False where another process keeps the lock."""
+    for attempt in range(_TRIES):
+        if attempt:
+            time.sleep(_PAUSE_S)
+        if file.try_lock():
+            return True
+    return False
 
 
 def write_owner(path: Path) -> None:
@@ -125,16 +132,12 @@ def claimed(name: str) -> Iterator[None]:
     except PermissionError:
         raise InputError(f"{name}: its lock {path} may not be opened{permission_words(path)}") from None
     with lock as file:
-        # Whoever asks for the holder has the lock for microseconds.
-        given_up_s = time.monotonic() + 0.2
-        while not file.try_lock():
-            if time.monotonic() >= given_up_s:
-                holder = bank_owner(path) or Owner("this computer", 0)
-                raise BankBusyError(
-                    f"{name} is held by process {holder.pid or 'unknown'} on {holder.host}; wait until it has finished "
-                    "or stop it, then try again"
-                )
-            time.sleep(0.05)
+        if not _locked(file):
+            holder = bank_owner(path) or Owner("this computer", 0)
+            raise BankBusyError(
+                f"{name} is held by process {holder.pid or 'unknown'} on {holder.host}; wait until it has finished "
+                "or stop it, then try again"
+            )
         write_owner(path)
         try:
             yield

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ class LedgerFormat:
     row_name, journal_name: How ledger rows and the journal begin.
     crc_at: Where in a ledger row the CRC-32 of each dataset's chunk stand, in bytes.
     remedy: What to do about a damaged position, `{path}` standing for the file.
+    figures: Datasets (rows, ...) that follow from ledger rows, of those that hold, by name and as the file has them.
     """
 
     name: str
@@ -43,6 +45,7 @@ class LedgerFormat:
     journal_name: bytes
     crc_at: int
     remedy: str
+    figures: Callable[[Bytes, NDArray[np.bool_], RowShape], dict[str, NDArray[Any]]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,6 +83,16 @@ class LedgerReader:
                 damaged.append(position)
         return tuple(damaged)
 
+    def differing(self) -> NDArray[np.bool_]:
+        """Positions (P,) whose figures in the file are not those of the ledger; earlier versions have fewer figures."""
+        differs = np.zeros(self._layout.positions, bool)
+        for name, values in self._shape.format.figures(self.ledger.rows, self.ledger.holds, self._shape).items():
+            if name in self._layout.figures:
+                # Byte by byte, so that NaN is as good as any other value.
+                noted, held = (np.frombuffer(both, np.uint8) for both in (self.figure(name), values.tobytes()))
+                differs |= (noted != held).reshape(len(differs), -1).any(axis=1)
+        return differs
+
     def torn(self) -> list[int]:
         """Positions that hold data and whose ledger row is zeros: a writer was between the two, or ended there."""
         return [position for position in np.flatnonzero(self.ledger.empty).tolist() if self._holds_data(position)]

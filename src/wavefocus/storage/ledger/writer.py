@@ -17,7 +17,7 @@ from wavefocus.storage.durable import Closing, PositionedFile
 from wavefocus.storage.errors import FileLostError, InputError, WavefocusError
 from wavefocus.storage.ledger import owner
 from wavefocus.storage.ledger.layout import LedgerLayout
-from wavefocus.storage.ledger.pages import LedgerFormat, Replacement, is_empty
+from wavefocus.storage.ledger.pages import Bytes, Ledger, LedgerFormat, Replacement, is_empty
 from wavefocus.storage.sidecar_files import clear_leftovers
 from wavefocus.storage.text_file import require_regular
 
@@ -121,6 +121,21 @@ class LedgerWriter(Closing):
 
     def _noted(self, position: int) -> None:
         """Write what follows from a position's ledger row; no sync, since the ledger can give it back."""
+        figures = self._format.figures(self._row(position), np.ones(1, bool), self._shape)
+        for name, (offset, size) in self._layout.figures.items():
+            self._file.write(offset + position * size, figures[name].tobytes())
+
+    def _read_ledger(self) -> Ledger:
+        layout = self._layout
+        return self._shape.decode(self._file.read(layout.ledger_offset, layout.positions * self._shape.row_bytes))
+
+    def _restore_figures(self, rows: Bytes, holds: NDArray[np.bool_]) -> None:
+        """Rewrite figures that are not those of the ledger rows that hold."""
+        figures = self._format.figures(rows, holds, self._shape)
+        for name, (offset, _) in self._layout.figures.items():
+            content = figures[name].tobytes()
+            if self._file.read(offset, len(content)) != content:
+                self._file.write(offset, content)
 
     def _commit(self, position: int, chunks: Sequence[bytes], row: bytes) -> None:
         padded = tuple(chunk.ljust(self._shape.chunk_bytes, b"\0") for chunk in chunks)

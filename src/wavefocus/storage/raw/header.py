@@ -11,12 +11,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage import durable, hdf5_digest, hdf5_reading
+from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.durable import PAGE
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import METADATA_BLOCK, filled
 from wavefocus.storage.ledger.layout import (
     LedgerLayout,
+    OnGrid,
     create_file,
     find_layout,
     later_datasets,
@@ -25,8 +26,9 @@ from wavefocus.storage.ledger.layout import (
     require_checksum,
     require_header,
     require_ledger,
+    write_attributes,
 )
-from wavefocus.storage.ledger.pages import LedgerFormat, RowShape
+from wavefocus.storage.ledger.pages import ROW_HEAD, Bytes, LedgerFormat, RowShape
 
 _Int32Array = NDArray[np.int32]
 Float64Array = NDArray[np.float64]
@@ -145,6 +147,19 @@ def staggered(actuators: int, stagger_s: float, groups: int = 1) -> Schedule:
 Law = Literal["linear", "exponential"]
 _LAWS: tuple[Law, ...] = ("linear", "exponential")
 
+LEAK = "/leak_db"
+"""Level of the loopback's leak at the look before each position, in dB re the loopback; not in earlier versions."""
+LEAK_AT = ROW_HEAD.size + 8
+"""Where a ledger row has it: after the checksums of reference and response."""
+
+
+def _figures_of(rows: Bytes, holds: NDArray[np.bool_], shape: RowShape) -> dict[str, NDArray[np.float32]]:
+    """Levels of the leak; NaN where there are none."""
+    pages = np.frombuffer(rows, np.uint8).reshape(-1, shape.row_bytes)
+    found = pages[:, LEAK_AT : LEAK_AT + 4].copy().view("<f4")[:, 0]
+    return {LEAK: np.where(holds & (found != 0.0), found, np.float32(np.nan)).astype("<f4")}
+
+
 RAW = LedgerFormat(
     name="wavefocus-raw",
     kind="raw file",
@@ -154,6 +169,7 @@ RAW = LedgerFormat(
     journal_name=b"WFRAWREP",
     crc_at=32,
     remedy="record it again",
+    figures=_figures_of,
 )
 
 # One position is held in memory at a time, a few times over.
@@ -161,7 +177,7 @@ _MAX_POSITION_BYTES = 1 << 29
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RawHeader:
+class RawHeader(OnGrid):
     """What a raw file says about itself; out of range, InputError.
 
     sample_rate_hz: Rate of the recordings in Hz, > 0.
@@ -244,16 +260,6 @@ class RawHeader:
         return next((law for law in _LAWS if law == (self.sweep_law or "linear")), None)
 
     @property
-    def positions(self) -> int:
-        """Number P of grid positions."""
-        return len(self.position_mm)
-
-    @property
-    def actuators(self) -> int:
-        """Number N of actuators."""
-        return len(self.actuator_mm)
-
-    @property
     def records(self) -> int:
         """Records of a position."""
         return self.schedule.records
@@ -287,14 +293,15 @@ class RawHeader:
         return digest.hexdigest()
 
 
-LEAK = "/leak_db"
-"""Level of the loopback's leak at the look before each position, in dB re the loopback; not in earlier versions."""
+_NUMBERS = {"taps": "i8", "band_hz": "f8", "averages": "i8", **dict.fromkeys(
+    ("sample_rate_hz", "response_per_volt", "reference_gain", "inter_channel_delay_s", "sweep_s", "decay_s"), "f8"
+)}  # fmt: skip
 _WORDS = {"rig": "rig_json", "run": "run_json", **{name: name for name in ("plan_sha256", "software", "sweep_law")}}
 
 
-def create_raw(path: str | Path, header: RawHeader, *, open_file: durable.OpenFile = durable.open_file) -> LedgerLayout:
+def create_raw(path: str | Path, header: RawHeader) -> LedgerLayout:
     """Make an empty raw file with all its space reserved; arguments and errors as of `create_bank`."""
-    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header), open_file)
+    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header))
 
 
 def read_raw_layout(file: h5py.File, path: Path) -> LedgerLayout:
@@ -391,25 +398,12 @@ def _same_clock(file: h5py.File, path: Path) -> bool:
 
 
 def _lay_out(file: h5py.File, header: RawHeader) -> LedgerLayout:
-    file.attrs["format"] = RAW.name
-    file.attrs["format_version"] = 1
-    file.attrs["taps"] = np.int64(header.taps)
-    file.attrs["band_hz"] = np.array(header.band_hz, np.float64)
-    file.attrs["period_s"] = np.float64(header.schedule.period_s)
+    file.attrs["format"], file.attrs["format_version"] = RAW.name, 1
     file.attrs["response_unit"] = header.response_unit
-    if header.averages is not None:
-        file.attrs["averages"] = np.int64(header.averages)
-    numbers = (
-        "sample_rate_hz", "response_per_volt", "reference_gain", "inter_channel_delay_s", "sweep_s", "decay_s"
-    )  # fmt: skip
-    for name in numbers:
-        if getattr(header, name) is not None:
-            file.attrs[name] = np.float64(getattr(header, name))
+    file.attrs["period_s"] = np.float64(header.schedule.period_s)
+    write_attributes(file, header, _WORDS, _NUMBERS, _WORDS)
     if header.same_clock:
         file.attrs["same_clock"] = True
-    for name, own in _WORDS.items():
-        if getattr(header, own):
-            file.attrs[name] = getattr(header, own)
     for name, unit in (("actuator", "1"), ("delay_s", "s"), ("gain", "1")):
         filled(file, f"/schedule/{name}", getattr(header.schedule, name), unit)
     filled(file, "/position_mm", header.position_mm, "mm")

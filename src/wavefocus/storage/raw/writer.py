@@ -18,16 +18,15 @@ from wavefocus.storage.argument_types import bank_row, checked
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.layout import has_ledger
-from wavefocus.storage.ledger.pages import ROW_HEAD, Ledger, sealed
+from wavefocus.storage.ledger.pages import ROW_HEAD, sealed
 from wavefocus.storage.ledger.reader import DamagedError, LedgerReader
 from wavefocus.storage.ledger.writer import LedgerWriter
-from wavefocus.storage.raw.header import LEAK, RAW, RawHeader, create_raw, read_raw_header, read_raw_layout
+from wavefocus.storage.raw.header import LEAK, LEAK_AT, RAW, RawHeader, create_raw, read_raw_header, read_raw_layout
 
 __all__ = ["DamagedError", "RawFile", "RawWriter", "Recordings", "create_raw", "open_raw"]
 
 Float32Array = NDArray[np.float32]
 
-_LEAK_AT = ROW_HEAD.size + 8  # after the checksums of reference and response
 _FOREIGN_CACHE_BYTES = 32 << 20  # a compressed chunk may hold many positions
 
 
@@ -144,13 +143,6 @@ class RawRows(LedgerReader):
             return None
         return tuple(np.frombuffer(chunk, "<i2").reshape(shape.dimensions) for chunk in chunks)
 
-    def differing(self) -> NDArray[np.bool_]:
-        """Positions (P,) whose ``/leak_db`` in the file is not that of the ledger."""
-        if LEAK not in self._layout.figures:  # of an earlier version
-            return np.zeros(self._layout.positions, bool)
-        levels = _levels_held(self.ledger, self._shape.row_bytes)
-        return np.asarray(np.frombuffer(levels, "<u4") != np.frombuffer(self.figure(LEAK), "<u4"))
-
 
 class _ForeignRecordings:
     """Recordings in any layout that HDF5 reads."""
@@ -206,7 +198,7 @@ class RawWriter(LedgerWriter):
         """Change the level of the leak of a position that is kept; errors as of `commit`."""
         self._require_position(position)
         row = bytearray(self._row(position))
-        struct.pack_into("<f", row, _LEAK_AT, _known(leak_db))
+        struct.pack_into("<f", row, LEAK_AT, _known(leak_db))
         size = self._shape.data_bytes
         chunks = [bytes(self._file.read(int(offsets[position]), size)) for offsets in self._layout.chunk_offset]
         self._commit(position, chunks, sealed(row))
@@ -223,33 +215,12 @@ class RawWriter(LedgerWriter):
             )
         return rounded.astype("<i2").tobytes()
 
-    def _noted(self, position: int) -> None:
-        if LEAK in self._layout.figures:
-            offset, size = self._layout.figures[LEAK]
-            self._file.write(offset + position * size, _levels(self._row(position)).tobytes())
-
     def _recover(self) -> NDArray[np.bool_]:
-        layout, shape = self._layout, self._shape
-        ledger = shape.decode(self._file.read(layout.ledger_offset, layout.positions * shape.row_bytes))
-        if LEAK in layout.figures:
-            levels = _levels_held(ledger, shape.row_bytes)
-            if self._file.read(layout.figures[LEAK][0], len(levels)) != levels:
-                self._file.write(layout.figures[LEAK][0], levels)
+        ledger = self._read_ledger()
+        self._restore_figures(ledger.rows, ledger.holds)
         return ledger.holds
 
 
 def _known(leak_db: float) -> float:
     """A level as the ledger has it: 0 stands for none, as in rows of earlier versions."""
     return 0.0 if np.isnan(leak_db) else leak_db
-
-
-def _levels_held(ledger: Ledger, row_bytes: int) -> bytes:
-    """``/leak_db`` as the ledger has it."""
-    return np.where(ledger.holds, _levels(ledger.rows, row_bytes), np.float32(np.nan)).tobytes()
-
-
-def _levels(rows: Any, row_bytes: int = 0) -> Float32Array:
-    """Levels of the leak in ledger rows, NaN where they have none."""
-    pages = np.frombuffer(rows, np.uint8).reshape(-1, row_bytes or len(rows))
-    found = pages[:, _LEAK_AT : _LEAK_AT + 4].copy().view("<f4")[:, 0]
-    return np.where(found == 0.0, np.float32(np.nan), found).astype("<f4")

@@ -51,13 +51,11 @@ class Nodes:
     rows, int64 (n, k): Bank rows of each point.
     weights, float64 (n, k): Their weights; they sum to 1. A weight of 0 means that the row is not used.
     nearest, int64 (n,): Nearest row of each point: its regularisation is used, and it is the focus that is reported.
-    distance_mm, float64 (n,): Distance to the nearest row.
     """
 
     rows: Int64Array
     weights: Float64Array
     nearest: Int64Array
-    distance_mm: Float64Array
 
 
 class OffGridError(InputError):
@@ -345,8 +343,8 @@ class Nearest(GridInterpolation):
     name = "nearest"
 
     def nodes(self, points_mm: Float64Array) -> Nodes:
-        rows, distance_mm = near(self.grid, points_mm)
-        return Nodes(rows[:, None], np.ones((len(rows), 1)), rows, distance_mm)
+        rows, _ = near(self.grid, points_mm)
+        return Nodes(rows[:, None], np.ones((len(rows), 1)), rows)
 
 
 class Bilinear(GridInterpolation):
@@ -374,7 +372,7 @@ class Bilinear(GridInterpolation):
         self._row_at = grid.lattice.row_at
 
     def nodes(self, points_mm: Float64Array) -> Nodes:
-        nearest, distance_mm = near(self.grid, points_mm)
+        nearest, _ = near(self.grid, points_mm)
         cell, part, outside = self._cells(points_mm)
         (x, y), (column, line) = part, cell
         weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T
@@ -387,7 +385,7 @@ class Bilinear(GridInterpolation):
                 f"lies at {show_mm(points_mm[point])} mm, in a grid cell that lacks a corner; bilinear interpolation"
                 " needs all four",
             )
-        return Nodes(np.maximum(rows, 0), weights, nearest, distance_mm)
+        return Nodes(np.maximum(rows, 0), weights, nearest)
 
     def _cells(self, points_mm: Float64Array) -> tuple[Int64Array, Float64Array, BoolArray]:
         """Cells of points, (2, n), their places in the cells from 0 to 1, and whether they lie outside all cells."""

@@ -276,14 +276,13 @@ def choose_interpolation(
             if error < _KERNEL_ERROR:
                 break
     method, error, judged_by = min(found.values(), key=lambda one: one[1], default=(nearest, np.inf, "nothing"))
-    if method is not None and error < MOST:  # more of what is there is found than missed
-        method.choice = InterpolationChoice(judged_by, {name: one[1] for name, one in found.items()}, _words(unsuited))
-        return method
-    if nearest is None:
-        raise next((one for one in unsuited.values() if isinstance(one, InputError)), InputError(f"{unsuited}"))
     errors = {name: one[1] for name, one in found.items()}
-    nearest.choice = InterpolationChoice(judged_by, {"nearest": float("nan")} | errors, _words(unsuited))
-    return nearest
+    if method is None or not error < MOST:  # more of what is there is missed than found
+        method, errors = nearest, {"nearest": float("nan")} | errors
+    if method is None:
+        raise next((one for one in unsuited.values() if isinstance(one, InputError)), InputError(f"{unsuited}"))
+    method.choice = InterpolationChoice(judged_by, errors, _words(unsuited))
+    return method
 
 
 def _emitted_bands(bank: GreenSource, signals: Sequence[Float64Array]) -> tuple[Float64Array, Float64Array]:

@@ -1,7 +1,7 @@
 """Kernel interpolation: rows at further places, from the positions around them, and errors by leaving positions out."""
 
 import hashlib
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Self
@@ -143,7 +143,7 @@ class _KernelRows(AddedRows):
         self._neighbourhoods = neighbourhoods
         self._anchor: list[int] = []
         self._at_anchor: dict[int, list[int]] = {}
-        self._kernels: OrderedDict[bytes, PatchKernel] = OrderedDict()
+        self._kernels: dict[bytes, PatchKernel] = {}
         self._plan(waves)
         row_bytes = 16 * len(self._to_bins) * self.actuators
         self._spectrum = lru_cache(max(2 * (NEIGHBOURS + 1), (160 * 2**20) // row_bytes))(self._transform)
@@ -220,12 +220,7 @@ class _KernelRows(AddedRows):
         return dict(zip(numbers, green, strict=True))
 
     def _kernel(self, patch: Patch) -> PatchKernel:
-        if patch.key not in self._kernels:
-            self._kernels[patch.key] = PatchKernel(self._waves, patch.offset_mm)
-            while len(self._kernels) > 32:
-                self._kernels.popitem(last=False)
-        self._kernels.move_to_end(patch.key)
-        return self._kernels[patch.key]
+        return kept(self._kernels, patch.key, lambda: PatchKernel(self._waves, patch.offset_mm), 32)
 
     def _transform(self, row: int) -> Complex128Array:
         """Spectrum of a measured row, (bins, actuators)."""

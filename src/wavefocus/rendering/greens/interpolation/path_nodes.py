@@ -215,9 +215,8 @@ class PathInterpolation(Interpolation):
         """Add rows at points (n, 2) and return their numbers. Raises OffGridError."""
 
     def nodes(self, points_mm: Float64Array) -> Nodes:
-        nearest, distance_mm = self._nearest(points_mm)
-        rows = self.add(points_mm)
-        return Nodes(rows[:, None], np.ones((len(rows), 1)), nearest, distance_mm)
+        nearest, rows = self._nearest(points_mm), self.add(points_mm)
+        return Nodes(rows[:, None], np.ones((len(rows), 1)), nearest)
 
     def follow(self, path: Path, arc_length_mm: Float64Array | None = None) -> Follow:
         if path.length_mm == 0 or (
@@ -228,15 +227,13 @@ class PathInterpolation(Interpolation):
         rows = self.add(path.point_at(along_path.arc_length_mm))
 
         def follow(along: Float64Array) -> Nodes:
-            nearest, distance_mm = self._nearest(path.point_at(along))
             nodes, weights = along_path.weights(along)
-            return Nodes(rows[nodes], weights, nearest, distance_mm)
+            return Nodes(rows[nodes], weights, self._nearest(path.point_at(along)))
 
         return follow
 
     def rows_of(self, bank: GreenSource) -> GreenSource:
         return cast(GreenSource, self.rows)
 
-    def _nearest(self, points_mm: Float64Array) -> tuple[Int64Array, Float64Array]:
-        rows, distance_mm = near(self.grid, points_mm, REACH_SPACINGS)
-        return self.grid_row[rows], distance_mm
+    def _nearest(self, points_mm: Float64Array) -> Int64Array:
+        return self.grid_row[near(self.grid, points_mm, REACH_SPACINGS)[0]]
