@@ -244,7 +244,7 @@ def test_arrow_keys_clicks_or_drags_then_the_map_is_walked_and_positions_selecte
         (right, right, up, left, left, left, down, down), (5, 6, 10, 9, 8, 8, 4, 0), strict=True
     ):
         qtbot.keyClick(shown, key)
-        assert shown.shown == position
+        assert shown.marked == position
     qtbot.keyClick(shown, Qt.Key.Key_Space)
     assert shown.selected == {0}
     qtbot.keyClick(shown, Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
@@ -284,7 +284,7 @@ def test_given_a_weight_or_a_position_then_only_its_events_are_listed(qtbot, tab
     assert len(shown()) == len(tab.campaign.lines) > notes > 0
     row = next(row for row in shown() if "position 7 is measured" in events.view.item(row, 2).text())
     events.view.doubleClicked.emit(events.view.model().index(row, 2))
-    assert tab.map_panel.map.shown == 7
+    assert tab.map_panel.map.marked == 7
     events.of_position.click()
     tab.map_panel.map.show_position(3)
     texts = [events.view.item(row, 2).text() for row in shown()]

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -83,7 +84,8 @@ def test_defect_while_bank_is_followed_then_window_says_so_and_goes_on_following
     window = open_window()
     tab = campaign_of(window)
     tab.bank_field.show_path(finished)
-    tab.follower = Follower(finished, tab._report, lambda bank: 1 / 0 if broken else read_heartbeat(bank))
+    report = partial(tab.context.report, "campaign")
+    tab.follower = Follower(finished, report, lambda bank: 1 / 0 if broken else read_heartbeat(bank))
     wait(qtbot, lambda: "is not followed" in window.messages.sentence)
     assert [button.text() for button in window.messages.buttons] == ["Copy details"]
     broken.clear()

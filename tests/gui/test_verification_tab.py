@@ -211,7 +211,7 @@ def test_check_positions_of_the_bank_then_they_are_rings_and_take_no_cells(qtbot
     content = json.loads(record.read_text(encoding="utf-8"))
     content["bank"] = str(with_check_rows(lab / "plate.h5", lab / "checked.h5", 5, 10))
     record.write_text(json.dumps(content), encoding="utf-8")
-    surface = opened(qtbot, shared_window, record).results.surface
+    surface = opened(qtbot, shared_window, record).results.film.surface
     assert list(surface.checks) == [5, 10]
     assert set(np.unique(surface.raster.index)) == {*range(13)} - {5, 10}  # the last one: no position
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from PyQt5.QtCore import QObject, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QPalette, QResizeEvent
-from PyQt5.QtWidgets import QFrame, QPushButton, QSizePolicy
+from PyQt5.QtWidgets import QApplication, QFrame, QPushButton, QSizePolicy
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.theme import Themed
@@ -25,7 +25,7 @@ def error_text(failure: BaseException) -> str:
 
 
 class ErrorHook(QObject):
-    """Replaces `sys.excepthook` and `threading.excepthook` while a window is open.
+    """Replaces `sys.excepthook` and `threading.excepthook` until it is removed.
 
     report: Receives the message, and the traceback of a defect (empty for an error that a person can act on).
     quit_window: Called for Ctrl-C in the terminal.
@@ -39,10 +39,7 @@ class ErrorHook(QObject):
         self._reported.connect(report)  # queued when it is emitted in another thread
         self._interrupted.connect(quit_window)
         self._former = (sys.excepthook, threading.excepthook)
-
-    def install(self) -> None:
-        sys.excepthook = self._caught
-        threading.excepthook = self._caught_in_thread
+        sys.excepthook, threading.excepthook = self._caught, self._caught_in_thread
 
     def remove(self) -> None:
         sys.excepthook, threading.excepthook = self._former
@@ -62,6 +59,12 @@ class ErrorHook(QObject):
     def _caught_in_thread(self, arguments: threading.ExceptHookArgs) -> None:
         if arguments.exc_value is not None and not issubclass(arguments.exc_type, SystemExit):
             self._caught(arguments.exc_type, arguments.exc_value, arguments.exc_traceback)
+
+
+def _copy(text: str) -> None:
+    clipboard = QApplication.clipboard()
+    if clipboard is not None:
+        clipboard.setText(text)
 
 
 # Text of a button, and its action.
@@ -105,8 +108,10 @@ class MessageBar(Themed, QFrame):
         """Report a state that needs attention."""
         self._enqueue("warning", sentence, answers)
 
-    def fault(self, sentence: str, *answers: Answer) -> None:
-        self._enqueue("fault", sentence, answers)
+    def fault(self, sentence: str, *answers: Answer, details: str = "") -> None:
+        """Report what failed; `details`, the traceback of a defect, can be copied."""
+        copied = [("Copy details", partial(_copy, details))] if details else []
+        self._enqueue("fault", sentence, [*answers, *copied])
 
     def ask(self, sentence: str, *answers: Answer) -> None:
         """Ask a question, in place of any other message."""

@@ -29,6 +29,15 @@ _INTERRUPT = signal.SIGTERM if os.name == "posix" else signal.Signals(getattr(si
 _WINDOWS_FLAGS = 0x00000200 | 0x08000000  # CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
 
 
+def read_object(line: bytes) -> Message | None:
+    """Read a line of JSON; None where it is no object, as one that a power cut has torn."""
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return message if isinstance(message, dict) else None
+
+
 class CommandProcess(QObject):
     """One command, outside the window's process group: a Ctrl-C or hang-up of the terminal does not reach it.
 
@@ -195,10 +204,8 @@ class CommandProcess(QObject):
             errors.start()
             with process.stdout, suppress(RuntimeError):  # the window is gone
                 for line in process.stdout:
-                    with suppress(ValueError, RecursionError):
-                        message = json.loads(line)
-                        if isinstance(message, dict):
-                            self.received.emit(message)
+                    if (message := read_object(line)) is not None:
+                        self.received.emit(message)
             errors.join()
         code = process.wait()
         with suppress(RuntimeError):
@@ -252,9 +259,8 @@ class Background(QObject):
         if self._ended:
             return
         then = self._asked[name] = done, failed
-        self._pool.submit(lambda: work() if self._asked.get(name) is then else None).add_done_callback(
-            partial(self._report, name, then)
-        )
+        future = self._pool.submit(lambda: work() if self._asked.get(name) is then else None)
+        future.add_done_callback(partial(self._report, name, then))
 
     def end(self) -> None:
         """Begin nothing more, and deliver nothing more."""

@@ -98,13 +98,13 @@ class TabContext:
             raise failure
         self.report(topic, error_text(failure))
 
-    def report(self, topic: str, sentence: str, *answers: Answer) -> None:
-        """Show why something is refused or failed, in place of an earlier sentence of the same topic."""
+    def report(self, topic: str, sentence: str, details: str = "") -> None:
+        """Show why something is refused or failed, in place of an earlier sentence of the topic; empty for nothing."""
         self.settle(topic)
         if topic:
             self.troubles[topic] = sentence
         if sentence:
-            self.messages.fault(sentence, *answers)
+            self.messages.fault(sentence, details=details)
 
     def settle(self, topic: str) -> None:
         """Withdraw the message about what failed earlier and works now, or is not wanted any more."""

@@ -1,5 +1,6 @@
 """Small widgets that all tabs use: actions, number boxes, tables, splitters, state badges."""
 
+import math
 import re
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -15,17 +16,8 @@ from PyQt5.QtGui import QColor, QKeySequence, QValidator
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.theme import Themed
 
-# Digits with at most one separator; no grouping, no other scripts' digits, no words such as nan.
+# Digits with a point or a comma before the decimals; no grouping, no other scripts' digits, no words such as nan.
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
-
-
-def _typed_number(text: str) -> float | None:
-    """Return the number that a person typed, None where the text is not a number.
-
-    text: Digits with a point or a comma as the decimal separator, perhaps with a sign and an exponent.
-    """
-    text = text.strip()
-    return float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else None
 
 
 class NumberBox(QtWidgets.QDoubleSpinBox):
@@ -61,11 +53,9 @@ class NumberBox(QtWidgets.QDoubleSpinBox):
 
     def fixup(self, text: str | None) -> str:
         """Report a text that is refused; Qt then shows the former value."""
-        typed, low, high = self._without_unit(text or ""), self.minimum(), self.maximum()
-        kind = "number" if self.decimals() else "whole number"
-        limits = f"{self.textFromValue(low)} to {self.textFromValue(high)}{self.suffix()}"
-        allowed = kind if _typed_number(typed) is None else f"{kind} from {limits}"
-        sentence = f"“{typed}” is not a {allowed}; the value stays {self.textFromValue(super().value())}{self.suffix()}"
+        low, high, value = (self.textFromValue(one) for one in (self.minimum(), self.maximum(), super().value()))
+        allowed = f"{'number' if self.decimals() else 'whole number'} from {low} to {high}{self.suffix()}"
+        sentence = f"“{self._without_unit(text or '')}” is not a {allowed}; the value stays {value}{self.suffix()}"
         QtWidgets.QToolTip.showText(self.mapToGlobal(self.rect().bottomLeft()), sentence, self)
         return text or ""
 
@@ -83,9 +73,10 @@ class NumberBox(QtWidgets.QDoubleSpinBox):
 
     def _number(self, text: str) -> float | None:
         """Return the number of a text, rounded to the decimals of the box; None where the box cannot hold it."""
-        number = _typed_number(self._without_unit(text))
+        typed = self._without_unit(text)
+        number = float(typed.replace(",", ".")) if _NUMBER.fullmatch(typed) else math.nan
         # A value that rounding makes vanish, 0.0001 in a box of three decimals, is not in its range.
-        if number is None or not self.minimum() <= number <= self.maximum():
+        if not self.minimum() <= number <= self.maximum():
             return None
         return round(number, self.decimals()) if self.decimals() or number.is_integer() else None
 
@@ -369,10 +360,3 @@ def finish_text(finish_s: float) -> str:
     today = datetime.now().astimezone().date()
     at = finish.strftime("%H:%M" if finish.date() == today else "%a %d %b %H:%M")
     return f"{hours(max(0.0, finish_s - time.time()))} left  ·  finished at {at}"
-
-
-def copy_text(text: str) -> None:
-    """Put a text on the clipboard."""
-    clipboard = QtWidgets.QApplication.clipboard()
-    if clipboard is not None:
-        clipboard.setText(text)

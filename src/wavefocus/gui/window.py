@@ -35,7 +35,6 @@ class Window(QMainWindow):
         self.background = Background(self)
         self.context = TabContext(self.messages, self.background, settings, self)
         self._error_hook = ErrorHook(self._report_error, self.close)
-        self._error_hook.install()
         application = QApplication.instance()
         assert isinstance(application, QApplication)
         use_desktop_theme(application)
@@ -95,11 +94,9 @@ class Window(QMainWindow):
 
     def _report_error(self, sentence: str, details: str) -> None:
         """Report an error that nobody caught; `details` holds the traceback of a defect."""
-        if not details:
-            self.messages.fault(sentence)
-            return
-        self.tracebacks = [*self.tracebacks[-20:], details]
-        self.messages.fault(sentence, ("Copy details", lambda: ui.copy_text(details)))
+        if details:
+            self.tracebacks = [*self.tracebacks[-20:], details]
+        self.messages.fault(sentence, details=details)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
         """Ask the questions of the tabs first, one after the other."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import queue
 import threading
@@ -16,6 +15,7 @@ from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import log_path, read_drift
 from wavefocus.config.messages.campaign import Drift, Logged, PositionCommitted, SessionEnded
 from wavefocus.gui.campaign.model import DAMAGED, CampaignModel, EventLine, per_position, read_record
+from wavefocus.gui.process import read_object
 from wavefocus.gui.surface import surface_of
 from wavefocus.storage.errors import WavefocusError
 from wavefocus.storage.text_file import open_regular
@@ -66,15 +66,7 @@ class LogTail:
         if end == 0 and len(block) == _BLOCK_BYTES:
             end = len(block)  # no event is that long; do not wait for its end for ever
         self._offset += end
-        return [record for line in block[:end].splitlines() if (record := _record(line)) is not None], anew
-
-
-def _record(line: bytes) -> dict[str, object] | None:
-    try:
-        record = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return record if isinstance(record, dict) else None
+        return [record for line in block[:end].splitlines() if (record := read_object(line)) is not None], anew
 
 
 _LIFE_EVERY_S = 1.0

@@ -35,13 +35,14 @@ NOT_GOOD = Status.POOR_SIGNAL | Status.OVER_RANGE | Status.FAILED
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Look of a status: a colour per theme, and pyqtgraph's name of a shape over the cell; empty for none."""
+    """Look of a status: a colour per theme, pyqtgraph's name of a shape over the cell, and a sign like it."""
 
     word: str
     bit: int
     light: str
     dark: str
     symbol: str
+    sign: str
 
     def colour(self, theme: Theme) -> str:
         return (self.light if theme is LIGHT else self.dark) or theme.cell
@@ -49,13 +50,13 @@ class Look:
 
 # A position with several bits has the look of the first of these; colours after Okabe and Ito.
 LOOKS = (
-    Look("damaged", DAMAGED, "#7d3c98", "#b57edc", "d"),
-    Look("disabled", Status.DISABLED, "#8c959f", "#6b7580", "+"),
-    Look("failed", Status.FAILED, "#d55e00", "#ff7f3f", "x"),
-    Look("over-range", Status.OVER_RANGE, "#cc79a7", "#e29ac6", "s"),
-    Look("poor", Status.POOR_SIGNAL, "#e69f00", "#f0b030", "t"),
-    Look("valid", Status.VALID, "#0072b2", "#2f8fd0", ""),
-    Look("not measured", NOT_MEASURED, "", "", ""),
+    Look("damaged", DAMAGED, "#7d3c98", "#b57edc", "d", "◆"),
+    Look("disabled", Status.DISABLED, "#8c959f", "#6b7580", "+", "+"),
+    Look("failed", Status.FAILED, "#d55e00", "#ff7f3f", "x", "×"),
+    Look("over-range", Status.OVER_RANGE, "#cc79a7", "#e29ac6", "s", "■"),
+    Look("poor", Status.POOR_SIGNAL, "#e69f00", "#f0b030", "t", "▼"),
+    Look("valid", Status.VALID, "#0072b2", "#2f8fd0", "", "&nbsp;"),
+    Look("not measured", NOT_MEASURED, "", "", "", "&nbsp;"),
 )
 
 
@@ -156,9 +157,8 @@ def _weight(event: events.Event) -> Weight:
             events.StateChanged(state=events.State.RECOVERING | events.State.SUSPENDED)
             | events.PositionRepeated()
             | events.Drift(verdict="warn")
+            | events.ReconnectTried(connected=False)
         ):
-            return Weight.WARNING
-        case events.ReconnectTried(connected=False):
             return Weight.WARNING
         case events.Drift(verdict=verdict) if verdict != "steady":
             return Weight.FAULT
@@ -196,11 +196,6 @@ class ShownState:
         """Whether a process owns the bank, in whatever state."""
         return self.word in GOING_ON or self.word in (Extra.STARTING, Extra.PREPARING, Extra.SILENT)
 
-    @property
-    def going_on(self) -> bool:
-        """Whether positions are measured now, so that a remaining time holds."""
-        return self.word is events.State.RUNNING
-
 
 @dataclass(eq=False)
 class CampaignModel:
@@ -234,7 +229,11 @@ class CampaignModel:
     def add_records(self, records: Sequence[events.Logged | EventLine], *, anew: bool) -> None:
         """Add new records of the log; `anew` when the log was replaced."""
         if anew:
-            self._forget_log()
+            self.trimmed += len(self.lines)
+            self.lines.clear()
+            self.instrument_faults.clear()
+            self.commits.clear()
+            self.session = CampaignStatus()
         for record in records:
             self._take_record(record)
 
@@ -266,13 +265,6 @@ class CampaignModel:
         if starting:
             return ShownState(Extra.STARTING, "the capture is being started")
         return ShownState(Extra.NO_BANK) if self.surface is None else logged
-
-    def _forget_log(self) -> None:
-        self.trimmed += len(self.lines)
-        self.lines.clear()
-        self.instrument_faults.clear()
-        self.commits.clear()
-        self.session = CampaignStatus()
 
     def _take_record(self, record: events.Logged | EventLine) -> None:
         line = record if isinstance(record, EventLine) else line_of(record)

@@ -116,28 +116,26 @@ class ProgressRow(Themed, QtWidgets.QWidget):
         self.bar.setTextVisible(of > 0)  # without a bank and a plan there is nothing to count
         self.bar.setMaximum(max(of, 1))
         self.bar.setValue(done)
-        self.figures.setText(_pace_text(session, going_on=state.going_on) if paced else plan)
+        self.figures.setText(_pace_text(session, state.word) if paced else plan)
 
 
-def _pace_text(session: CampaignStatus, *, going_on: bool) -> str:
-    """Rate and finish of a session; the finish only while it is going on, for a pause may last."""
+def _pace_text(session: CampaignStatus, word: State | model.Extra) -> str:
+    """Rate and finish of a session; the finish only while positions are measured, for a pause may last."""
     progress, at = session.progress, session.progress_at
     if progress is None or at is None:
         return ""
     parts = [] if math.isnan(progress.per_hour) else [f"{progress.per_hour:.0f} positions an hour"]
-    if going_on and not math.isnan(progress.wall_remaining_s):
+    if word is State.RUNNING and not math.isnan(progress.wall_remaining_s):
         parts.append(ui.finish_text(at.timestamp() + progress.wall_remaining_s))
     return "  ·  ".join(parts)
 
 
 class EventList(Themed, QtWidgets.QWidget):
-    """Events; a double click shows the position concerned."""
+    """Events; a double click gives the position concerned to `show`."""
 
-    position_wanted = pyqtSignal(int)
-
-    def __init__(self, campaign: model.CampaignModel) -> None:
+    def __init__(self, campaign: model.CampaignModel, show: Callable[[int], object]) -> None:
         super().__init__()
-        self._campaign = campaign
+        self._campaign, self._show = campaign, show
         self._position = -1
         self._trimmed = campaign.trimmed
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
@@ -201,7 +199,7 @@ class EventList(Themed, QtWidgets.QWidget):
 
     def _want_position(self, index: QModelIndex) -> None:
         if (position := self._campaign.lines[index.row()].position) >= 0:
-            self.position_wanted.emit(position)
+            self._show(position)
 
 
 class _SurfaceMap(SurfaceView):
@@ -222,11 +220,6 @@ class _SurfaceMap(SurfaceView):
         self._current = self.add_spots(42, "o", 17, pyqtgraph.mkPen(self.theme.text, width=3))
         self._rectangle = self.add_line(100, pyqtgraph.mkPen(self.theme.text, style=Qt.PenStyle.DashLine))
         self.picked.connect(self.show_position)
-
-    @property
-    def shown(self) -> int:
-        """The position whose details are shown, -1 for none."""
-        return self.marked
 
     def show_surface(self, surface: PlotSurface | None) -> None:
         super().show_surface(surface)
@@ -257,8 +250,8 @@ class _SurfaceMap(SurfaceView):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
         assert event is not None
         key = event.key()
-        if key == Qt.Key.Key_Space and self.shown >= 0:
-            self.select(self.selected ^ {self.shown})
+        if key == Qt.Key.Key_Space and self.marked >= 0:
+            self.select(self.selected ^ {self.marked})
         elif key == Qt.Key.Key_A and event.modifiers() & Qt.KeyboardModifier.ControlModifier and self.surface:
             self.select(range(self.surface.positions))
         elif key == Qt.Key.Key_Escape and self.selected:
@@ -293,10 +286,6 @@ class _SurfaceMap(SurfaceView):
         inside = [] if surface is None else [position for position in positions if position < surface.positions]
         item.setData(pos=np.zeros((0, 2)) if surface is None else surface.position_mm[inside].reshape(-1, 2), **looks)
         item.setVisible(bool(inside))  # even an empty one takes time to paint
-
-
-# Characters like the shapes over the cells.
-_SIGNS = {"d": "◆", "+": "+", "x": "×", "s": "■", "t": "▼", "": "&nbsp;"}
 
 
 class MapPanel(Themed, QtWidgets.QWidget):
@@ -366,7 +355,7 @@ def _counts_text(status: NDArray[np.uint8]) -> str:
     theme, counts = Themed.theme, np.bincount(model.look_index(status), minlength=len(model.LOOKS)).tolist()
     swatch = f"<span style='color: {theme.text}; background-color: {{}}'>&nbsp;{{}}&nbsp;</span>"
     parts = [
-        f"{swatch.format(look.colour(theme), _SIGNS[look.symbol])}&nbsp;{look.word}&nbsp;{count}"
+        f"{swatch.format(look.colour(theme), look.sign)}&nbsp;{look.word}&nbsp;{count}"
         for look, count in zip(model.LOOKS, counts, strict=True)
         if count > 0 or look.bit in (Status.VALID, model.NOT_MEASURED)
     ]

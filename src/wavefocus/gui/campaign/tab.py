@@ -76,10 +76,6 @@ class _CampaignRun(OwnCommand):
     def runs(self, bank: Path | None) -> bool:
         return self.own is not None and bank is not None and same_file(self.bank, bank)
 
-    def last_line(self, bank: Path | None) -> str:
-        """Last line of the own capture of a bank; empty when there is none."""
-        return "" if self.own is None or not self.runs(bank) else self.own.last_line
-
     def closing_question(self) -> ClosingQuestion | None:
         bank = self.bank
         sentence = f"{bank.name} is being measured by a run of this window. What should it do when the window closes?"
@@ -124,24 +120,23 @@ class CampaignTab(Tab):
         self.controls = Controls(
             {
                 "start": self._start_run,
-                "resume": lambda: self._start("Resume", "resume"),
+                "resume": partial(self._start, "Resume", "resume"),
                 "pause": self._pause_or_continue,
                 "stop": lambda: self.run.order("stop", self.bank_field.path),
                 "selected": self._remeasure_selected,
-                "poor": lambda: self._start("Remeasure", "remeasure"),
+                "poor": partial(self._start, "Remeasure", "remeasure"),
             }
         )
         self.progress = ProgressRow()
         self.map_panel = MapPanel(self.campaign)
         self.position_panel = PositionPanel(context, self.campaign)
-        self.events = EventList(self.campaign)
+        self.events = EventList(self.campaign, self.map_panel.map.show_position)
         self._lay_out()
         self.run_field.chosen.connect(self._run_chosen)
         self.bank_field.chosen.connect(self.follow)
         self.run.accept_calibration.toggled.connect(lambda _on: self._read_plan())
         for panel in (self.position_panel, self.events):
             self.map_panel.map.shown_changed.connect(panel.show_position)
-        self.events.position_wanted.connect(self.map_panel.map.show_position)
 
     def menu_actions(self) -> list[QAction | None]:
         """Actions of the buttons, and what a resume may accept."""
@@ -163,7 +158,7 @@ class CampaignTab(Tab):
             self.follower.end()
         self.context.settle("campaign")
         self.campaign.forget()
-        self.follower = Follower(bank, self._report)
+        self.follower = Follower(bank, partial(self.context.report, "campaign"))
         self._read_plan()
         self.context.share(self, FileKind.BANK, bank)
 
@@ -179,8 +174,9 @@ class CampaignTab(Tab):
 
     def draw(self) -> None:
         campaign, bank, selected = self.campaign, self.bank_field.path, len(self.map_panel.map.selected)
-        state, owner, surface = campaign.state(starting=self.run.runs(bank)), campaign.owner, campaign.surface
-        report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
+        own = self.run.own if self.run.runs(bank) else None
+        state, owner, surface = campaign.state(starting=own is not None), campaign.owner, campaign.surface
+        report = own.last_line if own is not None and state.word in (Extra.STARTING, Extra.PREPARING) else ""
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
         faults = [f"{name.partition(',')[0]}: {word}" for name, word in campaign.instrument_faults.items()]
@@ -206,11 +202,6 @@ class CampaignTab(Tab):
         super().showEvent(event)
         self._read_plan()
 
-    def save_settings(self) -> None:
-        super().save_settings()
-        for name, field in (("run", self.run_field), ("bank", self.bank_field)):
-            self.context.settings.keep(f"campaign/{name}", str(field.path or ""))
-
     def restore_settings(self) -> None:
         run, bank = (self.context.settings.text(f"campaign/{name}") for name in ("run", "bank"))
         if run and Path(run).is_file():
@@ -228,6 +219,7 @@ class CampaignTab(Tab):
         upper = ui.side_by_side((self.map_panel, 700), (self.position_panel, 560))
         both = ui.side_by_side((upper, 470), (self.events, 190), growing=[0], above=True)
         self.remember(upper=upper, map_and_events=both)
+        self.remembered |= {"run": self.run_field, "bank": self.bank_field}  # restored where no other file is opened
         files = ui.row((self.run_field, 1), (self.bank_field, 1))
         ui.column(files, self.controls, self.progress, (both, 1), owner=self, margins=ui.PAGE_MARGINS)
 
@@ -287,11 +279,6 @@ class CampaignTab(Tab):
             self.run.start(arguments, bank, virtual=virtual)
 
         self.context.claim_instruments(word, start, virtual=virtual, but=self.run)
-
-    def _report(self, why: str, details: str) -> None:
-        """Say why the bank cannot be followed; empty where it can again."""
-        answers = [("Copy details", lambda: ui.copy_text(details))] if details else []
-        self.context.report("campaign", why, *answers)
 
     def _pause_or_continue(self) -> None:
         paused = self.campaign.state().word in PAUSED

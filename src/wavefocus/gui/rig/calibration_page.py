@@ -35,8 +35,8 @@ class CalibrationPage(Themed, QWidget):
     def __init__(self, calibration: Calibration, start: Callable[[list[str]], object]) -> None:
         super().__init__()
         self._calibration = calibration
-        self._marks_mm: list[Numbers] = []
-        self.picture = SurfacePicture("Surface with the marks of the mirror map")
+        self.arrows = Arrows((0.05, 0.2, 1.0, 5.0, 20.0), "mrad", 2, calibration.step)
+        self.picture = SurfacePicture("Surface with the marks of the mirror map", self.arrows)
         self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
         self.parts = {part: ui.check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
         tip = "Its values override the rig file's; a measured bank keeps its own calibration"
@@ -47,7 +47,6 @@ class CalibrationPage(Themed, QWidget):
         ui.column(title, *self.parts.values(), self.use, ui.row(self.start, None), owner=self.options)
         self.question = ui.label("Question of the calibration", role="strong", wraps=True)
         self.note = ui.label("Notes", wraps=True)
-        self.arrows = Arrows((0.05, 0.2, 1.0, 5.0, 20.0), "mrad", 2)
         self.meter = LevelMeter()
         self.residuals = ui.table(_RESIDUALS, "Residuals of the mirror map in mm", stretched=range(len(_RESIDUALS)))
         self.residuals.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
@@ -83,8 +82,6 @@ class CalibrationPage(Themed, QWidget):
         ui.column(self.splitter, owner=self, margins=ui.PAGE_MARGINS)
         for box in self.parts.values():
             box.toggled.connect(lambda _on: self.start.setEnabled(bool(self._chosen())))
-        self.arrows.stepped.connect(calibration.step)
-        self.picture.stepped.connect(self.arrows.step)
         calibration.changed.connect(self._show)
         calibration.level_changed.connect(lambda: self.meter.show_levels(calibration.levels))
         self._show()
@@ -108,8 +105,8 @@ class CalibrationPage(Themed, QWidget):
     def show_surface(self, surface: Surface, actuator_mm: list[Numbers]) -> None:
         self.picture.show_rig(surface.outline, actuator_mm)
         if not self._calibration.running:
-            self._marks_mm = list(default_marks_mm(surface.length_mm, surface.width_mm))
-            self.picture.show_marks(self._marks_mm, -1, 0)
+            marks_mm = self._calibration.marks_mm = list(default_marks_mm(surface.length_mm, surface.width_mm))
+            self.picture.show_marks(marks_mm, -1, 0)
 
     def _show(self) -> None:
         calibration = self._calibration
@@ -150,7 +147,8 @@ class CalibrationPage(Themed, QWidget):
             self._set_texts("measuring…", "")
             return
         self.picture.show_spot(None)
-        self.picture.show_marks(self._marks_mm, -1, len(self._marks_mm) if outcome is not None and outcome.file else 0)
+        done = len(calibration.marks_mm) if outcome is not None and outcome.file else 0
+        self.picture.show_marks(calibration.marks_mm, -1, done)
         if outcome is None:
             self._set_texts(calibration.ending, "")
             return
@@ -159,8 +157,7 @@ class CalibrationPage(Themed, QWidget):
 
     def _ask_jog(self, question: AskJog) -> None:
         number, place_mm, at_mrad = question.number, question.place_mm, question.at_mrad
-        self._marks_mm = self._calibration.marks_mm
-        self.picture.show_marks(self._marks_mm, number - 1, number - 1)
+        self.picture.show_marks(self._calibration.marks_mm, number - 1, number - 1)
         self.picture.show_spot(question.at_mm)
         self.picture.setFocus(Qt.FocusReason.OtherFocusReason)
         self._set_texts(
@@ -171,9 +168,8 @@ class CalibrationPage(Themed, QWidget):
 
     def _ask_map(self, question: MapView) -> None:
         problem = question.problem
-        self._marks_mm = list(question.place_mm)
         self.picture.show_spot(None)
-        self.picture.show_marks(self._marks_mm, question.suspect - 1 if problem else -1, len(self._marks_mm))
+        self.picture.show_marks(question.place_mm, question.suspect - 1 if problem else -1, len(question.place_mm))
         self._list_residuals(question)
         self._set_texts(
             f"Residual of the map: {question.rms_mm:.2f} mm rms, {question.worst_mm:.2f} mm at most"

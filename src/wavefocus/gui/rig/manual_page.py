@@ -30,13 +30,13 @@ _ARROWS = (
 
 
 class SurfacePicture(SurfaceView):
-    """Arrow keys emit `stepped`, a click emits `clicked` with the place in mm."""
+    """The surface with the beam; arrow keys press those of `arrows`, a click emits `clicked` with the place in mm."""
 
     clicked = pyqtSignal(float, float)
-    stepped = pyqtSignal(int, int)
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, arrows: "Arrows") -> None:
         super().__init__(name)
+        self._arrows = arrows
         self.setAccessibleDescription("A click sends the beam there; arrow keys move it by a step")
         theme = self.theme
         self.chosen = self.add_spots(30, "o", 15, pyqtgraph.mkPen(theme.accent, width=3))
@@ -71,7 +71,7 @@ class SurfacePicture(SurfaceView):
         if event is None or event.key() not in STEPS:
             super().keyPressEvent(event)
             return
-        self.stepped.emit(*(int(step) for step in STEPS[event.key()]))
+        self._arrows.step(*STEPS[event.key()])
         event.accept()
 
 
@@ -80,13 +80,14 @@ def _points(place_mm: Sequence[Numbers]) -> np.ndarray:
 
 
 class Arrows(QWidget):
-    """Four arrow buttons around a choice of the step; holding a button repeats it."""
+    """Four arrow buttons around a choice of the step; holding a button repeats it.
 
-    stepped = pyqtSignal(float, float)
+    move: Receives the steps along x and y.
+    """
 
-    def __init__(self, steps: Sequence[float], unit: str, chosen: int) -> None:
+    def __init__(self, steps: Sequence[float], unit: str, chosen: int, move: Callable[[float, float], object]) -> None:
         super().__init__()
-        self._steps = tuple(steps)
+        self._steps, self._move = steps, move
         tip = "Step of the arrows; Page up and Page down choose another"
         self.step_choice = ui.choice("Step", tip, [f"{step:g} {unit}" for step in steps], chosen)
         self.buttons: dict[str, QToolButton] = {}
@@ -102,10 +103,10 @@ class Arrows(QWidget):
             self.buttons[word] = button
         grid.addWidget(self.step_choice, 1, 1)
 
-    def step(self, x: int, y: int) -> None:
-        """Ask for a step along x, y or both."""
+    def step(self, x: float, y: float) -> None:
+        """Move by a step along x, y or both."""
         size = self._steps[self.step_choice.currentIndex()]
-        self.stepped.emit(size * x, size * y)
+        self._move(size * x, size * y)
 
 
 class _JogPanel(QWidget):
@@ -114,9 +115,9 @@ class _JogPanel(QWidget):
     def __init__(self, session: ManualSession) -> None:
         super().__init__()
         self._session = session
-        self.picture = SurfacePicture("Surface: click to send the beam there")
+        self.arrows = Arrows((0.1, 0.5, 1.0, 5.0, 20.0), "mm", 2, session.jog_by)
+        self.picture = SurfacePicture("Surface: click to send the beam there", self.arrows)
         self.picture.setToolTip("Click: send the beam there. Arrow keys: one step. Wheel: zoom. Drag: pan. Unit: mm")
-        self.arrows = Arrows((0.1, 0.5, 1.0, 5.0, 20.0), "mm", 2)
         tip = "{} on the surface in mm, from its middle; seen from the laser, x right, y up"
         self.x_mm, self.y_mm = (
             ui.number_box(f"{axis} in mm", tip.format(axis), " mm", 2, -_FARTHEST_MM, _FARTHEST_MM) for axis in "xy"
@@ -134,8 +135,6 @@ class _JogPanel(QWidget):
         controls = ui.row(self.arrows, 12, form, ui.column(self.go, self.middle, ui.button(self.park)), None)
         ui.column((self.picture, 1), self.where, controls, owner=self)
         self.picture.clicked.connect(lambda x, y: session.jog_to(round(x, 2), round(y, 2)))
-        self.picture.stepped.connect(self.arrows.step)
-        self.arrows.stepped.connect(session.jog_by)
         self._shown: Ready | None = None
         session.changed.connect(self._show)
         self._show()

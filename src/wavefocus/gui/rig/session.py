@@ -27,11 +27,11 @@ class ManualSession(OwnCommand):
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
-        self._then: Callable[[], object] | None = None
         self._reset()
 
     def _reset(self) -> None:
         self.state = "released"
+        self._then: Callable[[], object] | None = None
         self.facts: operate.Ready | None = None
         self.beam = operate.MirrorMoved()
         self.levels: operate.LevelMeasured | None = None
@@ -164,9 +164,9 @@ class ManualSession(OwnCommand):
                 self._context.messages.note("reconnected")
 
     def _ended(self, process: CommandProcess) -> None:
-        expected, then, self._then = self.state == "ending", self._then, None
+        expected, then = self.state == "ending", self._then
         self._reset()
-        self._enter("released")
+        self.changed.emit()
         self._context.report_end(process)
         if process.failure:
             return
@@ -186,7 +186,7 @@ class Calibration(OwnCommand):
     levels: Latest levels of the inputs.
     question: What it asks now; None while it measures.
     lines: Its report so far.
-    marks_mm: Marks of the mirror map.
+    marks_mm: Marks of the mirror map; before it begins, those of the surface.
     outcome: Its result, at the end.
     ending: How it ended without a result; empty while it runs.
     """
@@ -196,13 +196,13 @@ class Calibration(OwnCommand):
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
+        self.marks_mm: list[operate.Numbers] = []
         self._reset()
 
     def _reset(self) -> None:
         self._steps_mrad: operate.Numbers = (0.0, 0.0)
         self._moving = False
         self._unanswered = 0  # answers sent, less questions received
-        self.marks_mm: list[operate.Numbers] = []
         self.question: rig_checks.OperatorQuestion | None = None
         self.lines: list[str] = []
         self.outcome: rig_checks.CalibrationDone | None = None

@@ -3,7 +3,6 @@
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QDialog, QFormLayout, QLineEdit, QWidget
 
 from wavefocus.gui import widgets as ui
@@ -40,13 +39,10 @@ class TrialsStart(QDialog):
         self.start = ui.push_button("&Start", tip, self._start)
         close = ui.push_button("&Close", "Close this dialog; a participant's window stays", self.close)
         form = QFormLayout()
-        for words, widget in (
-            ("&Participant", self.participant), ("&Bank", self.bank), ("&Rig", self.rig), ("&Answers", self.out),
-        ):  # fmt: skip
-            form.addRow(words, widget)
-            if isinstance(widget, PathField):
-                widget.setFocusProxy(widget.line)
-                widget.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # the label's key leads there
+        form.addRow("&Participant", self.participant)
+        for words, field in (("&Bank", self.bank), ("&Rig", self.rig), ("&Answers", self.out)):
+            label, _ = ui.labelled(words, field.line)
+            form.addRow(label, field)
         ui.column(
             ui.label(text=short_path(trials), role="strong"), form, self.standing, ui.row(None, self.start, close),
             owner=self, margins=(12, 12, 12, 12), spacing=8,

@@ -3,7 +3,6 @@
 import signal
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Literal
 
 from PyQt5.QtCore import QSize, Qt, QTimer, pyqtSignal
@@ -19,8 +18,6 @@ from wavefocus.gui.theme import use_desktop_theme
 from wavefocus.gui.window import make_application
 
 Input = Literal["keyboard", "button", "touch"]
-# Receives the instant of the press on the monotonic clock, in seconds, and the input.
-Pressed = Callable[[float, Input], None]
 
 TITLE, LARGE, TEXT = 2.4, 1.7, 1.25
 """Sizes of text, as factors of the application's."""
@@ -44,36 +41,29 @@ def _key_code(name: str) -> int:
     return int(sequence[0]) if sequence.count() == 1 else 0
 
 
-def _key_text(name: str) -> str:
-    """A key as it is shown: an arrow for an arrow key."""
-    return _ARROWS.get(name, name)
-
-
 class _LargeButton(QPushButton):
     """A large button that acts when it is pressed, not when it is released: the press is what reaction times mean.
 
     text, key: Its text, and the name of its key, which is shown under it; the window itself listens to keys.
-    act: Receives instant and input.
     lines, columns: Least height and width, in its text.
     size: Of the text, as a factor.
+
+    by: The input of the last press.
     """
 
-    def __init__(
-        self, text: str, key: str, act: Pressed, *, lines: float = 2.8, columns: int = 16, size: float = LARGE
-    ) -> None:
+    def __init__(self, text: str, key: str, *, lines: float = 2.8, columns: int = 16, size: float = LARGE) -> None:
         super().__init__()
-        self._by: Input = "button"
+        self.by: Input = "button"
         self.setAccessibleName(text)
         self.setAccessibleDescription(f"Key {key}" if key else "")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.name = sized(ui.label(text=text, wraps=True), size, centred=True)
-        self.key = sized(ui.label(text=_key_text(key), role="faint"), TEXT, centred=True)
+        self.key = sized(ui.label(text=_ARROWS.get(key, key), role="faint"), TEXT, centred=True)
         for part in (self.name, self.key):
             part.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         ui.column(None, self.name, *([self.key] if key else []), None, owner=self, margins=(8, 4, 8, 4), spacing=2)
         metrics = self.name.fontMetrics()
         self.setMinimumSize(columns * metrics.horizontalAdvance("0"), int(lines * metrics.lineSpacing()))
-        self.pressed.connect(lambda: act(time.monotonic(), self._by))
 
     def show_text(self, text: str) -> None:
         """Show another text."""
@@ -83,7 +73,7 @@ class _LargeButton(QPushButton):
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
         """Qt makes mouse events of touches; their source says so."""
         real = event is None or event.source() == Qt.MouseEventSource.MouseEventNotSynthesized
-        self._by = "button" if real else "touch"
+        self.by = "button" if real else "touch"
         super().mousePressEvent(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
@@ -92,7 +82,7 @@ class _LargeButton(QPushButton):
             if event is not None:
                 event.ignore()
             return
-        self._by = "keyboard"
+        self.by = "keyboard"
         super().keyPressEvent(event)
 
 
@@ -115,28 +105,27 @@ _CLOSING = "The window can be closed at any time: the surface is muted at once, 
 
 
 class _QuestionPage(QWidget):
-    """The question, a button for each answer from left to right, and one to feel the stimulus again.
+    """The question, a button for each answer from left to right, and one to feel the stimulus again, if allowed.
 
-    answer: Receives choice, instant and input.
-    replay: None where the design does not allow it.
+    answer: Receives choice, instant of the press on the monotonic clock, in seconds, and input.
     """
 
-    def __init__(
-        self, welcome: messages.Welcome, answer: Callable[[str, float, Input], None], replay: Pressed | None
-    ) -> None:
+    def __init__(self, welcome: messages.Welcome, answer: Callable[[str, float, Input], None]) -> None:
         super().__init__()
         self.question = sized(ui.label("Question", welcome.question, wraps=True), TITLE, centred=True)
         self.note = sized(ui.label("Note", role="faint", wraps=True), TEXT, centred=True)
         size = LARGE if len(welcome.answers) <= 4 else TEXT
         self.answers = {
-            choice: _LargeButton(choice, key, partial(answer, choice), lines=5.0, columns=0, size=size)
+            choice: _LargeButton(choice, key, lines=5.0, columns=0, size=size)
             for choice, key in welcome.answers.items()
         }
+        for choice, button in self.answers.items():
+            button.pressed.connect(lambda choice=choice, button=button: answer(choice, time.monotonic(), button.by))
         taken = REPLAY_KEY in (key.upper() for key in welcome.answers.values())
-        self.replay = None if replay is None else _LargeButton("Feel it again", "" if taken else REPLAY_KEY, replay)
-        again = [] if self.replay is None else [ui.row(None, self.replay, None)]
+        self.replay = _LargeButton("Feel it again", "" if taken else REPLAY_KEY)
         row = ui.row(*((button, 1) for button in self.answers.values()), spacing=18)
-        _calm(self.question, 10, row, 20, *again, self.note, owner=self, columns=90)
+        _calm(self.question, 10, row, 20, ui.row(None, self.replay, None), self.note, owner=self, columns=90)
+        self.replay.setVisible(welcome.replay_allowed)
 
     def ask(self) -> None:
         """Wait for an answer."""
@@ -151,7 +140,7 @@ class _QuestionPage(QWidget):
 
     def _enable(self, on: bool) -> None:
         self.note.setText("")
-        for button in [*self.answers.values(), *([] if self.replay is None else [self.replay])]:
+        for button in (*self.answers.values(), self.replay):
             button.setEnabled(on)
             button.setDown(False)
 
@@ -159,12 +148,12 @@ class _QuestionPage(QWidget):
 class _NoticePage(QWidget):
     """A title, some text, a bar where something is counted, and at most one button."""
 
-    def __init__(self, act: Pressed) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.title = sized(ui.label("Title", wraps=True), TITLE, centred=True)
         self.text = sized(ui.label("Text", wraps=True), TEXT)
         self.bar = ui.progress_bar("Progress")
-        self.button = _LargeButton("Continue", "Space", act)
+        self.button = _LargeButton("Continue", "Space")
         content, foot = QWidget(), QWidget()
         _calm(self.title, self.text, self.bar, owner=content)
         _calm(ui.row(None, self.button, None), owner=foot)
@@ -219,11 +208,10 @@ class TrialsWindow(QMainWindow):
         self.tracebacks: list[str] = []
         """Tracebacks of errors that nobody caught."""
         self._error_hook = ErrorHook(self._report_error, self.close)
-        self._error_hook.install()
-        self.notice = _NoticePage(lambda _at_s, _by: self._continue())
+        self.notice = _NoticePage()
+        self.notice.button.pressed.connect(self._continue)
         self.question: _QuestionPage | None = None
         self._state: messages.TrialsState | None = None
-        self._ended: messages.TrialsEnded | None = None
         self.waiting = "nothing"
         self._keys: dict[int, str] = {}
         self._pages = QStackedWidget()
@@ -262,8 +250,8 @@ class TrialsWindow(QMainWindow):
             return
         event.ignore()
         self.waiting = "closing"
-        self._show(self.notice)
         self.notice.show_notice("Muting", _RESUME)
+        self._pages.setCurrentWidget(self.notice)
         self._send(messages.EndTrials())
         self.process.stop(20_000, 10_000)  # the child mutes when its input ends; a driver that hangs is not waited for
 
@@ -281,18 +269,19 @@ class TrialsWindow(QMainWindow):
                 self._state = state
                 self._enter(state)
             case Refused(sentence=sentence):
-                self._refused(sentence)
-            case messages.TrialsEnded() as ended:
-                self._ended = ended
+                if self._state is not None:
+                    self._enter(self._state)
+                if self.question is not None:
+                    self.question.note.setText(sentence)
 
     def _introduce(self, welcome: messages.Welcome) -> None:
         self.setWindowTitle(f"{welcome.name}, participant {welcome.participant} - wavefocus")
         self._keys = {_key_code(key): choice for choice, key in welcome.answers.items()}
-        replay = (lambda _at_s, _by: self._replay()) if welcome.replay_allowed else None
-        self.question = _QuestionPage(welcome, self._answer, replay)
+        self.question = _QuestionPage(welcome, self._answer)
+        self.question.replay.pressed.connect(self._replay)
         self._pages.addWidget(self.question)
         place = f"  ·  resumes at trial {counted(welcome.done + 1, welcome.of)}" if welcome.resumed else ""
-        keys = "     ".join(f"{_key_text(key)}  {answer}" for answer, key in welcome.answers.items())
+        keys = "     ".join(f"{_ARROWS.get(key, key)}  {answer}" for answer, key in welcome.answers.items())
         question, stored = f"{welcome.question}\n{keys}", "\n".join(["Stored:", *welcome.stored])
         texts = f"Participant {welcome.participant}{place}", welcome.instruction, question, stored, _CLOSING
         button = "Resume" if welcome.resumed else "Start"
@@ -305,7 +294,7 @@ class TrialsWindow(QMainWindow):
         if self.question is None or (state.phase == "welcome" and state.waiting == "go_on"):
             return
         if state.waiting == "answer":
-            self._show(self.question)
+            self._pages.setCurrentWidget(self.question)
             self.question.ask()
             return
         notice = self.notice.show_notice
@@ -326,10 +315,7 @@ class TrialsWindow(QMainWindow):
                 notice("Feel", "The stimulus is repeated." if state.note else "")
             case _:
                 notice("One moment, please", state.note)
-        self._show(self.notice)
-
-    def _show(self, page: QWidget) -> None:
-        self._pages.setCurrentWidget(page)
+        self._pages.setCurrentWidget(self.notice)
 
     def _continue(self) -> None:
         if not self.process.running or (self._state is not None and self._state.phase == "done"):
@@ -345,16 +331,10 @@ class TrialsWindow(QMainWindow):
             self._send(messages.Answer(choice, at_s, by))
 
     def _replay(self) -> None:
-        if self.waiting == "answer" and self.question is not None and self.question.replay is not None:
+        if self.waiting == "answer" and self.question is not None and not self.question.replay.isHidden():
             self.waiting = "nothing"
             self.question.close_question()
             self._send(messages.Replay())
-
-    def _refused(self, sentence: str) -> None:
-        if self._state is not None:
-            self._enter(self._state)
-        if self.question is not None:
-            self.question.note.setText(sentence)
 
     def _send(self, order: messages.Answer | messages.EndTrials | messages.GoOn | messages.Replay) -> None:
         self.process.send(**to_record(order))
@@ -365,14 +345,13 @@ class TrialsWindow(QMainWindow):
             self.close()
             return
         self.waiting = "nothing"
-        complete = self._ended is not None and self._ended.complete
-        if complete:
+        if not self.process.failure:
             self.notice.show_notice(*_THANKS)
         elif self.question is None:
             self.notice.show_notice("The trials cannot begin", self.process.failure, "Close")
         else:
             self.notice.show_notice("Please call the experimenter", f"{self.process.failure}\n\n{_RESUME}", "Close")
-        self._show(self.notice)
+        self._pages.setCurrentWidget(self.notice)
 
     def _report_error(self, sentence: str, details: str) -> None:
         """Show an error that nobody caught; the session goes on."""

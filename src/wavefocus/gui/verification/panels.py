@@ -33,23 +33,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """One verification.
-
-    folder: Folder of prediction, scan and report.
-    record: Figures, foci, sources, errors.
-    pair: Prediction and scan.
-    surface: What the maps are drawn over.
-    focus_sample, int64 (foci,): Samples of the fields at which foci were looked at.
-    loudest, loudest_difference: Ends of the scales for the whole scene, in response units.
-    """
+    """One verification: its folder and record, and the film of prediction, scan and difference."""
 
     folder: Path
     record: VerificationRecord
-    pair: FieldPair
-    surface: PlotSurface
-    focus_sample: NDArray[np.int64]
-    loudest: float
-    loudest_difference: float
+    film: Film
 
 
 def read_results(record_file: Path, wanted: Callable[[], bool]) -> Results:
@@ -68,9 +56,21 @@ def read_results(record_file: Path, wanted: Callable[[], bool]) -> Results:
         raise InputError(
             f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"
         )
+    return Results(folder, record, _film_of(record, pair))
+
+
+def _film_of(record: VerificationRecord, pair: FieldPair) -> Film:
+    def frames(sample: int) -> list[Frame]:
+        predicted, scanned = np.array(pair.fields[:, :, sample])
+        return [predicted, scanned, np.where(record.compared, scanned - predicted, np.nan)]
+
+    def response(place: int) -> tuple[str, list[Real]]:
+        (x_mm, y_mm), (predicted, scanned) = record.position_mm[place], np.array(pair.fields[:, place])
+        title = f"position {record.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
+        return f"{title}: {_figures_text(record, place)}", [predicted, scanned, scanned - predicted]
+
     focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
-    looked_at = focus if len(focus) else evenly_spread(pair.samples, 64)
-    loudest, difference = pair.loudest(looked_at, record.compared)
+    loudest, difference = pair.loudest(focus if len(focus) else evenly_spread(pair.samples, 64), record.compared)
     checks = _check_places(record)
     surface = PlotSurface(
         record.position_mm, record.actuator_places_mm,
@@ -78,7 +78,20 @@ def read_results(record_file: Path, wanted: Callable[[], bool]) -> Results:
         raster_of(record.position_mm, checks, gaps=False), [np.array(source.path_mm) for source in record.sources],
         checks,
     )  # fmt: skip
-    return Results(folder, record, pair, surface, focus, loudest, difference)
+    scales = [
+        ("prediction, both on one scale", loudest),
+        ("scan, both on one scale", loudest),
+        ("scan − prediction, own scale", difference),
+    ]
+    return Film(
+        surface, pair.start_s, pair.sample_rate_hz, pair.samples, frames, partial(_sources_mm, record), focus, response,
+        pair.response_unit, scales,
+    )  # fmt: skip
+
+
+def _sources_mm(record: VerificationRecord, time_s: float) -> Float64Array:
+    places = [source.at_mm(time_s) for source in record.sources]
+    return np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
 
 
 def _check_places(record: VerificationRecord) -> NDArray[np.intp]:
@@ -203,32 +216,7 @@ class MapsPanel(FilmPlayer):
 
     def show_results(self, results: Results) -> None:
         """Show another verification, at its first focus instant."""
-        pair, record = results.pair, results.record
-
-        def sources_mm(time_s: float) -> Float64Array:
-            places = [source.at_mm(time_s) for source in record.sources]
-            return np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
-
-        def frames(sample: int) -> list[Frame]:
-            predicted, scanned = np.array(pair.fields[:, :, sample])
-            return [predicted, scanned, np.where(record.compared, scanned - predicted, np.nan)]
-
-        def response(place: int) -> tuple[str, list[Real]]:
-            (x_mm, y_mm), (predicted, scanned) = record.position_mm[place], np.array(pair.fields[:, place])
-            title = f"position {record.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
-            return f"{title}: {_figures_text(record, place)}", [predicted, scanned, scanned - predicted]
-
-        scales = [
-            ("prediction, both on one scale", results.loudest),
-            ("scan, both on one scale", results.loudest),
-            ("scan − prediction, own scale", results.loudest_difference),
-        ]
-        self.show_film(
-            Film(
-                results.surface, pair.start_s, pair.sample_rate_hz, pair.samples, frames, sources_mm,
-                results.focus_sample, response, pair.response_unit, scales,
-            )
-        )  # fmt: skip
-        first_mm = sources_mm(float(record.focus_s[0])) if len(results.focus_sample) else NOWHERE_MM
-        if self.maps[0].marked < 0 and len(first_mm):  # so that a response is seen at once
-            self.show_position(results.surface.raster.nearest(*first_mm[0].tolist()))
+        self.show_film(film := results.film)
+        first_mm = film.sources_mm(results.record.focus_s[0]) if len(film.marks) else NOWHERE_MM
+        if self.marked < 0 and len(first_mm):  # so that a response is seen at once
+            self.show_position(film.surface.raster.nearest(*first_mm[0].tolist()))

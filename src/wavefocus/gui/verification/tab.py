@@ -151,9 +151,6 @@ class _RequestForm(QWidget):
         self.positions.setPlaceholderText("all; or path, every:4, 3,5-9")
         self.positions.setMinimumWidth(self.fontMetrics().horizontalAdvance(self.positions.placeholderText()) + 20)
         ui.column(ui.row((self.scene, 1), (self.bank, 1)), ui.row((self.rig, 1), (self.out, 1)), owner=self)
-        self.choices: dict[str, QWidget] = {
-            "scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out, "rows": self.positions,
-        }  # fmt: skip
         self.bank.chosen.connect(self.take_bank)
         self.rig.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
 
@@ -183,14 +180,11 @@ class _RequestForm(QWidget):
 
 def unused_folder(folder: Path) -> Path:
     """Return the folder, or the first of ``NAME-2``, ``NAME-3``, ... where it holds results of a verification."""
-    if not _holds_results(folder):
-        return folder
     stem, _, number = folder.name.rpartition("-")
-    first = folder.with_name(stem) if stem and number.isdecimal() else folder
-    if first != folder and not first.is_dir():
-        first = folder
-    numbered = (first.with_name(f"{first.name}-{count}") for count in itertools.count(2))
-    return next(one for one in numbered if not _holds_results(one))
+    numbers = stem and number.isdecimal() and folder.with_name(stem).is_dir()
+    name = stem if numbers else folder.name
+    others = (folder.with_name(f"{name}-{count}") for count in itertools.count(2))
+    return next(one for one in itertools.chain([folder], others) if not _holds_results(one))
 
 
 def _holds_results(folder: Path) -> bool:
@@ -310,7 +304,9 @@ class VerificationTab(Tab):
         ui.column(self.maps.legend, (self.maps.response, 1), owner=waveforms, spacing=2)
         lower = ui.side_by_side((waveforms, 515), (self.figures, 745))
         both = ui.side_by_side((self.maps, 360), (lower, 260), growing=[0], above=True)
-        self.remember(lower=lower, both=both, **self.form.choices)
+        form = self.form
+        self.remember(scene=form.scene, bank=form.bank, rig=form.rig, out=form.out, rows=form.positions)
+        self.remember(lower=lower, both=both)
         ui.column(self.verdict, (both, 1), owner=shown)
         self.pages = QStackedWidget()
         self.hint = ui.label(text=_HINT, role="faint", wraps=True)
