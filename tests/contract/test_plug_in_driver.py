@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from tests.system import lines
-from tests.system.test_documented_commands import steps
 from tests.wire.emulated import RIG
 
 ROOT = Path(__file__).parents[2]
@@ -46,6 +45,8 @@ class Controller:
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """A folder in which pip has installed the example's distribution."""
+    from tests.system.test_documented_commands import steps
+
     source, target = tmp_path_factory.mktemp("wavefocus-acme"), tmp_path_factory.mktemp("installed")
     for step in steps(PAGE):
         if step.kind == "file":

@@ -146,8 +146,12 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, ba
     person = SimulatedParticipant(design, Observer("amplitude", -3.5, 8.0), np.random.default_rng(1))
     assert in_process(lambda session: answer(session, person.answer), *command, "--lines", "--fast") == 0
 
-    printed = captures.answered(capsys, "analyse", out)
-    result = out / "analysis"
+    (result := out / "analysis").mkdir()
+    older = {"format": "wavefocus-trials-analysis", "files": ["analysis.json", "older.png"]}
+    for name in older["files"]:
+        (result / name).write_text(json.dumps(older))
+    assert "--force" in captures.refused(capsys, "analyse", out)
+    printed = captures.answered(capsys, "analyse", out, "--force")
     written = json.loads((result / "analysis.json").read_text(encoding="utf-8"))
     assert printed == written | {"out": str(result)}
     assert sorted(written["files"]) == sorted(
@@ -174,7 +178,6 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, ba
     assert {"Name", "BIDSVersion", "DatasetType"} <= set(described)
 
     assert "--force" in captures.refused(capsys, "analyse", out)
-    assert wavefocus("analyse", out, "--force") == 0
     (result / "notes.txt").write_text("mine")
     captures.refused(capsys, "analyse", out, "--force")
     assert (result / "notes.txt").read_text() == "mine"

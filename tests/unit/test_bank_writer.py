@@ -13,7 +13,6 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -73,6 +72,8 @@ def test_plain_h5py_reads_contract_section_2_and_during_a_run_what_is_measured(t
 
 
 def test_a_bank_opened_by_xarray_then_shows_labelled_dimensions_and_units(tmp_path):
+    import xarray
+
     path = measured(tmp_path / "bank.h5")
     with xarray.open_dataset(path, engine="h5netcdf") as dataset:
         assert {name: dataset[name].dims for name in ("green", "position_mm", "actuator_mm", "status")} == {

@@ -7,7 +7,6 @@ from contextlib import nullcontext
 import h5py
 import numpy as np
 import pytest
-import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -83,6 +82,8 @@ def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path):
 
 @pytest.mark.parametrize(("engine", "foci"), [("h5netcdf", 3), ("netcdf4", 0)])
 def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(tmp_path, engine, foci):
+    import xarray
+
     write_drive(tmp_path / "drive.h5", drive(foci=foci))
     a_field(tmp_path / "field.h5")
     with xarray.open_datatree(tmp_path / "drive.h5", engine=engine) as tree:

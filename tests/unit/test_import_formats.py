@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
-import sofar
 import soundfile
-import xarray
 
 import wavefocus as wf
 from tests.lab_files import write_arrays
@@ -138,6 +136,8 @@ def test_given_arrays_under_other_names_and_in_another_order_then_they_are_mappe
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4", "scipy"])
 def test_a_dimension_without_values_and_words_for_units_are_read_as_xarray_writes(tmp_path, engine, imported):
+    import xarray
+
     data = xarray.Dataset(
         {"green": (("position", "actuator", "time_s"), GREEN),
          "position_mm": (("position", "axis"), PLACES_MM, {"units": "millimeters"})},
@@ -164,6 +164,8 @@ def test_a_level_that_no_instrument_measures_beside_the_others_is_not_valid(tmp_
 
 
 def sofa_file(path, convention, responses, rate_hz=48_000.0, **fields):
+    import sofar
+
     sofa = sofar.Sofa(convention)
     sofa.Data_IR, sofa.Data_SamplingRate = responses, rate_hz
     for name, value in fields.items():

@@ -10,7 +10,6 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from PIL import Image
 
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
@@ -120,6 +119,8 @@ def test_given_a_figure_then_it_is_written_with_the_digits_it_deserves():
     ],
 )
 def test_a_night_across_a_change_of_summer_time_then_each_label_has_its_own_offset(monkeypatch, zone, start):
+    from matplotlib.figure import Figure
+
     monkeypatch.setenv("TZ", zone)
     time.tzset()
     try:
