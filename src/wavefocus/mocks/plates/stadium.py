@@ -339,9 +339,9 @@ def _ritz_modes(
     norm, turn = eigh(gram / np.outer(size, size))
     # Directions of the projected space below this share of the strongest are dropped.
     kept = norm > 1e-10 * norm[-1]
-    space = space @ (turn[:, kept] / np.sqrt(norm[kept]) / size[:, None])
-    stiffness, turn = eigh(space.T @ (stiffness_of_nodes @ space))
-    shapes = space @ turn
+    turn = turn[:, kept] / np.sqrt(norm[kept]) / size[:, None]
+    stiffness, mode = eigh(turn.T @ (space.T @ (stiffness_of_nodes @ space)) @ turn)
+    shapes = space @ (turn @ mode)
     edge = np.unique(rim_of_nodes.indices)
     rim = shapes[edge].T @ (rim_of_nodes[edge][:, edge] @ shapes[edge])
     return _RitzModes(shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
