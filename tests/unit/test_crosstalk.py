@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.lab_files import setup_of
-from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.leak import LeakWatch
 from wavefocus.calibration.check import check_bank
 from wavefocus.calibration.crosstalk import NONE_DB, Crosstalk, crosstalk_of_record
@@ -113,7 +113,7 @@ class LeakingSetup:
         settings = VirtualSettings(crosstalk=share, actuator_mm=tuple(map(tuple, self.plan.actuator_mm.tolist())))
         setup = setup_of(VirtualRig(settings))
         session = Session(setup.instruments.clock, self.events.append, StopRequest())
-        return LeakWatch(self.plan, setup, self.bank, session, Recovery(setup, session), unvouched)
+        return LeakWatch(Station(self.plan, setup, session), self.bank, unvouched)
 
     def commit(self, watch, count):
         """Commit rows as loud as 100 times 1e-4 of the loopback."""

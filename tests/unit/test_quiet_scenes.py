@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.fft
 
+from tests.unit.line_verification import scan_of
 from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS, plate_bank, plate_greens
 from wavefocus import Circle, GreenArray, Impulse, InputError, Line, Noise, Point, Sine, predict, quiet_levels
 from wavefocus.config.scene import Output, Regularisation
@@ -201,7 +202,8 @@ def test_a_verification_states_the_levels_of_prediction_and_scan(bank):
     rows = control_rows(drive, bank.position_mm)
     prediction = predict(drive, bank, rows)
     at_focus = prediction.field[rows.tolist().index(row_at(bank, FOCUS))]
-    louder = replace(prediction, field=prediction.field + 0.1 * at_focus)
+    heard, there = prediction.field + 0.1 * at_focus, prediction.position_index
+    louder = scan_of(heard, prediction.start_s, RATE_HZ, position_index=there)
     verification = compare(prediction, louder, drive, bank)
     levels = [one for one in verification.figures if one.name.startswith("level at quiet")]
     assert [one.name for one in levels] == ["level at quiet[0]", "level at quiet[1]"]

@@ -45,12 +45,12 @@ def images_of(html):
 
 
 def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(tmp_path):
-    """Of a bank with flawed rows, a plain field and a sentinel that drifted."""
+    """Of a bank with flawed rows, a scan of unknown noise and a sentinel that drifted."""
     status = np.ones(len(GRID_MM), np.uint8)
     status[[3, 5, 7, 9]] = 2, 4, 8, 16
     flawed = dataclasses.replace(bank(), status=status, actuator_mm=np.full((4, 2), np.nan), band_hz=None)
     _, prediction = rendered()
-    scan = Field(1.3 * prediction.field, prediction.position_index, RATE_HZ, prediction.start_s, "m/s")
+    scan = scan_of(1.3 * prediction.field, prediction.start_s, RATE_HZ)
     first = datetime(2026, 1, 5, 18, tzinfo=UTC)
     points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
     points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
@@ -86,7 +86,7 @@ def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(
 
 def test_given_a_scan_then_the_remarks_say_what_to_check():
     drive, (_, prediction) = first_focus(), rendered()
-    few = Field(prediction.field[80:90], np.arange(80, 90), RATE_HZ, prediction.start_s, "m/s")
+    few = scan_of(prediction.field[80:90], prediction.start_s, RATE_HZ, position_index=np.arange(80, 90))
     for scan, remark, not_remark in (
         (louder_scan(gain=1.04), "louder than predicted. Check that amplifier volume", "Not judged"),
         (louder_scan(gain=1.3), "loopback carried 1.3 times", "Not judged"),

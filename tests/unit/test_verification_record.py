@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scene_of
+from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
 from wavefocus import InputError, Line, predict, write_field
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
@@ -37,7 +37,8 @@ def fields():
     scan = dataclasses.replace(
         prediction, field=louder[there].astype(np.float32), position_index=prediction.position_index[there]
     )
-    return prediction, scan, compare(prediction, scan, drive, bank())
+    measured = scan_of(scan.field, scan.start_s, RATE_HZ, position_index=scan.position_index)
+    return prediction, scan, compare(prediction, measured, drive, bank())
 
 
 @pytest.fixture
@@ -98,9 +99,8 @@ def test_path_between_positions_then_record_has_point_asked_for_and_position_use
     scene = dataclasses.replace(scene_of(), sources=(source,), output=Output(interpolation="nearest"))
     drive, report = render_with_report(scene, bank())
     prediction = predict(drive, bank())
-    verification = compare(
-        prediction, prediction, drive, bank(), interpolation_error=report.interpolation_errors.overall
-    )
+    scan, between = scan_of(prediction.field, prediction.start_s, RATE_HZ), report.interpolation_errors.overall
+    verification = compare(prediction, scan, drive, bank(), interpolation_error=between)
     write_record(tmp_path, verification=verification, scene=scene, prediction=prediction, bank=bank(), names=NAMES)
     record = read_record(tmp_path / RECORD_NAME)
     assert [focus.at_mm[1] for focus in record.foci] == pytest.approx([1.5] * len(record.foci))
@@ -109,7 +109,7 @@ def test_path_between_positions_then_record_has_point_asked_for_and_position_use
     assert by_name["focus to path point"].scanned == pytest.approx(1.5, abs=0.5)
     expected = by_name["interpolation error expected"]
     assert (expected.relation, expected.limit) == ("at most", 5.0)
-    assert expected.value == pytest.approx(100.0 * report.interpolation_errors.overall)
+    assert expected.value == pytest.approx(100.0 * between)
     assert expected.value > 5.0
     assert not record.passed
     assert "interpolation error expected" in record.summary

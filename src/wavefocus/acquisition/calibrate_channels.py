@@ -17,8 +17,8 @@ from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.evidence import HEARD_DB, MOST, ROW_CHANGE, SILENT, SOUND, TOLERANCE
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.calibration.timing import ClockFit, ClockFitter
+from wavefocus.calibration.known_signal import ClockFit, ReferenceMissingError
+from wavefocus.calibration.timing import ClockFitter
 from wavefocus.drivers.protocols import Recording, RecordLabel
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.

@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from wavefocus.acquisition.attempt import AttemptResult, Play, record_play
-from wavefocus.acquisition.engine.recovery import Recovery
-from wavefocus.acquisition.engine.session import Session
+from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.judgement import Cure, Judgement, poor
-from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup, naming_role, point_at, take_record
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.crosstalk import (
@@ -123,17 +121,9 @@ class LeakWatch:
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        setup: Setup,
-        bank: BankWriter,
-        session: Session,
-        recovery: Recovery,
-        unvouched: Sequence[int] = (),
-        raw: RawWriter | None = None,
+        self, station: Station, bank: BankWriter, unvouched: Sequence[int] = (), raw: RawWriter | None = None
     ) -> None:
-        self._plan, self._setup, self._bank, self._raw = plan, setup, bank, raw
-        self._session, self._recovery = session, recovery
+        self._station, self._bank, self._raw = station, bank, raw
         self._since = list(unvouched)
         self.due = bool(unvouched)
         self._unjudged: list[Crosstalk] = []
@@ -160,13 +150,13 @@ class LeakWatch:
         that stays only leaves the leak unmeasured.
         """
         self.due = False
-        plan = self._plan
+        plan, setup, session = self._station.plan, self._station.setup, self._station.session
         place_mm, sweep = plan.position_mm[plan.order[0]].tolist(), plan.excitation
         level = sweep.amplitude_v, sweep.sample_rate_hz, sweep.band_hz
         try:
-            leak = self._recovery.retry_after_reconnect(lambda: measure_leak(self._setup, place_mm, *level))
+            leak = self._station.recovery.retry_after_reconnect(lambda: measure_leak(setup, place_mm, *level))
         except InstrumentError as fault:
-            self._session.fault(fault, None, retried=False)
+            session.fault(fault, None, retried=False)
             if isinstance(fault, TransientInstrumentError):
                 return ()
             raise
@@ -174,7 +164,7 @@ class LeakWatch:
         level_db = leak.level_db if leak.is_seen else leak.visible_db
         figures = level_db, leak.delay_s, leak.share, min(abs(leak.share) / max(leak.error, 1e-300), 1e6)
         reason = "" if self.found is None else sentence(self.found, limit)
-        self._session.publish(CrosstalkMeasured, *figures, self.found is not None, (), marked, reason)
+        session.publish(CrosstalkMeasured, *figures, self.found is not None, (), marked, reason)
         return marked
 
     def _judge(self, leak: Crosstalk) -> tuple[float | None, tuple[int, ...]]:
@@ -185,7 +175,7 @@ class LeakWatch:
         Returns the share of the loopback that counts, and the positions that were marked.
         """
         self._latest = leak
-        limit = _limit_of(self._bank, self._setup.response_per_volt)
+        limit = _limit_of(self._bank, self._station.setup.response_per_volt)
         if limit is None:
             self._unjudged.append(leak)
             return None, ()

@@ -29,7 +29,7 @@ from wavefocus.rendering.report.figures import PREDICTION, SCAN
 from wavefocus.rendering.report.waves import draw_correlation, draw_crosstalk
 from wavefocus.rendering.scene.paths import Circle, TextPath
 from wavefocus.rendering.scene.signals import Impulse
-from wavefocus.rendering.verify.scan import ScanPlan, scan
+from wavefocus.rendering.verify.scan import scan
 
 WIDTH_PX = 1120
 LEFT_PX = 58
@@ -132,7 +132,7 @@ def _figure_3d(paper: Paper) -> Picture:
     drive = replace(drive, drive_v=drive.drive_v * (0.5 / float(np.abs(drive.drive_v).max())))
     gap_mm = np.hypot(*(bank.position_mm - bank.position_mm[row]).T)
     rows = np.flatnonzero(gap_mm < 24.0).tolist() if paper.quick else list(range(bank.positions))
-    found = scan(ScanPlan(tuple(rows)), rig_setup(paper.rig), drive, bank)
+    found = scan(rows, rig_setup(paper.rig), drive, bank)
     index = found.position_index
     measured, expected = (
         metrics.band_limited(one, bank.sample_rate_hz, BAND_HZ).astype(np.float32)

@@ -2,7 +2,7 @@
 
 ============================  ==================================================================
 `excitation`                  `PlayedExcitation`, `StaggeredSignal`: what plays
-`timing`                      `ClockFitter`, `to_playback_clock`: start offset and clock ratio
+`timing`                      `ClockFitter`: start offset and clock ratio
 `estimator.sequential`        `SequentialEstimator`; `estimator.staggered` has `StaggeredEstimator`
 `estimator.raw_estimation`    `estimate_positions`: kept recordings of any program into responses
 `estimator.defect_finder`     `DefectFinder`: what a fit leaves unexplained

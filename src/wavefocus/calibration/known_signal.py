@@ -14,6 +14,8 @@ from wavefocus.calibration.numerics import fourier_sum, periodic_signal, periodi
 from wavefocus.calibration.resampling import Decimated
 from wavefocus.storage.errors import WavefocusError
 
+MAX_PPM = 500.0
+"""Largest skew of the clocks that is looked for, in parts per million."""
 CORNERS = (0.1, 0.3, 1.0)
 """Corners of coupling capacitors allowed for, as shares of the lowest frequency played."""
 REFERENCE_LIMIT = 0.1
@@ -78,7 +80,7 @@ class ReferenceMissingError(WavefocusError):
 
 
 def missing_reference(
-    reference_v: Float32Array | Float64Array, known_v: Float64Array, name: str, found: str, max_ppm: float
+    reference_v: Float32Array | Float64Array, known_v: Float64Array, name: str, found: str
 ) -> ReferenceMissingError:
     """Find out why a reference does not carry the known signal.
 
@@ -86,15 +88,14 @@ def missing_reference(
     known_v, float64 (known,): What was played, in volts.
     name: Of the recording, for the message.
     found: What was found wrong, for the message.
-    max_ppm: Largest clock skew that is allowed.
     """
     reference = reference_v.astype(np.float64) - float(np.mean(reference_v, dtype=np.float64))
     rms_v = float(np.sqrt(np.mean(np.square(reference))))
     expected_v = float(np.sqrt(np.sum(np.square(known_v)) / max(reference.size, known_v.size)))
     ratio, share, sure_to = _playing_ratio(reference, known_v) if rms_v > 0 else (1.0, 0.0, 1.0)
     off_ppm = 1e6 * (ratio - 1)
-    if share > CARRIED and abs(off_ppm) > max(max_ppm, 1e6 * sure_to):
-        rates = f"{_rates(1 / ratio)} (clock skew {off_ppm:.0f} ppm, allowed {max_ppm:g} ppm)"
+    if share > CARRIED and abs(off_ppm) > max(MAX_PPM, 1e6 * sure_to):
+        rates = f"{_rates(1 / ratio)} (clock skew {off_ppm:.0f} ppm, allowed {MAX_PPM:g} ppm)"
         return ReferenceMissingError(f"{name} carries what was played at another rate: {rates}", "rate", ratio)
     missing, level = f"{name} does not carry what was played", f"{1e3 * rms_v:.2g} mV rms"
     if share > CARRIED:
@@ -175,15 +176,17 @@ NEAR_SAMPLES = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class KnownSignalFit:
+class ClockFit:
     """The recording is ``gain * base((n - offset) / ratio)`` at its sample n, coupling capacitors apart.
 
-    offset_samples: DAQ sample at which a period starts, of those the one nearest to the first sample.
-    ratio: DAQ rate over playback rate.
-    gain: Recorded volts per volt of the base signal; negative when the wires are crossed.
+    offset_samples: DAQ sample at which the signal starts, or a period, of those the one nearest to the first sample.
+    ratio: DAQ rate over playback rate in true time: 1 plus or minus tens of ppm.
+    gain: Recorded volts per volt of the base signal; negative where the wires are crossed.
     explained: Share of the recording's energy in band that this explains, 0 to 1.
     coupling, float64 (corners,): Shares of the signal below each corner frequency.
     left: Energy in band that it leaves of the recording, in squared volts.
+    residual_db: Energy of the recording that a signal which is played once, through coupling capacitors or not, leaves
+        unexplained over that which it explains; NaN of a periodic one.
     """
 
     offset_samples: float
@@ -192,6 +195,12 @@ class KnownSignalFit:
     explained: float
     coupling: Float64Array
     left: float
+    residual_db: float = math.nan
+
+    @property
+    def skew_ppm(self) -> float:
+        """How much faster the DAQ clock runs than the playback clock, in parts per million."""
+        return 1e6 * (self.ratio - 1)
 
 
 class KnownSignalClock:
@@ -200,14 +209,13 @@ class KnownSignalClock:
     spectrum, complex128 (bins,): Discrete Fourier transform of one period on the playback clock, bins 0 and on; what is
         left out is not looked at.
     period: Samples of the period on the playback clock.
-    max_ppm: Largest clock skew in parts per million.
     below_share: Share of the energy in the lowest bins that is left out.
 
     highest: Upper end of the band in cycles per sample.
     """
 
-    def __init__(self, spectrum: Complex128Array, period: int, max_ppm: float, *, below_share: float = 1e-6) -> None:
-        self.period, self._max_ppm, self._whole = period, max_ppm, spectrum
+    def __init__(self, spectrum: Complex128Array, period: int, *, below_share: float = 1e-6) -> None:
+        self.period, self._whole = period, spectrum
         power = np.abs(spectrum) ** 2
         below = np.cumsum(power)
         self._first = max(int(np.searchsorted(below, below_share * below[-1])), 1)
@@ -223,16 +231,16 @@ class KnownSignalClock:
         slope, coupled = 2j * np.pi * bins / period * amplitudes, self._coupling[:, self._first :] * amplitudes
         self._waves = np.concatenate([[amplitudes, slope], coupled])
 
-    def coupled(self, fit: KnownSignalFit) -> Complex128Array:
+    def coupled(self, fit: ClockFit) -> Complex128Array:
         """Spectrum of the base signal (bins,) as the reference channel carries it, but for the offset."""
         return np.asarray(self._whole * (fit.gain + fit.coupling @ self._coupling))
 
-    def fit(self, decimated: Decimated) -> KnownSignalFit:
+    def fit(self, decimated: Decimated) -> ClockFit:
         """Find offset and ratio, first near a ratio of 1, then further and further away.
 
         decimated: One recording of the reference.
 
-        Returns KnownSignalFit: the best there is; its `explained` shows how good it is.
+        Returns ClockFit: the best there is; its `explained` shows how good it is.
         """
         inside, values = decimated.inside, decimated.values[0, decimated.inside].astype(np.float64)
         place = decimated.first + decimated.step * np.arange(inside.start, inside.stop)
@@ -240,10 +248,10 @@ class KnownSignalClock:
         short = math.ceil(self.period / decimated.step)
         short = values.size if values.size < 1.5 * short else short
         step = 2 * SEARCH_TURN / (math.pi * self.highest * (place[short - 1] - place[0]))
-        best: KnownSignalFit | None = None
-        for turn in range(2 * math.ceil(1e-6 * self._max_ppm / step) + 1):
+        best: ClockFit | None = None
+        for turn in range(2 * math.ceil(1e-6 * MAX_PPM / step) + 1):
             ratio = 1.0 + (turn // 2 + turn % 2) * (1 if turn % 2 else -1) * step
-            if turn and abs(ratio - 1) > 1e-6 * self._max_ppm + step:
+            if turn and abs(ratio - 1) > 1e-6 * MAX_PPM + step:
                 continue
             start = self._offset(values[:short], place[:short], ratio)
             found = self._gauss_newton(values[:short], place[:short], start, ratio)
@@ -272,7 +280,7 @@ class KnownSignalClock:
         late = periodic_top(envelope) / length * self.period
         return float((late - self.period if late > self.period / 2 else late) * ratio)
 
-    def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> KnownSignalFit:
+    def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> ClockFit:
         energy = float(values @ values)
         middle = 0.5 * (place[0] + place[-1])
         lever = (place - middle) / max(place[-1] - middle, 1.0)
@@ -302,7 +310,7 @@ class KnownSignalClock:
                 break
         period = self.period * ratio
         left = (1 - explained) * energy * float(place[1] - place[0])
-        return KnownSignalFit(offset - period * round(offset / period), ratio, gain, explained, coupling, left)
+        return ClockFit(offset - period * round(offset / period), ratio, gain, explained, coupling, left)
 
     def _waves_at(self, amplitudes: Complex128Array, place: Int64Array, offset: float, ratio: float) -> Float64Array:
         """Ring signals (rows, values) at places of the recording."""
@@ -332,7 +340,7 @@ class NearClock:
         self._gram = self._spectra @ self._spectra.T
         self._turns = 2j * np.pi / length * np.arange(1, self._bins.stop)
 
-    def fit(self, spectrum: Complex64Array, offset: float) -> KnownSignalFit:
+    def fit(self, spectrum: Complex64Array, offset: float) -> ClockFit:
         """Fit offset and ratio of a part, (length // 2 + 1,), from an offset right to about a sample."""
         part = spectrum[self._bins].astype(np.complex128)
         late, stretched, taken, gain = offset - self._offset, 0.0, 0.0, 0.0
@@ -353,7 +361,7 @@ class NearClock:
         beyond = spectrum[self._bins.stop :]
         within = float(np.vdot(part, part).real)
         left = 2 / self._length * (within - taken + float(np.vdot(beyond, beyond).real))
-        return KnownSignalFit(begin, ratio, gain, taken / (within + 1e-300), coupling, left)
+        return ClockFit(begin, ratio, gain, taken / (within + 1e-300), coupling, left)
 
 
 def _least_squares(gram: Float64Array, matched: Float64Array) -> tuple[Float64Array, float]:

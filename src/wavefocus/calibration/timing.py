@@ -1,20 +1,22 @@
-"""Clocks: where a known signal lies in a recording, and the recording on the clock that played it."""
+"""Clocks: where a known signal lies in a recording."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from wavefocus.calibration import Complex64Array, Float32Array, Float64Array
+from wavefocus.calibration import Complex64Array, Float64Array
 from wavefocus.calibration.known_signal import (
+    MAX_PPM,
     REFERENCE_LIMIT,
+    ClockFit,
     KnownSignalClock,
     NearClock,
     ReferenceMissingError,
@@ -31,28 +33,6 @@ GUARD_SAMPLES = 64
 # A stretch that turns the top of the band by less than this at the ends of a record, in radians, is found without
 # iteration: what is neglected is its third power.
 NEAR_TURN, MAX_STEPS = 0.01, 8
-
-
-@dataclass(frozen=True, slots=True)
-class ClockFit:
-    """Sample k of the known signal appears at DAQ sample ``offset_samples + k * ratio``.
-
-    offset_samples: DAQ sample at which the known signal starts.
-    ratio: DAQ rate over playback rate in true time: 1 plus or minus tens of ppm.
-    gain: Recorded volts per volt of the known signal; negative when the wires are crossed.
-    residual_db: Energy of the reference that the known signal, through coupling capacitors or not, leaves unexplained
-        over that which it explains.
-    """
-
-    offset_samples: float
-    ratio: float
-    gain: float
-    residual_db: float
-
-    @property
-    def skew_ppm(self) -> float:
-        """How much faster the DAQ clock runs than the playback clock, in parts per million."""
-        return 1e6 * (self.ratio - 1)
 
 
 # Blocks of the known signal that are looked for one by one; silent ones are left out.
@@ -75,11 +55,10 @@ class _BlockSearch:
 
     known, float64 (known,): The signal, not all zeros.
     band: Lowest and highest frequency that matter, in cycles per sample.
-    max_ppm: Largest skew of the clocks looked for, in parts per million.
     """
 
-    def __init__(self, known: Float64Array, band: tuple[float, float], max_ppm: float) -> None:
-        self._known, self._band, self._max_ppm = known, band, max_ppm
+    def __init__(self, known: Float64Array, band: tuple[float, float]) -> None:
+        self._known, self._band = known, band
         edges = np.linspace(0, known.size, BLOCKS + 1).astype(int)
         spans = [(int(low), int(high)) for low, high in itertools.pairwise(edges) if high > low]
         energy = np.array([np.square(known[low:high]).sum() for low, high in spans])
@@ -93,7 +72,7 @@ class _BlockSearch:
         self._blocks = lru_cache(maxsize=2)(self._transformed)
         self._moves = np.zeros(len(self._spans))
         if len(self._spans) > 1:
-            trial = 0.5e-6 * max_ppm
+            trial = 0.5e-6 * MAX_PPM
             samples = known.size + 2 * TRIAL_MARGIN_SAMPLES
             lags = [
                 self._lags(resampled(known[None], -TRIAL_MARGIN_SAMPLES, 1 / (1 + skew), samples)[0])
@@ -112,7 +91,7 @@ class _BlockSearch:
         spread = float(share @ moves**2)
         # Blocks that all move alike do not show the stretch.
         slope = float(share @ (moves * lags)) / spread if spread > 1.0 else 0.0
-        slope = min(max(slope, -1e-6 * self._max_ppm), 1e-6 * self._max_ppm)
+        slope = min(max(slope, -1e-6 * MAX_PPM), 1e-6 * MAX_PPM)
         return float(share @ (lags - slope * self._moves)), 1.0 + slope
 
     def top(self, spectrum: NDArray[np.complexfloating], length: int) -> float:
@@ -129,7 +108,7 @@ class _BlockSearch:
         step = length / lags
         top = int(np.argmax(envelopes.sum(axis=0)))
         # A sweep stretched moves its blocks by twice the stretch.
-        reach = math.ceil((2e-6 * self._max_ppm * self._known.size + 8) / step)
+        reach = math.ceil((2e-6 * MAX_PPM * self._known.size + 8) / step)
         near = (top + np.arange(-reach - 1, reach + 2)) % lags
         close = envelopes[:, near].astype(np.float64)
         found = 1 + np.argmax(close[:, 1:-1], axis=1)
@@ -163,12 +142,11 @@ class ClockFitter:
     result depends on its recording alone.
 
     known_v, (known,): What was played in volts, on the playback clock, its silences included; known <= samples.
-    max_ppm: Largest skew of the clocks looked for, in parts per million, > 0.
 
     Raises InputError: an array of a wrong shape, values that are not finite, or all zeros.
     """
 
-    def __init__(self, known_v: ArrayLike, *, max_ppm: float = 500.0) -> None:
+    def __init__(self, known_v: ArrayLike) -> None:
         known = np.asarray(known_v, dtype=np.float64)
         if known.ndim != 1 or known.size < 2:
             raise InputError(f"the known signal has the shape {known.shape}; allowed is one axis, 2 or more")
@@ -177,8 +155,7 @@ class ClockFitter:
         if not known.any():
             raise InputError("the known signal is all zeros; allowed is a signal with energy")
         self._known = known
-        self._max_ppm = max_ppm
-        stretch = math.ceil(1e-6 * max_ppm * known.size)
+        stretch = math.ceil(1e-6 * MAX_PPM * known.size)
         room = known.size + stretch + 2 * GUARD_SAMPLES
         # Longer than the part that is looked at, whatever the clocks do.
         period = scipy.fft.next_fast_len(
@@ -190,10 +167,10 @@ class ClockFitter:
         last = max(int(np.searchsorted(below, (1 - BAND_SHARE) * below[-1])), first)
         # Half the sample rate is left out: a delay by a fraction of a sample is not defined there.
         bins = min(last + 1, (period + 1) // 2)
-        self._clock = KnownSignalClock(spectrum[:bins], period, max_ppm, below_share=BAND_SHARE)
+        self._clock = KnownSignalClock(spectrum[:bins], period, below_share=BAND_SHARE)
         self._step = decimation_step(self._clock.highest)
         self._length = self._step * scipy.fft.next_fast_len(-(-room // self._step), real=True)
-        self.search = _BlockSearch(known, (first / period, bins / period), max_ppm)
+        self.search = _BlockSearch(known, (first / period, bins / period))
 
     def fit(
         self,
@@ -220,7 +197,7 @@ class ClockFitter:
             words = f"unexplained {found.residual_db:.1f} dB, allowed {10 * np.log10(REFERENCE_LIMIT):g} dB"
             if not diagnose:
                 raise ReferenceMissingError(f"{name} does not carry what was played ({words})")
-            raise missing_reference(recorded, self._known, name, words, self._max_ppm)
+            raise missing_reference(recorded, self._known, name, words)
         if not self._is_inside(found, recorded.size):
             first, last = found.offset_samples, found.offset_samples + (self._known.size - 1) * found.ratio
             words = f"holds only a part of the signal, which spans samples {first:.1f} to {last:.1f} of {recorded.size}"
@@ -251,7 +228,7 @@ class ClockFitter:
         return self._clock.near(self._length, self._step, GUARD_SAMPLES, ratio)
 
     def _is_found(self, fit: ClockFit) -> bool:
-        return fit.residual_db <= 10 * np.log10(REFERENCE_LIMIT) and abs(fit.ratio - 1) <= 1.01e-6 * self._max_ppm
+        return fit.residual_db <= 10 * np.log10(REFERENCE_LIMIT) and abs(fit.ratio - 1) <= 1.01e-6 * MAX_PPM
 
     def _is_inside(self, fit: ClockFit, recorded: int) -> bool:
         last = fit.offset_samples + (self._known.size - 1) * fit.ratio
@@ -265,12 +242,12 @@ class ClockFitter:
         for _ in range(MAX_STEPS):
             fit = clock.fit(spectrum, offset)
             turned = math.pi * self._clock.highest * abs(fit.ratio - clock.ratio) * self._length
-            if turned <= NEAR_TURN or not abs(fit.ratio - 1) <= 2e-6 * self._max_ppm:
+            if turned <= NEAR_TURN or not abs(fit.ratio - 1) <= 2e-6 * MAX_PPM:
                 break
             clock, offset = self._near(fit.ratio), fit.offset_samples
         explained = float(fit.gain**2 * (self._known @ self._known))
         residual_db = 10 * math.log10((max(fit.left, 0.0) + 1e-300) / (explained + 1e-300))
-        return ClockFit(first + fit.offset_samples, fit.ratio, fit.gain, residual_db), clock
+        return replace(fit, offset_samples=first + fit.offset_samples, residual_db=residual_db), clock
 
     def _place(self, recorded: NDArray[np.floating], offset: float) -> tuple[Complex64Array, int, float]:
         """Where the whole signal correlates most, looked for near an offset, after spectrum and first sample there."""
@@ -290,7 +267,7 @@ class ClockFitter:
             raise InputError(f"{name} holds values that are not finite; allowed are volts")
         if not recorded.any():
             raise ReferenceMissingError(f"{name} is silent", "silence")
-        shortest = math.floor((1 - 1e-6 * self._max_ppm) * self._known.size) - 1
+        shortest = math.floor((1 - 1e-6 * MAX_PPM) * self._known.size) - 1
         if recorded.size < shortest:
             raise ReferenceMissingError(f"{name} has {recorded.size} samples of {self._known.size}", "cut")
         return recorded
@@ -303,34 +280,3 @@ class ClockFitter:
         if high > low:
             cut[low - first : high - first] = recorded[low:high]
         return scipy.fft.rfft(cut), first
-
-
-def to_playback_clock(
-    recorded: ArrayLike, fit: ClockFit, samples: int, first: int = 0, delay_samples: float = 0.0
-) -> Float32Array | Float64Array:
-    """Resample recordings to the clock that played the drive, band-limited.
-
-    ``out[..., k]`` is the recording at DAQ sample ``offset + (first + k) * ratio + delay_samples``; beyond
-    its ends a recording is taken as 0. Kaiser-windowed sinc of 40 samples: errors below -100 dB up to 0.8
-    of half the sample rate.
-
-    recorded, (..., recorded): Recordings on the DAQ clock; float32 stays float32, all else becomes float64.
-    fit: Offset and ratio of the clocks.
-    samples: Number of output samples, >= 0.
-    first: Playback sample of the first output sample.
-    delay_samples: Added to every DAQ position: ``-inter_channel_delay_s * sample_rate_hz`` for a channel that is
-        sampled that much later than the reference.
-
-    Returns float32 or float64 (..., samples). Raises InputError: `samples` below 0, or a fit that is not finite.
-    """
-    recorded = np.asarray(recorded)
-    start = fit.offset_samples + first * fit.ratio + delay_samples
-    if samples < 0 or not np.isfinite(start) or not np.isfinite(fit.ratio):
-        raise InputError(
-            f"resampling to {samples} samples from DAQ sample {start:g}; "
-            "allowed is 0 or more samples and a finite offset"
-        )
-    if recorded.dtype != np.float32:
-        recorded = recorded.astype(np.float64, copy=False)
-    found = resampled(recorded.reshape(-1, recorded.shape[-1]), start, fit.ratio, samples)
-    return found.reshape(*recorded.shape[:-1], samples)

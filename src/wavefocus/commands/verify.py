@@ -38,8 +38,8 @@ from wavefocus.rendering.verify import record as files
 from wavefocus.rendering.verify.extra_measurements import drift_sentence, linearity_rows, measure_sentinel, quieter
 from wavefocus.rendering.verify.mirror_error import sentinel_shift_mm
 from wavefocus.rendering.verify.results import Correction, Sentinel, remedy, sentence
-from wavefocus.rendering.verify.scan import Scan, ScanPlan, marker_v, scan
-from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
+from wavefocus.rendering.verify.scan import Scan, marker_v, scan
+from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.rig.limits import check_drive, stricter
 from wavefocus.rig.setup import open_setup
 from wavefocus.rig.unattended import AliveSignal, kept_awake
@@ -190,9 +190,8 @@ class _Work:
         with self._step("compare and report", 2) as report:
             drift_limits, errors = self.configuration.run.drift, facts.interpolation_errors
             between = None if errors is None else errors.overall
-            tolerances = Tolerances(limits.normalised_error, limits.correlation, limits.focus_error_mm)
             verification = compare(
-                prediction, measured, drive, bank, tolerances, quiet=quiet, sentinel=sentinel, leak=leak,
+                prediction, measured, drive, bank, limits, quiet=quiet, sentinel=sentinel, leak=leak,
                 drift_limits=drift_limits, marker_v=marker, interpolation_error=between,
             )  # fmt: skip
             verification = replace(verification, correction=correction)
@@ -277,8 +276,10 @@ class _Work:
         self, setup: Setup, drive: Drive, rows: Sequence[int], purpose: str = "scan", journal: ScanJournal | None = None
     ) -> Scan:
         with self._step(purpose, len(rows)) as report:
-            plan, publish = ScanPlan(tuple(rows), purpose=purpose), self._publisher(report)
-            return scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=journal)
+            publish = self._publisher(report)
+            return scan(
+                rows, setup, drive, self.bank, purpose=purpose, on_progress=report, publish=publish, journal=journal
+            )
 
     @contextmanager
     def _journal(self, drive: Drive, path: Path, *, force: bool) -> Iterator[ScanJournal]:

@@ -7,8 +7,8 @@
 `drive.rendering`          `SceneRenderer`, `render_with_report`: a scene into the drives of all actuators
 `live.engine`              `LiveEngine`: drives of sources whose positions arrive while they sound
 `field.prediction`         `predict`, `Prediction`: drives into the field
-`verify.scan`              `ScanPlan`, `scan`: the field measured again
-`verify.verdict`           `compare`, `Tolerances`, `Verification`
+`verify.scan`              `scan`: the field measured again
+`verify.verdict`           `compare`, `Verification`
 `report.page`              `build_report`
 =========================  ==================================================================
 """

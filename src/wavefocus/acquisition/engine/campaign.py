@@ -80,7 +80,7 @@ class Campaign:
         conditions = Conditions(setup.watch, setup, plan.excitation)
         self._suspension = Suspension(setup, session, conditions, station.plays, station.probe)
         self._neighbours = NeighbourWatch(plan, bank)
-        self._leak = LeakWatch(plan, setup, bank, session, station.recovery, unvouched, raw)
+        self._leak = LeakWatch(station, bank, unvouched, raw)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
         self._queue: deque[Attempt] = deque()
         self._rows_of_session = plan.order

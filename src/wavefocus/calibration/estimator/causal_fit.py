@@ -8,6 +8,7 @@ import scipy.fft
 import scipy.linalg
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.known_signal import MAX_PPM
 from wavefocus.calibration.numerics import fourier_sum, periodic_signal
 
 Operator = Callable[[Float64Array], Float64Array]
@@ -50,12 +51,9 @@ class CausalFit:
     period: Samples of the period.
     taps: Length L of the FIR.
     ridge: Penalty relative to the median power in band.
-    max_ppm: Largest clock skew in parts per million, > 0.
     """
 
-    def __init__(
-        self, omega: Float64Array, power: Float64Array, period: int, taps: int, ridge: float, max_ppm: float
-    ) -> None:
+    def __init__(self, omega: Float64Array, power: Float64Array, period: int, taps: int, ridge: float) -> None:
         weight = np.sqrt(2 * power / period)
         delay = np.arange(taps)
         matrix = _stacked(weight[:, None] * np.exp(-1j * omega[:, None] * delay))
@@ -66,7 +64,7 @@ class CausalFit:
         self._weight = weight.astype(np.float32)
         self._left = left.astype(np.float32)
         self._right = np.ascontiguousarray(right.astype(np.float32))
-        self._nodes = 1e-6 * max_ppm * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        self._nodes = 1e-6 * MAX_PPM * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
         solutions = []
         for skew in self._nodes:
             skewed = _stacked(weight[:, None] * np.exp(-1j * (1 + skew) * omega[:, None] * delay)) @ right.T

@@ -15,12 +15,12 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Float32Array, Float64Array
-from wavefocus.calibration.estimator.estimate import MAX_PPM, Channels, Estimate, PositionEstimator, Records
+from wavefocus.calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator, period_spectrum, require_coverage
 from wavefocus.calibration.estimator.whole_record import WholeRecordEstimator
 from wavefocus.calibration.excitation import RecordedExcitation
-from wavefocus.calibration.known_signal import KnownSignalClock, ReferenceMissingError
+from wavefocus.calibration.known_signal import MAX_PPM, KnownSignalClock, ReferenceMissingError
 from wavefocus.calibration.numerics import fourier_sum
 from wavefocus.calibration.resampling import decimate, resampled
 from wavefocus.calibration.timing import ClockFitter
@@ -61,7 +61,7 @@ def _find_sweeps(reference: Float32Array, header: RawHeader) -> _Sweeps:
         for base, cycles in _stated_sweeps(header, sweep):
             played = np.tile(np.pad(base, (0, period - sweep)), averages)[: period * (averages - 1) + sweep]
             with suppress(ReferenceMissingError):
-                fit = ClockFitter(played, max_ppm=MAX_PPM).fit(reference, diagnose=False)
+                fit = ClockFitter(played).fit(reference, diagnose=False)
                 found = _without_fades(reference, cycles, period, averages, fit.offset_samples, fit.ratio)
                 if found is not None:
                     return sweep, period, averages, *found
@@ -198,7 +198,7 @@ def _learn_base(reference: Float32Array, header: RawHeader) -> tuple[Float64Arra
     if not header.same_clock:
         sweep = min(round(header.sweep_s * rate_hz), period) if header.sweep_s else period
         bases = (np.pad(base, (0, period - sweep)) for base, _ in _stated_sweeps(header, sweep))
-        fits = (KnownSignalClock(scipy.fft.rfft(base)[:bins], period, MAX_PPM).fit(decimated) for base in bases)
+        fits = (KnownSignalClock(scipy.fft.rfft(base)[:bins], period).fit(decimated) for base in bases)
         found = (fit.ratio for fit in fits if fit.explained > FOUND_SHARE and abs(fit.ratio - 1) < 1e-6 * MAX_PPM)
         if (ratio := next(found, 0.0)) == 0.0:
             raise _no_clock(header)

@@ -9,10 +9,10 @@ import scipy.fft
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.estimator.causal_fit import RIDGE, CausalFit, ToeplitzFit
 from wavefocus.calibration.estimator.defect_finder import DefectFinder, energy, measure_levels
-from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
+from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, Channels, Estimate, decibel
 from wavefocus.calibration.excitation import Excitation
-from wavefocus.calibration.known_signal import ReferenceMissingError, filled_bins
-from wavefocus.calibration.timing import ClockFit, ClockFitter
+from wavefocus.calibration.known_signal import ClockFit, ReferenceMissingError, filled_bins
+from wavefocus.calibration.timing import ClockFitter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Schedule
 
@@ -31,10 +31,9 @@ class _SweepCutter:
 
     excitation: What was played.
     room_samples: Silence to spare after a response of L taps.
-    max_ppm: Largest clock skew in parts per million.
     """
 
-    def __init__(self, excitation: Excitation, room_samples: int, max_ppm: float) -> None:
+    def __init__(self, excitation: Excitation, room_samples: int) -> None:
         base = excitation.base_v()
         self.period, self.averages = base.size, excitation.averages
         self._guard = min(GUARD_SAMPLES, room_samples // 2)
@@ -51,10 +50,10 @@ class _SweepCutter:
         played = np.tile(base, self.averages)
         # The end of the last silence may lie behind the record's: nothing sounds there.
         self._least = played.size - room_samples - GUARD_SAMPLES
-        self._clock = ClockFitter(played[: self._least], max_ppm=max_ppm)
+        self._clock = ClockFitter(played[: self._least])
         # Blocks of many repeats are alike: the first sweeps give the clock, near enough for the whole record.
         few = played[: FEW_SWEEPS * base.size]
-        self._first_sweeps = ClockFitter(few, max_ppm=max_ppm) if self.averages > FEW_SWEEPS else None
+        self._first_sweeps = ClockFitter(few) if self.averages > FEW_SWEEPS else None
 
     def cut(
         self, reference: Float32Array, first_record: int
@@ -65,7 +64,7 @@ class _SweepCutter:
         absent, too noisy, or not entirely inside.
 
         Returns int64 (records, averages): first sample of each sweep's segment of one period; offset in samples, clock
-        ratio and residual in dB, float64 (records,), as `wavefocus.calibration.timing.ClockFit` has them.
+        ratio and residual in dB, float64 (records,), as `wavefocus.calibration.known_signal.ClockFit` has them.
         Raises ReferenceMissingError: which record, and why.
         """
         samples = reference.shape[1]
@@ -144,11 +143,11 @@ class SequentialEstimator:
             )
         self.excitation, self.taps = excitation, taps
         self._schedule, self._comparable = schedule, comparable
-        self._cutter = _SweepCutter(excitation, excitation.decay_samples - taps, MAX_PPM)
+        self._cutter = _SweepCutter(excitation, excitation.decay_samples - taps)
         omega, period = self._cutter.omega, self._cutter.period
         relative = self._cutter.power / self._cutter.median_power
         self._fit = (
-            CausalFit(omega, relative, period, taps, RIDGE, MAX_PPM)
+            CausalFit(omega, relative, period, taps, RIDGE)
             if 2 * omega.size * taps <= DENSE_ELEMENTS
             else ToeplitzFit(omega, relative, period, taps, RIDGE)
         )

@@ -8,12 +8,13 @@ import scipy.fft
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.estimator.causal_fit import RIDGE
 from wavefocus.calibration.estimator.defect_finder import energy, find_moment, find_tone, measure_levels, not_looked_at
-from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
+from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, Estimate, Records, decibel
 from wavefocus.calibration.estimator.multichannel_fir_fit import JointFit
 from wavefocus.calibration.known_signal import (
+    MAX_PPM,
     REFERENCE_LIMIT,
+    ClockFit,
     KnownSignalClock,
-    KnownSignalFit,
     filled_bins,
     missing_reference,
 )
@@ -135,7 +136,7 @@ class StaggeredEstimator:
         filled = filled_bins(power, base_v.size, records.band_hz, self._rate_hz, MIN_POWER)
         self._bins, self._median_power = filled
         self._highest = self._bins.stop / base_v.size
-        self._clock = KnownSignalClock(nominal[: self._bins.stop], base_v.size, MAX_PPM)
+        self._clock = KnownSignalClock(nominal[: self._bins.stop], base_v.size)
         self._nominal_power = power[self._bins]
         # What the sweep excites beyond its band is fitted and not judged: what hums there does no harm.
         edges = records.band_hz[0] * (1 - EDGE), records.band_hz[1] * (1 + EDGE)
@@ -200,7 +201,7 @@ class StaggeredEstimator:
         elif abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
             words = f"clock skew {1e6 * (clock.ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
         if words:
-            raise missing_reference(channels[0], self._base_v, f"the reference of {name}", words, MAX_PPM)
+            raise missing_reference(channels[0], self._base_v, f"the reference of {name}", words)
         turn = 2 * np.pi / (self._period * clock.ratio)
         reference, answered = period_spectrum(decimated.spectrum(turn, 0, self._bins.stop), turn, samples)
         base = self._cleaned(reference[self._bins], clock)
@@ -245,7 +246,7 @@ class StaggeredEstimator:
         _, (over,), (when_s,) = find_moment(np.square(residual)[None], 1 / self._rate_hz)
         yield "burst", bool(over > BURST_OVER_MEDIAN and not is_tone), float(when_s)
 
-    def _cleaned(self, reference: Complex128Array, clock: KnownSignalFit) -> Complex128Array:
+    def _cleaned(self, reference: Complex128Array, clock: ClockFit) -> Complex128Array:
         """Amplitudes of the base signal as the reference channel carries it, all but free of its noise."""
         delayed = np.exp(-1j * self._omega * clock.offset_samples / clock.ratio) * (2 / self._period)
         fitted = self._clock.coupled(clock)[self._bins] * delayed

@@ -45,7 +45,7 @@ def build_report(
     scene: Scene,
     drive: Drive,
     prediction: Field,
-    scan: Field | Scan,
+    scan: Scan,
     bank: GreenSource,
     campaign: Mapping[str, object],
     outline_mm: Float64Array | None = None,
@@ -136,7 +136,7 @@ def _facts(
     scene: Scene,
     drive: Drive,
     prediction: Field,
-    scan: Field | Scan,
+    scan: Scan,
     verification: Verification,
     campaign: Mapping[str, object],
 ) -> list[tuple[str, str]]:
@@ -195,7 +195,7 @@ def _value(figure: Figure) -> str:
     return number(figure.value, figure.unit) if figure.unit else precise(figure.value)
 
 
-def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> list[str]:
+def remarks(verification: Verification, drive: Drive, scan: Scan) -> list[str]:
     """Notes and advice for the reader, most pressing first."""
     fields = verification.fields
     failed = {check.name for check in verification.checks if check.passed is False}
@@ -203,7 +203,7 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
     noise = verification.noise_error
     from_noise = noise is not None and noise > NOISE_SHARE * fields.error
     delay_us = 1e6 * abs(fields.delay_samples) / fields.sample_rate_hz
-    gains = scan.playback_gain if isinstance(scan, Scan) else np.full(1, np.nan)
+    gains = scan.playback_gain
     gain = float(np.nanmedian(gains)) if np.isfinite(gains).any() else 1.0
     artefact_db = median_or_none(verification.focus.scanned_artefact_db)
     excluded = Counter(reason for _, reason in fields.excluded).most_common()

@@ -98,7 +98,7 @@ class FieldComparison:
         return float(np.nanmedian(self.position_correlation))
 
 
-def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: GreenSource) -> FieldComparison:
+def compare_fields(prediction: Field, scan: Scan, drive: Drive, bank: GreenSource) -> FieldComparison:
     """Compare fields where both have positions, the record is sound and the bank's row is valid.
 
     Raises InputError: the fields do not belong together, or no position can be compared.
@@ -150,7 +150,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     with np.errstate(divide="ignore", invalid="ignore"):
         position_error = np.sqrt(error_energy / scanned_energy)
         position_correlation = product / np.sqrt(scanned_energy * predicted_energy)
-    noise_rms = scan.noise_rms[in_scan] if isinstance(scan, Scan) else np.full(rows.size, np.nan)
+    noise_rms = scan.noise_rms[in_scan]
     return FieldComparison(
         band_hz=bank.band_hz,
         sample_rate_hz=rate_hz,
@@ -194,7 +194,7 @@ def _loudest(drive: Drive, band: BandLimit) -> tuple[Int64Array, Complex128Array
     return chosen, spectra[:, chosen]
 
 
-def _check_grids(prediction: Field, scan: Field | Scan) -> None:
+def _check_grids(prediction: Field, scan: Scan) -> None:
     if prediction.low_pass is not None:
         raise InputError(
             f"the prediction is at a rate {prediction.low_pass.factor} times lower than the bank's, low-passed above"
@@ -213,12 +213,11 @@ def _check_grids(prediction: Field, scan: Field | Scan) -> None:
 
 
 def _compared_rows(
-    prediction: Field, scan: Field | Scan, bank: GreenSource
+    prediction: Field, scan: Scan, bank: GreenSource
 ) -> tuple[Int64Array, Int64Array, Int64Array, tuple[tuple[int, str], ...]]:
     """Compared bank rows, their places in prediction and scan, and the rows left out with the reason."""
     reasons: dict[int, str] = {}
-    scan_status = scan.status if isinstance(scan, Scan) else np.full(len(scan.position_index), Status.VALID)
-    for row, status in zip(scan.position_index, scan_status, strict=True):
+    for row, status in zip(scan.position_index, scan.status, strict=True):
         if status & Status.FAILED:
             reasons[int(row)] = "the scan failed"
         elif status & Status.OVER_RANGE:

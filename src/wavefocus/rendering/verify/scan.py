@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -18,7 +18,8 @@ from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import Setup, point_at, take_record
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
-from wavefocus.calibration.timing import ClockFitter, to_playback_clock
+from wavefocus.calibration.resampling import resampled
+from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.messages.campaign import State, Subscriber
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
@@ -158,49 +159,36 @@ class Scan:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class ScanPlan:
-    """Bank rows that a scan visits in this order, none twice, and records at each before it is given up, >= 1.
-
-    A record that reached the end of the input range is repeated once: more of the same drive would clip again. A record
-    in which the vibrometer lost the signal is repeated, and the last one kept as poor. The instruments' logs name the
-    purpose.
-    """
-
-    position: tuple[int, ...]
-    attempts: int = 3
-    purpose: str = "scan"
-
-
-@dataclass(frozen=True, slots=True)
-class _Visit:
-    row: int
-    attempt: int = 1
-    clipped_before: bool = False
-
-
-_Pending = tuple[_Visit, Future[tuple[ScannedPosition, bool]]]
+_Pending = tuple[Attempt, Future[tuple[ScannedPosition, bool]]]
 """A record that is being aligned."""
 
 
 def scan(
-    plan: ScanPlan,
+    position: Sequence[int],
     setup: Setup,
     drive: Drive,
     bank: GreenSource,
     *,
+    attempts: int = 3,
+    purpose: str = "scan",
     on_progress: Callable[[int, int], None] | None = None,
     publish: Subscriber = lambda event: None,
     journal: ScanJournal | None = None,
 ) -> Scan:
-    """Play a drive on the rig and record its field at the planned positions.
+    """Play a drive on the rig and record its field at some positions.
 
     A marker sweep plays on the loopback channel with the drive; from it follow the start of the drive in each record
     and the ratio of the two clocks. While a record is taken, one worker thread brings the previous one to the playback
     clock. A lost instrument is waited for, as in a campaign. The caller closes `setup`, which mutes the player and
     parks the mirror.
 
-    on_progress: Called with the positions done and the positions planned.
+    A record that reached the end of the input range is repeated once: more of the same drive would clip again. A record
+    in which the vibrometer lost the signal is repeated, and the last one kept as poor.
+
+    position: Bank rows in the order in which they are visited, none twice.
+    attempts: Records at each before it is given up, >= 1.
+    purpose: Name in the instruments' logs.
+    on_progress: Called with the positions done and the positions there are.
     publish: Receives the events of faults and of waiting for a lost instrument.
     journal: Keeps each position once it has a record, whatever happens then; those that it holds are not scanned again.
 
@@ -210,8 +198,9 @@ def scan(
     Returns the field on the samples of ``predict(drive, bank)``.
     """
     session = Session(setup.instruments.clock, publish, StopRequest())
-    session.enter(State.RUNNING, f"{len(plan.position)} positions to scan")
-    return _ScanRun(plan, setup, drive, bank, Recovery(setup, session), on_progress, journal).run()
+    session.enter(State.RUNNING, f"{len(position)} positions to scan")
+    run = _ScanRun(position, setup, drive, bank, Recovery(setup, session), attempts, purpose, on_progress, journal)
+    return run.run()
 
 
 class _ScanRun:
@@ -219,18 +208,20 @@ class _ScanRun:
 
     def __init__(
         self,
-        plan: ScanPlan,
+        position: Sequence[int],
         setup: Setup,
         drive: Drive,
         bank: GreenSource,
         recovery: Recovery,
+        attempts: int,
+        purpose: str,
         on_progress: Callable[[int, int], None] | None,
         journal: ScanJournal | None,
     ) -> None:
         self._journal = journal
-        self._plan, self._setup, self._bank, self._on_progress = plan, setup, bank, on_progress
-        self._recovery = recovery
-        rows = np.unique(np.asarray(plan.position, np.int64))
+        self._setup, self._bank, self._on_progress = setup, bank, on_progress
+        self._recovery, self._attempts, self._purpose = recovery, attempts, purpose
+        rows = np.unique(np.asarray(position, np.int64))
         samples = drive.drive_v.shape[1] + bank.taps - 1
         self._signals_v = _scan_signals(setup, drive, samples)
         quiet_hz = _quiet_above_hz(drive, bank, rows[usable(bank)[rows]])
@@ -252,6 +243,7 @@ class _ScanRun:
             playback_gain=np.full(rows.size, np.nan),
         )
         self._faults: dict[int, str] = {}
+        self._clipped: set[int] = set()
         self._given_up_in_a_row = 0
         self._done = 0
         kept: set[int] = set()
@@ -259,7 +251,7 @@ class _ScanRun:
             if scanned.row in self._place:
                 self._take(scanned)
                 kept.add(scanned.row)
-        self._visits = deque(_Visit(row) for row in plan.position if row not in kept)
+        self._visits = deque(Attempt(int(row), 1, 1) for row in position if row not in kept)
 
     def run(self) -> Scan:
         with one_blas_thread(), ThreadPoolExecutor(max_workers=1, thread_name_prefix="scan") as worker:
@@ -267,32 +259,33 @@ class _ScanRun:
             while self._visits or pending is not None:
                 previous, pending = pending, None
                 if self._visits:
-                    pending = self._visit(self._visits.popleft(), worker)
+                    pending = self._record_and_align(self._visits.popleft(), worker)
                 if previous is not None:
                     self._collect(previous)
         return replace(self._scan, faults=tuple(sorted(self._faults.items())))
 
-    def _visit(self, visit: _Visit, worker: ThreadPoolExecutor) -> _Pending | None:
+    def _record_and_align(self, attempt: Attempt, worker: ThreadPoolExecutor) -> _Pending | None:
         try:
-            attempt = Attempt(visit.row, visit.attempt, visit.attempt)
-            recording = self._recovery.retry_after_reconnect(lambda: self._record(visit), attempt)
+            recording = self._recovery.retry_after_reconnect(lambda: self._record(attempt), attempt)
         except TransientInstrumentError as failure:
             self._recovery.renew_if_repeated(failure)
-            self._try_again(visit, failure)
+            self._try_again(attempt, failure)
             return None
-        clipped = any(recording.over_range)
-        if clipped and not visit.clipped_before and self._repeated(visit, clipped_before=True):
-            return None
+        clipped, clipped_before = any(recording.over_range), attempt.position in self._clipped
+        if clipped:
+            self._clipped.add(attempt.position)
+            if not clipped_before and self._repeated(attempt):
+                return None
         status = Status.OVER_RANGE if clipped else Status.VALID
-        return visit, worker.submit(self._align, recording, visit, status)
+        return attempt, worker.submit(self._align, recording, attempt, status)
 
-    def _record(self, visit: _Visit) -> Recording:
-        x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
+    def _record(self, attempt: Attempt) -> Recording:
+        x_mm, y_mm = (float(value) for value in self._bank.position_mm[attempt.position])
         point_at(self._setup, x_mm, y_mm)
-        label = RecordLabel(position=visit.row, attempt=visit.attempt, record=0, purpose=self._plan.purpose)
+        label = RecordLabel(attempt.position, attempt.number, 0, self._purpose)
         return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, label)
 
-    def _align(self, recording: Recording, visit: _Visit, status: Status) -> tuple[ScannedPosition, bool]:
+    def _align(self, recording: Recording, attempt: Attempt, status: Status) -> tuple[ScannedPosition, bool]:
         """One recorded response on the playback clock, and whether the vibrometer lost the signal in it.
 
         Runs in the worker; the result depends only on the recording.
@@ -302,7 +295,7 @@ class _ScanRun:
         reference, response = recording.volts
         fit = self._clock.fit(reference)
         samples = self._scan.field.shape[1]
-        on_clock = to_playback_clock(response, fit, samples, delay_samples=self._delay_samples)
+        on_clock = resampled(response[None], fit.offset_samples + self._delay_samples, fit.ratio, samples)[0]
         start = int(fit.offset_samples + self._delay_samples) - _SILENCE_GUARD_SAMPLES
         end = int(fit.offset_samples + fit.ratio * samples) + _SILENCE_GUARD_SAMPLES
         lead_in, tail = response[: max(start, 0)], response[end:]
@@ -310,21 +303,21 @@ class _ScanRun:
         noise_v = float(np.std(silence)) if silence.size >= _MIN_SILENCE_SAMPLES else float("nan")
         unit = self._setup.response_per_volt
         scanned = ScannedPosition(
-            visit.row, int(status), visit.attempt, noise_v * abs(unit), fit.ratio,
+            attempt.position, int(status), attempt.number, noise_v * abs(unit), fit.ratio,
             fit.gain / self._setup.reference_gain, (on_clock * unit).astype(np.float32),
         )  # fmt: skip
         return scanned, _signal_lost(response, self._dropout_filter)
 
     def _collect(self, pending: _Pending) -> None:
-        visit, future = pending
+        attempt, future = pending
         try:
             scanned, signal_lost = future.result()
         except ReferenceMissingError as missing:
-            self._try_again(visit, missing)
+            self._try_again(attempt, missing)
             return
         # Clipping, too, makes noise where nothing plays; such a record is marked already.
         if signal_lost and scanned.status == Status.VALID:
-            if self._repeated(visit):
+            if self._repeated(attempt):
                 return
             scanned = replace(scanned, status=int(Status.POOR_SIGNAL))
         self._given_up_in_a_row = 0
@@ -332,21 +325,21 @@ class _ScanRun:
             self._journal.append(scanned)
         self._take(scanned)
 
-    def _repeated(self, visit: _Visit, **change: bool) -> bool:
+    def _repeated(self, attempt: Attempt) -> bool:
         """Have a position recorded next once more; False where it had all its records."""
-        if visit.attempt >= self._plan.attempts:
+        if attempt.number >= self._attempts:
             return False
-        self._visits.appendleft(replace(visit, attempt=visit.attempt + 1, **change))
+        self._visits.appendleft(attempt.next())
         return True
 
-    def _try_again(self, visit: _Visit, failure: Exception) -> None:
-        if self._repeated(visit):
+    def _try_again(self, attempt: Attempt, failure: Exception) -> None:
+        if self._repeated(attempt):
             return
         self._given_up_in_a_row += 1
         if self._given_up_in_a_row >= _GIVE_UP_POSITIONS:
             raise failure
-        self._faults[visit.row] = str(failure)
-        self._scan.attempts[self._place[visit.row]] = visit.attempt
+        self._faults[attempt.position] = str(failure)
+        self._scan.attempts[self._place[attempt.position]] = attempt.number
         self._count()
 
     def _take(self, scanned: ScannedPosition) -> None:

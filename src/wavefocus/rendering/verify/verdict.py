@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.calibration.crosstalk import Crosstalk
-from wavefocus.config.run import DriftLimits
+from wavefocus.config.run import DriftLimits, Tolerance
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, FocusTable, focus_table, intended_mm, median_or_none
 from wavefocus.rendering.field.quiet_levels import field_levels
@@ -39,24 +39,10 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 
-@dataclass(frozen=True, slots=True)
-class Tolerances:
-    """Limits of the agreement of a scan with the prediction.
-
-    normalised_error, correlation: Largest relative L2 error, least zero-lag correlation.
-    focus_offset_mm: Largest median distance of the scanned focus from the path point; on coarse grids, which have check
-        positions, half the diagonal of a cell if that is more: no position need be nearer.
-    prediction_offset_spacings: The same from the predicted focus, in grid spacings.
-    focal_width_mm: Largest median difference between scanned and predicted focal width.
-    usable_share: Least part of the scanned positions that can be compared.
-    """
-
-    normalised_error: float = 0.05
-    correlation: float = 0.99
-    focus_offset_mm: float = 4.0
-    prediction_offset_spacings: float = 0.5
-    focal_width_mm: float = 1.0
-    usable_share: float = 0.95
+PREDICTION_OFFSET_SPACINGS, FOCAL_WIDTH_MM = 0.5, 1.0
+"""Largest median distance of the scanned focus from the predicted one, and difference of their focal widths."""
+USABLE_SHARE = 0.95
+"""Least part of the scanned positions that can be compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +123,10 @@ class Verification:
 
 def compare(
     prediction: Field,
-    scan: Field | Scan,
+    scan: Scan,
     drive: Drive,
     bank: GreenSource,
-    tolerances: Tolerances | None = None,
+    tolerance: Tolerance | None = None,
     *,
     quiet: Scan | None = None,
     sentinel: Sentinel | None = None,
@@ -155,6 +141,8 @@ def compare(
     where both have them, the scan has a sound record and the bank's row is valid. Both fields are limited to the bank's
     band, when it has one: outside it the Green's functions were not measured.
 
+    tolerance: Limits of the agreement. On coarse grids, which have check positions, the focus may be off by half the
+        diagonal of a cell if that is more: no position need be nearer.
     quiet: A scan of `extra_measurements.quieter`, at some of the positions, for the linearity.
     sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
     leak: Crosstalk that was measured by itself; `marker_v` (samples,) is what the loopback played in the scan, None
@@ -175,12 +163,12 @@ def compare(
         position_mm,
         spacing_mm,
     )
-    noise_error, limits = _noise_error(fields), tolerances or Tolerances()
+    noise_error, limits = _noise_error(fields), tolerance or Tolerance()
     model_error = _model_error(fields.error, noise_error)
     checks = _checks(fields, focus, spacing_mm, limits, interpolation_error, coarse=bool(is_check(bank).any()))
     linear: tuple[Figure, ...] = ()
     nonlinear_share = None
-    if quiet is not None and isinstance(scan, Scan):
+    if quiet is not None:
         linear, nonlinear_share = linearity(prediction, scan, quiet, bank.band_hz, limits.normalised_error)
     symptoms, actuators = diagnose(
         fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error,
@@ -198,7 +186,7 @@ def compare(
 
 
 def _quiet_figures(
-    prediction: Field, scan: Field | Scan, drive: Drive, fields: FieldComparison, spacing_mm: float
+    prediction: Field, scan: Scan, drive: Drive, fields: FieldComparison, spacing_mm: float
 ) -> tuple[Figure, ...]:
     """Levels at the quiet places of the scene, at the positions compared."""
     if not any(track.source < 0 for track in drive.quiet):
@@ -237,12 +225,12 @@ def _checks(
     fields: FieldComparison,
     focus: FocusTable,
     spacing_mm: float | None,
-    tolerances: Tolerances,
+    tolerance: Tolerance,
     interpolation_error: float | None,
     *,
     coarse: bool,
 ) -> tuple[Figure, ...]:
-    spacing, limit_mm = math.nan if spacing_mm is None else spacing_mm, tolerances.focus_offset_mm
+    spacing, limit_mm = math.nan if spacing_mm is None else spacing_mm, tolerance.focus_error_mm
     if spacing_mm is not None and coarse:
         limit_mm = max(limit_mm, spacing_mm / math.sqrt(2.0))
     compared = len(fields.position_index)
@@ -259,7 +247,7 @@ def _checks(
                 "interpolation error expected", "%",
                 "how wrong the bank's Green's functions are expected to be at the path points, which lie between its"
                 " positions: the prediction is of the positions used, and does not show it",
-                100.0 * interpolation_error, "at most", 100.0 * tolerances.normalised_error,
+                100.0 * interpolation_error, "at most", 100.0 * tolerance.normalised_error,
             ),
         )  # fmt: skip
     return (
@@ -267,11 +255,11 @@ def _checks(
             "normalised error", "%",
             "norm of (scan - prediction) over norm of the scan, all compared positions and samples; both fields are"
             f" limited to the bank's band, {band}, with edges a quarter of an octave wide",
-            error, "at most", 100.0 * tolerances.normalised_error, difference=error,
+            error, "at most", 100.0 * tolerance.normalised_error, difference=error,
         ),
         judged(
             "correlation", "", "zero-lag correlation of scan and prediction over all compared positions and samples",
-            fields.correlation, "at least", tolerances.correlation,
+            fields.correlation, "at least", tolerance.correlation,
         ),
         judged(
             "focus to path point", "mm",
@@ -283,19 +271,19 @@ def _checks(
         ),
         judged(
             "focus to predicted focus", "mm", "the same distance, from the prediction's largest magnitude",
-            apart_mm, "at most", tolerances.prediction_offset_spacings * spacing, difference=apart_mm,
+            apart_mm, "at most", PREDICTION_OFFSET_SPACINGS * spacing, difference=apart_mm,
         ),
         judged(
             "focal width against prediction", "mm",
             "median over focus instants of the difference between scanned and predicted full width at half maximum:"
             " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign"
             " and exceeds half of it (field interpolated between positions)",
-            wider_mm, "at most", tolerances.focal_width_mm, predicted=median_or_none(focus.predicted_width_mm),
+            wider_mm, "at most", FOCAL_WIDTH_MM, predicted=median_or_none(focus.predicted_width_mm),
             scanned=median_or_none(focus.scanned_width_mm), difference=wider_mm,
         ),
         judged(
             "usable positions", "%", "scanned positions with a sound record and a valid row in the bank",
-            100.0 * compared / (compared + len(fields.excluded)), "at least", 100.0 * tolerances.usable_share,
+            100.0 * compared / (compared + len(fields.excluded)), "at least", 100.0 * USABLE_SHARE,
         ),
         *expected,
     )  # fmt: skip
