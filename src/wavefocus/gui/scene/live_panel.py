@@ -1,7 +1,6 @@
 """Live sources: their panel, and the surface on which mouse, fingers and keys hold them."""
 
 import time
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -62,21 +61,12 @@ def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[tuple[s
 
 
 class LivePanel(Themed, QWidget):
-    """Controls and figures of live sources; hidden, it ends the session.
+    """Controls and figures of live sources; hidden, it ends the session."""
 
-    rig: The rig file, or ``virtual``; empty where there is none.
-    """
-
-    def __init__(
-        self,
-        context: TabContext,
-        document: SceneDocument,
-        run: LiveRun,
-        rig: Callable[[], str],
-    ) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument, run: LiveRun) -> None:
         super().__init__()
         self.setAccessibleName("Live sources")
-        self._context, self._document, self._run, self._rig = context, document, run, rig
+        self._context, self._document, self._run = context, document, run
         tip = "Open the rig; then press on the surface"
         self.start = ui.action(self, "Start li&ve sources", self._begin, "F8", tip=tip)
         tip = "Let the sources fade, and mute the outputs"
@@ -103,7 +93,8 @@ class LivePanel(Themed, QWidget):
         )  # fmt: skip
         run.changed.connect(self.show_run)
         run.figures_changed.connect(self._show_figures)
-        for changed in (document.bank_changed, document.changed, document.chosen_changed, self.records.toggled):
+        edits = (document.bank_changed, document.rig_changed, document.changed, document.chosen_changed)
+        for changed in (*edits, self.records.toggled):
             changed.connect(self.show_run)
         self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
         self.figures.setToolTip(_DEFINITIONS)
@@ -113,7 +104,7 @@ class LivePanel(Themed, QWidget):
 
     def _hint(self) -> str:
         """What can be done now."""
-        if self._document.bank is None or not self._rig():
+        if self._document.bank is None or not self._document.rig:
             return "Choose a bank and a rig above"
         source = self._document.source
         once = source is not None and source.signal.kind == "impulse"
@@ -121,17 +112,17 @@ class LivePanel(Themed, QWidget):
 
     def _begin(self) -> None:
         """Start a session, unless something else has the instruments."""
-        rig, record = self._rig(), self.folder.path if self.records.isChecked() else None
+        record = self.folder.path if self.records.isChecked() else None
         if self.records.isChecked() and record is None:
             self._context.messages.warn("choose the folder to record in, or record nothing")
         else:
-            act = partial(self._run.start, rig, self.look_ahead.whole(), record)
-            self._context.claim_instruments("Start", act, virtual=names_virtual_rig(rig))
+            act = partial(self._run.start, self.look_ahead.whole(), record)
+            self._context.claim_instruments("Start", act, virtual=names_virtual_rig(self._document.rig))
 
     def show_run(self) -> None:
         """Show what can be done, and the state of the session."""
         state = self._run.state
-        ready = self._document.bank is not None and bool(self._rig())
+        ready = self._document.bank is not None and bool(self._document.rig)
         self.start.setEnabled(state == IDLE and ready and self.isVisible())
         self.stop.setEnabled(state in (STARTING, LIVE))
         for part in (self.look_ahead, self.records):
