@@ -229,9 +229,7 @@ def test_given_quiet_places_then_the_levels_reached_are_shown_beside_those_asked
     results = bench.panel.calculation.results
     (level,) = results.facts["quiet"]
     assert (level["name"], level["level_db"]) == ("quiet[0]", -20.0)
-    ((_, value, verdict, _),) = [
-        one for one in figures_of(results) if one[0] == "level at quiet[0]"
-    ]
+    ((_, value, verdict, _),) = [one for one in figures_of(results) if one[0] == "level at quiet[0]"]
     assert value == f"{level['reached_db']:.1f} dB of -20 dB"
     assert verdict == (GOOD if level["reached_db"] <= -19.8 else MISSED)  # as `render` warns
 

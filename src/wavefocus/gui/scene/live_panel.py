@@ -1,6 +1,7 @@
 """Live sources: their panel, and the surface on which mouse, fingers and keys hold them."""
 
 import time
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -210,33 +211,17 @@ class LiveSurface(SurfaceView):
         names = [f"{source.name}, fading" if source.fading else source.name for source in sources]
         self.show_texts(names, [source.at_mm for source in sources], (-0.1, 1.1))
 
-    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        """Begin the mouse's source; other buttons pan."""
-        assert event is not None
-        if event.button() == Qt.MouseButton.LeftButton:
-            self._press(MOUSE, event.localPos())
-        else:
-            super().mousePressEvent(event)
-
-    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        assert event is not None
-        if event.buttons() & Qt.MouseButton.LeftButton:
-            self._drag(MOUSE, event.localPos())
-        else:
-            super().mouseMoveEvent(event)
-
-    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        assert event is not None
-        if event.button() == Qt.MouseButton.LeftButton:
-            self._lift(MOUSE)
-        else:
-            super().mouseReleaseEvent(event)
-
-    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        self.mousePressEvent(event)
-
     def viewportEvent(self, event: QEvent | None) -> bool:  # noqa: N802
-        """Give each finger a source of its own."""
+        """Give the left button, and each finger, a source of its own; other buttons pan."""
+        left, moves = Qt.MouseButton.LeftButton, event is not None and event.type() == QEvent.Type.MouseMove
+        if isinstance(event, QMouseEvent) and (event.buttons() & left if moves else event.button() == left):
+            if moves:
+                self._hold(self._run.move, MOUSE, event.localPos())
+            elif event.type() == QEvent.Type.MouseButtonRelease:
+                self._lift(MOUSE)
+            else:
+                self._hold(self._run.press, MOUSE, event.localPos())
+            return True
         if not isinstance(event, QTouchEvent):
             return bool(super().viewportEvent(event))
         while event.type() == QEvent.Type.TouchCancel and self._fingers:
@@ -245,12 +230,12 @@ class LiveSurface(SurfaceView):
             if point.state() == Qt.TouchPointState.TouchPointPressed:
                 numbers = (number for number in range(1, 100) if f"finger {number}" not in self._fingers.values())
                 self._fingers[point.id()] = f"finger {next(numbers)}"
-                self._press(self._fingers[point.id()], point.pos())
+                self._hold(self._run.press, self._fingers[point.id()], point.pos())
             elif point.id() in self._fingers:
                 if point.state() == Qt.TouchPointState.TouchPointReleased:
                     self._lift(self._fingers.pop(point.id()))
                 else:
-                    self._drag(self._fingers[point.id()], point.pos())
+                    self._hold(self._run.move, self._fingers[point.id()], point.pos())
         event.accept()  # no mouse events are made of it
         return True
 
@@ -282,18 +267,12 @@ class LiveSurface(SurfaceView):
         super().focusOutEvent(event)
         self._steps.clear()
 
-    def _press(self, name: str, at: QPointF) -> None:
+    def _hold(self, act: Callable[[str, PointMm], None], name: str, at: QPointF) -> None:
+        """Begin or move a source; where it cannot follow it stays at the last place."""
         self.setFocus(Qt.FocusReason.MouseFocusReason)
         at_mm = on_grid(self._live.backdrop, self._mm(at))
         if at_mm is not None:
-            self._run.press(name, at_mm)
-            self._show_spots()
-
-    def _drag(self, name: str, at: QPointF) -> None:
-        """Move a source; where it cannot follow it stays at the last place."""
-        at_mm = on_grid(self._live.backdrop, self._mm(at))
-        if at_mm is not None:
-            self._run.move(name, at_mm)
+            act(name, at_mm)
             self._show_spots()
 
     def _lift(self, name: str) -> None:
