@@ -18,7 +18,7 @@ from wavefocus.gui.editor.document import TextFiles, closing_question
 from wavefocus.gui.editor.tab import FileBar, TextPanel
 from wavefocus.gui.files import FileKind, PathField
 from wavefocus.gui.scene.canvas import SurfacePanel
-from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, Keys, SceneDocument, moved, new_source
+from wavefocus.gui.scene.document import QUIET, Chosen, Keys, SceneDocument, moved, new_source
 from wavefocus.gui.scene.exports import LiveRun
 from wavefocus.gui.scene.live_panel import LivePanel, LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
@@ -208,8 +208,6 @@ class SceneTab(Tab):
     def _drag(self, keys: Keys, table: SourceTable | QuietTable) -> None:
         """Write where a point was dragged to."""
         document, chosen = self.document, self.document.chosen
-        if chosen == NOTHING:
-            return
         try:
             document.replace(moved(document.toml(), chosen, keys, table))
         except InputError as refused:
