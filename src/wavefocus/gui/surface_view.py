@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import pyqtgraph
@@ -32,7 +33,7 @@ _CLOSER_BELOW = 0.4
 NOWHERE_MM = np.zeros((0, 2))
 
 
-Spots = pyqtgraph.ScatterPlotItem
+Spots: TypeAlias = pyqtgraph.ScatterPlotItem
 
 
 class SurfaceView(Themed, pyqtgraph.PlotWidget):

@@ -171,7 +171,7 @@ class Window(QMainWindow):
         dialog = make_dialog(self, "Open", self.settings.folder(".h5"), "Files of wavefocus", ENDINGS)
         dialog.setNameFilters([*dialog.nameFilters(), "All files (*)"])
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
-        dialog.filesSelected.connect(lambda names: [self.open_file(Path(name)) for name in names])
+        dialog.filesSelected.connect(self._open_named)
         dialog.show()
 
     def _choose_lab(self) -> None:
@@ -210,6 +210,10 @@ class Window(QMainWindow):
 
         process = CommandProcess(["init", str(folder), "--rig", rig], self)
         process.finished.connect(lambda: written(process))
+
+    def _open_named(self, names: Sequence[str]) -> None:
+        for name in names:
+            self.open_file(Path(name))
 
     def _list_recent(self) -> None:
         self._recent.clear()

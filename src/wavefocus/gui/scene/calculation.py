@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -158,7 +158,7 @@ class Calculation(QObject):
         if isinstance(failure, BrokenProcessPool):
             self.close()
             self._refuse(LOST, stage)
-        elif self._cancelled_s or isinstance(failure, _SupersededError):
+        elif self._cancelled_s or isinstance(failure, CancelledError):
             return
         elif isinstance(failure, WavefocusError | OSError | MemoryError):
             self._refuse(str(failure) or "there is not enough memory for this scene", stage)
@@ -183,10 +183,6 @@ class Calculation(QObject):
             self._submit("figures", _figures, results)
         else:
             self.changed.emit()
-
-
-class _SupersededError(Exception):
-    """A newer scene is asked for."""
 
 
 def _field_rate_hz(surface: PlotSurface) -> float:
@@ -218,11 +214,11 @@ def _begin_process(newest: Any) -> None:
 
 
 def _checks(number: int) -> Callable[[int, int], None]:
-    """A report of progress that raises _SupersededError once a newer scene is asked for."""
+    """A report of progress that raises CancelledError once a newer scene is asked for."""
 
     def check(_done: int, _total: int) -> None:
         if any(newest.value != number for newest in _NEWEST):
-            raise _SupersededError
+            raise CancelledError
 
     return check
 

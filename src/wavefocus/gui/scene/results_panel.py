@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PyQt5.QtWidgets import QAction, QTableWidget, QWidget
+from PyQt5.QtWidgets import QTableWidget, QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Plot, Real
@@ -235,11 +235,6 @@ class ResultsPanel(Themed, QWidget):
         saves, plays, stops = self.buttons.values()
         stops.setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
         return [ui.row(saves, None), ui.row(self.gain, self.loops, plays, stops, None), self._state]
-
-    def menu_actions(self) -> list[QAction | None]:
-        """The buttons' actions, for the tab's menu."""
-        named = self.actions_by_name
-        return [named["drive"], None, named["play"], named["stop"]]
 
     def poll(self) -> None:
         """Calculate what is shown, and show what is played."""

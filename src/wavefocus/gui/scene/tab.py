@@ -78,8 +78,9 @@ class SceneTab(Tab):
         self.files.restore_unsaved()
 
     def menu_actions(self) -> list[QAction | None]:
-        own, live = self.bar.actions_by_name.values(), (self.live_panel.start, self.live_panel.stop)
-        return [*own, None, *self.results.menu_actions(), None, *live]
+        drive, *sounds = self.results.actions_by_name.values()
+        live = self.live_panel.start, self.live_panel.stop
+        return [*self.bar.actions_by_name.values(), None, drive, None, *sounds, None, *live]
 
     def open_file(self, path: Path) -> None:
         """Open a scene, play a field, or add a drawing or a trajectory."""
