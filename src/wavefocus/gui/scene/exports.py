@@ -262,10 +262,6 @@ class LiveRun(_SceneTask):
             self._send(live.EndLive())
             self._end_process(sounds=self.state == LIVE)
 
-    def detach(self) -> None:
-        self.places.clear()
-        super().detach()
-
     def press(self, name: str, at_mm: live.PointMm) -> None:
         """Let a source begin to sound."""
         if self.state == LIVE:
