@@ -107,7 +107,6 @@ class SceneTab(Tab):
     def save_settings(self) -> None:
         super().save_settings()
         self.context.settings.keep("scene/bank", str(self.document.bank or ""))
-        self.context.settings.keep("scene/rig", self.document.rig)
         self.files.save_settings()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
@@ -167,6 +166,7 @@ class SceneTab(Tab):
         """Use the rig of the line, a file or a word."""
         text = self.rig_field.line.text().strip()
         self.document.use_rig(text if text in ("", VIRTUAL) else str(self.rig_field.path))
+        self.context.settings.keep("scene/rig", self.document.rig)
 
     def _share_scene(self) -> None:
         """Let the scene's file be verified, once it is saved."""
