@@ -207,7 +207,7 @@ class Pictures:
         tab = self.tab(SceneTab)
         self.window.open_file(self.file.with_name("scene.toml"))
         tab.document.use_bank(self.file.with_name("plate.h5"))
-        self.until(lambda: tab.live.idle and tab.results.complete)
+        self.until(lambda: tab.live.idle and tab.results.calculation.complete)
         self.window.messages.dismiss()
         self.keep("scene-light")
 
@@ -221,7 +221,7 @@ class Pictures:
         from wavefocus.gui.scene.tab import SceneTab
 
         tab, left, none = self.tab(SceneTab), Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
-        surface, rig = tab.live_surface, tab.results.rig_field
+        surface, rig = tab.live_surface, tab.rig_field
         rig.show_path(self.file.with_name("rig.toml"))
         rig.chosen.emit(rig.path)
         tab.use_mode(PAGE)
@@ -248,7 +248,7 @@ class Pictures:
             raise SystemExit(f"{self.out} cannot be written")
         _mouse(QEvent.Type.MouseButtonRelease, 0.0)
         tab.live_panel.stop.trigger()
-        self.until(lambda: not tab.live_run.busy)
+        self.until(lambda: not tab.live_run.running)
 
     def take_rig(self) -> None:
         """A rig examined, operated and calibrated."""

@@ -87,13 +87,13 @@ def test_given_a_run_rig_bank_or_scene_in_one_tab_then_all_tabs_have_it(qtbot, o
     assert np.ptp(scene.live.backdrop.outline_mm, axis=0) == pytest.approx([180.0, 120.0], abs=0.1)
     type_path(campaign.run_field, lab / "run.toml")
     assert rig.rig_field.path == lab / "rig.toml"
-    assert scene.results.rig_field.path == verification.form.rig.path == lab / "rig.toml"
+    assert scene.rig_field.path == verification.form.rig.path == lab / "rig.toml"
     assert campaign.bank_field.path == scene.document.bank == verification.form.bank.path == finished
     other = write_lab(lab / "other", 2, 2).with_name("rig.toml")
-    for field in (rig.rig_field, scene.results.rig_field, verification.form.rig):
+    for field in (rig.rig_field, scene.rig_field, verification.form.rig):
         for chosen in (other, lab / "rig.toml"):
             type_path(field, chosen)
-            shown = {rig.rig_field.path, scene.results.rig_field.path, verification.form.rig.path}
+            shown = {rig.rig_field.path, scene.rig_field.path, verification.form.rig.path}
             assert shown == {chosen}
     copy = lab / "copy.h5"
     copy.write_bytes(finished.read_bytes())
@@ -106,9 +106,9 @@ def test_given_a_run_rig_bank_or_scene_in_one_tab_then_all_tabs_have_it(qtbot, o
     scene.document.save(saved := lab / "mine.toml")
     assert (verification.form.scene.path, verification.form.missing()) == (saved, "")
     for text, named in (("virtual", "virtual"), ("rig.toml", str(Path("rig.toml").absolute())), ("virtual", "virtual")):
-        type_path(scene.results.rig_field, text)
-        assert scene.results.rig == named
-    assert scene.results.rig_field.line.text() == "virtual"  # a word, no path
+        type_path(scene.rig_field, text)
+        assert scene.document.rig == named
+    assert scene.rig_field.line.text() == "virtual"  # a word, no path
 
 
 def make_lab(window: Window, lab: Path, word: str) -> None:

@@ -18,11 +18,12 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import LEFT, NO_KEY, click, edit, line_scene, mouse, pixel, press, shown_tab, wait
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.config.scene import Output, QuietTable, SceneConfig
+from wavefocus.gui.scene.calculation import NO_BANK
 from wavefocus.gui.scene.document import EMPTY, changed
 from wavefocus.gui.scene.exports import IDLE, LIVE, OPENING, PLAYING, RENDERING
 from wavefocus.gui.scene.live_panel import KEYS, MOUSE, LiveSurface
 from wavefocus.gui.scene.live_panel import figures_of as live_figures
-from wavefocus.gui.scene.results_panel import GOOD, HELD, MISSED, NO_BANK, figures_of
+from wavefocus.gui.scene.results_panel import GOOD, HELD, MISSED, figures_of
 from wavefocus.gui.scene.tab import DRAW, SceneTab
 from wavefocus.gui.scene.tab import LIVE as LIVE_PAGE
 from wavefocus.gui.surface import VIRTUAL
@@ -52,14 +53,14 @@ class Bench:
         self.use_rig("")
 
     def use_rig(self, name: str) -> None:
-        self.panel.rig_field.line.setText(name)
-        self.panel.rig_field.line.editingFinished.emit()
+        self.tab.rig_field.line.setText(name)
+        self.tab.rig_field.line.editingFinished.emit()
 
     def edit(self, draft: SceneConfig, *, complete: bool = True) -> None:
         edit(self.document, draft)
         self.qtbot.wait(60)  # edits are reported together
         if complete:
-            wait(self.qtbot, lambda: self.panel.complete)
+            wait(self.qtbot, lambda: self.panel.calculation.complete)
 
     def says(self, words: str) -> None:
         wait(self.qtbot, lambda: words in self.panel.problem.text())
@@ -80,27 +81,29 @@ def test_drives_field_and_figures_follow_edits_and_nothing_older_is_shown(qtbot,
     assert not panel.actions_by_name["drive"].isEnabled()
     for amplitude in (1.0, 5.0, 2.0):
         bench.edit(line_scene(amplitude=amplitude), complete=False)
-    wait(qtbot, lambda: panel.complete)
-    first = np.abs(panel.results.drive.drive_v).max(axis=1)
+    wait(qtbot, lambda: panel.calculation.complete)
+    first = np.abs(panel.calculation.results.drive.drive_v).max(axis=1)
     bench.edit(line_scene(amplitude=4.0))
-    louder = np.abs(panel.results.drive.drive_v).max(axis=1)
+    louder = np.abs(panel.calculation.results.drive.drive_v).max(axis=1)
     np.testing.assert_allclose(louder, 2.0 * first, rtol=1e-5)
     limit_v = float(louder.max()) / 4.0
     bench.edit(line_scene(amplitude=4.0, limit_v=limit_v))
-    assert np.abs(panel.results.drive.drive_v).max() == pytest.approx(limit_v)
+    assert np.abs(panel.calculation.results.drive.drive_v).max() == pytest.approx(limit_v)
     assert [panel.figures.item(0, column).text() for column in (1, 2)] == ["0.25, for limit_v", HELD]
     assert panel.figures.item(1, 1).text().endswith(" V")
     bench.edit(line_scene(amplitude=1.0, limit_v=limit_v))
     assert panel.figures.item(0, 2).text() == GOOD
     assert not panel.warnings.isVisible()
-    panel.calculation.made.emit(replace(panel.results, facts={**panel.results.facts, "warnings": ["nearest is wrong"]}))
+    facts = {**panel.calculation.results.facts, "warnings": ["nearest is wrong"]}
+    panel.calculation.results = replace(panel.calculation.results, facts=facts)
+    panel.calculation.changed.emit()
     assert panel.warnings.isVisible()
     assert panel.warnings.mapTo(panel, QPoint()).y() < panel.pages.y()
     assert "nearest is wrong" in panel.warnings.text()
     assert "a step is " in panel.drives.getPlotItem().titleLabel.text
 
     # The field: its marks, a click on a position, and the film, which an edit leaves where it is.
-    view, field, figures = panel.field, panel.results.field, panel.results.figures
+    view, field, figures = panel.field, panel.calculation.results.field, panel.calculation.results.figures
     panel.pages.setCurrentWidget(view)
     assert len(field.field) == 12
     view.slider.to_mark(1)
@@ -133,16 +136,16 @@ def test_no_bank_path_off_grid_or_bank_that_goes_and_comes_then_sentence_says_so
     bench.document.use_bank(finished)
     bench.edit(line_scene(end_mm=60.0), complete=False)
     bench.says("source 0")
-    assert panel.results is None
+    assert panel.calculation.results is None
     assert panel.figures.rowCount() == 0
     bench.edit(line_scene())
     away = finished.rename(finished.with_name("away.h5"))
     bench.edit(line_scene(amplitude=1.2), complete=False)
     bench.says("is missing")
-    assert panel.results is None
+    assert panel.calculation.results is None
     away.rename(finished)
-    wait(bench.qtbot, lambda: panel.complete)
-    assert panel.results is not None
+    wait(bench.qtbot, lambda: panel.calculation.complete)
+    assert panel.calculation.results is not None
 
     # Its process killed: the next edit calculates again.
     (process,) = multiprocessing.active_children()
@@ -150,21 +153,21 @@ def test_no_bank_path_off_grid_or_bank_that_goes_and_comes_then_sentence_says_so
     bench.edit(line_scene(amplitude=2.5), complete=False)
     bench.says("process ended")
     bench.edit(line_scene(amplitude=3.0))
-    assert panel.results is not None
+    assert panel.calculation.results is not None
     assert multiprocessing.active_children() != [process]
 
 
 def test_given_save_then_the_files_are_what_the_command_makes(bench, finished, tmp_path):
     bench.edit(line_scene(limit_v=2.0))
-    panel, drawn = bench.panel, bench.panel.results.drive
-    panel.save(tmp_path / "out.h5")
-    assert panel.output.busy
+    panel, drawn = bench.panel, bench.panel.calculation.results.drive
+    panel.output.save(tmp_path / "out.h5")
+    assert panel.output.running
     assert not panel.actions_by_name["drive"].isEnabled()
     bench.told("out.h5 is saved")
     drive = read_drive(tmp_path / "out.h5")
     assert drive.omitted_bound == 0.0
     assert np.linalg.norm(drawn.drive_v - drive.drive_v) < 1.1e-3 * np.linalg.norm(drive.drive_v)
-    panel.save(tmp_path / "never.h5")
+    panel.output.save(tmp_path / "never.h5")
     panel.actions_by_name["stop"].trigger()
     bench.told("never.h5 is not saved: cancelled")
     assert not (tmp_path / "never.h5").exists()
@@ -176,9 +179,9 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench, finished, t
     bench.document.load(scene)
     bench.document.replace(FINGER_SCENE.replace("0.001", "0.002"))
     assert not bench.document.saved
-    wait(bench.qtbot, lambda: panel.complete)
-    drawn = panel.results.drive
-    panel.save(tmp_path / "out.wav")
+    wait(bench.qtbot, lambda: panel.calculation.complete)
+    drawn = panel.calculation.results.drive
+    panel.output.save(tmp_path / "out.wav")
     bench.told("out.wav is saved")
     sound, rate_hz = soundfile.read(tmp_path / "out.wav")
     assert sound.shape[1] == 3
@@ -223,9 +226,10 @@ def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench, finish
 def test_given_quiet_places_then_the_levels_reached_are_shown_beside_those_asked_for(bench):
     quiet = (QuietTable(at_mm=(4.5, 4.5), level_db=-20.0),)
     bench.edit(line_scene(end_mm=1.5).model_copy(update={"quiet": quiet, "output": Output(most_energy=1.5)}))
-    (level,) = bench.panel.results.facts["quiet"]
+    results = bench.panel.calculation.results
+    (level,) = results.facts["quiet"]
     assert (level["name"], level["level_db"]) == ("quiet[0]", -20.0)
-    ((_, value, verdict, _),) = [one for one in figures_of(bench.panel.results) if one[0] == "level at quiet[0]"]
+    ((_, value, verdict, _),) = [one for one in figures_of(results) if one[0] == "level at quiet[0]"]
     assert value == f"{level['reached_db']:.1f} dB of -20 dB"
     assert verdict == (GOOD if level["reached_db"] <= -19.8 else MISSED)  # as `render` warns
 
@@ -346,7 +350,7 @@ def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_so
     press(qtbot, tab.live_panel.buttons["start"])
     wait(qtbot, lambda: tab.live_run.state == IDLE)
     assert str(finished) in bench.window.messages.sentence
-    assert not tab.live_run.busy
+    assert not tab.live_run.running
 
 
 def test_figures_then_latency_underruns_limiter_and_what_is_left_out_are_marked():

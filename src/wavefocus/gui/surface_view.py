@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import pyqtgraph
@@ -32,11 +33,7 @@ _CLOSER_BELOW = 0.4
 NOWHERE_MM = np.zeros((0, 2))
 
 
-class Spots(pyqtgraph.ScatterPlotItem):
-    """Spots that pass clicks on to the view; those of pyqtgraph accept every click on a spot."""
-
-    def mouseClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
-        event.ignore()
+Spots: TypeAlias = pyqtgraph.ScatterPlotItem
 
 
 class SurfaceView(Themed, pyqtgraph.PlotWidget):
@@ -91,6 +88,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     def add_spots(self, depth: float, symbol: str, size: int, pen: object = None, brush: str | None = None) -> Spots:
         """Add spots of a size in pixels; `pen` as of `pyqtgraph.mkPen`, None for no rim or no filling."""
         spots = Spots(symbol=symbol, size=size, pxMode=True, pen=pen, brush=brush)
+        spots.setEnabled(False)  # else it would keep clicks from the view
         self._add_item(spots, depth)
         return spots
 

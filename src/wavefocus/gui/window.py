@@ -1,13 +1,13 @@
 """The application and its window: tabs, menus, messages, closing."""
 
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import QSize, Qt, QTimer
 from PyQt5.QtGui import QCloseEvent, QFontDatabase, QGuiApplication, QKeySequence
-from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
+from PyQt5.QtWidgets import QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import ENDINGS, FileKind, Settings, kind_of, make_dialog, short_path
@@ -146,12 +146,12 @@ class Window(QMainWindow):
         bar = self.menuBar()
         assert bar is not None
         files = QMenu("&File", self)
-        _add(files, "New &lab…", self._choose_lab, "Ctrl+Shift+N")
-        _add(files, "&Open…", self._choose_file, QKeySequence.StandardKey.Open)
+        files.addAction(ui.action(files, "New &lab…", self._choose_lab, "Ctrl+Shift+N"))
+        files.addAction(ui.action(files, "&Open…", self._choose_file, QKeySequence.StandardKey.Open))
         files.addMenu(self._recent)
         self._recent.aboutToShow.connect(self._list_recent)
         files.addSeparator()
-        _add(files, "&Quit", self.close, "Ctrl+Q")
+        files.addAction(ui.action(files, "&Quit", self.close, "Ctrl+Q"))
         bar.addMenu(files)
         for tab in self.tabs:
             menu = QMenu(tab.title, self)  # its letter is one of the page's
@@ -159,7 +159,9 @@ class Window(QMainWindow):
                 menu.addSeparator() if action is None else menu.addAction(action)
             bar.addMenu(menu)
         help_menu = QMenu("&Help", self)
-        _add(help_menu, "&Documentation", self._open_documentation, QKeySequence.StandardKey.HelpContents)
+        help_menu.addAction(
+            ui.action(help_menu, "&Documentation", self._open_documentation, QKeySequence.StandardKey.HelpContents)
+        )
         bar.addMenu(help_menu)
 
     def _choose_file(self) -> None:
@@ -213,7 +215,7 @@ class Window(QMainWindow):
     def _list_recent(self) -> None:
         self._recent.clear()
         for path in self.settings.recent():
-            _add(self._recent, str(path), partial(self.open_file, path))
+            self._recent.addAction(ui.action(self._recent, str(path), partial(self.open_file, path)))
 
     def _open_trials(self, path: Path) -> None:
         from wavefocus.gui.trials.start import TrialsStart
@@ -240,12 +242,6 @@ def _make_tabs(context: TabContext) -> list[Tab]:
     from wavefocus.gui.verification.tab import VerificationTab
 
     return [kind(context) for kind in (CampaignTab, RigTab, FilesTab, SceneTab, VerificationTab)]
-
-
-def _add(menu: QMenu, text: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str) -> QAction:
-    action = ui.action(menu, text, act, *keys)
-    menu.addAction(action)
-    return action
 
 
 # Fontconfig's own names, which Qt lists even without fonts.

@@ -238,11 +238,12 @@ def insert_menu(document: TextDocument) -> QtWidgets.QMenu:
         ):
             part = QtWidgets.QMenu(title, menu)
             for kind in kinds:
-                _add(part, document, kind, source(kind))
+                part.addAction(ui.action(part, kind, partial(document.append, source(kind))))
             menu.addMenu(part)
     for heading in document.model.model_fields:
         if heading != "source" and tables_of(document.model, heading):
-            _add(menu, document, f"[{heading}]", commented_table(document.kind, heading))
+            text = commented_table(document.kind, heading)
+            menu.addAction(ui.action(menu, f"[{heading}]", partial(document.append, text)))
     return menu
 
 
@@ -258,10 +259,6 @@ def source_with_signal(kind: str) -> str:
     source = new_source(PointTable(at_mm=(0.0, 0.0)))
     signal = example(tables_by_kind(SignalTable)[kind])
     return commented_table("scene", "source", changed(source, signal=signal), path=source.path, signal=signal)
-
-
-def _add(menu: QtWidgets.QMenu, document: TextDocument, words: str, text: str) -> None:
-    menu.addAction(ui.action(menu, words, partial(document.append, text)))
 
 
 # A surface with lines of text, and a table: titles and rows; both may be empty.

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import FileState, file_state
-from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.document import EMPTY, SceneDocument
 from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.gui.tab import TabContext
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
 
+NO_BANK = "choose a bank: drives and field are computed from its measurements"
 LOST = "the calculation's process ended, perhaps for lack of memory; it starts again with the next edit"
 # Samples of a field that is looked at, over the two that the highest frequency of the band needs.
 _FINER = 4
@@ -61,38 +62,73 @@ class SceneResults:
 
 
 class Calculation(QObject):
-    """Calculates the latest scene that was asked for, one stage after the other."""
+    """Calculates the latest scene once it is not edited any more, one stage after the other.
 
-    #: What is being done.
-    stage = pyqtSignal(str)
-    #: `SceneResults`: drives, then with the field, then with the figures of the foci.
-    made = pyqtSignal(object)
-    #: Why the stage cannot be calculated.
-    refused = pyqtSignal(str)
+    results: Drives, then with the field, then with the figures of the foci; None where there are none.
+    stage: What is being calculated; empty where nothing is.
+    problem: Why the scene, or its last stage, cannot be calculated; empty while all is well.
+    """
+
+    #: One of these is another.
+    changed = pyqtSignal()
 
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__(document)
         self._context, self._document = context, document
         self._pool: ProcessPoolExecutor | None = None
         self._newest = multiprocessing.get_context("spawn").Value("q", 0)
-        self._cancelled_s = 0.0
-        self.busy = False
+        self._cancelled_s = self._due_s = self._look_due_s = 0.0
+        self._wanted = False
+        self._bank_state: FileState | None = None
+        self.results: SceneResults | None = None
+        self.stage = self.problem = ""
+        for edited in (document.changed, document.bank_changed, document.rig_changed):
+            edited.connect(self._want)
+        self._want()
 
-    def start(self, rig: str) -> None:
-        """Calculate the present scene within the limits of a rig; empty for none. Nothing may be running."""
-        document = self._document
-        assert document.bank is not None
+    @property
+    def complete(self) -> bool:
+        """Whether all is calculated, and of the present scene."""
+        results = self.results
+        return not (self._wanted or self.stage or results is None or results.figures is None)
+
+    def poll(self, *, shown: bool) -> None:
+        """Calculate the latest scene while its results are shown, and again when the bank has changed."""
+        now_s, document = time.monotonic(), self._document
+        if now_s >= self._look_due_s and not self.complete and document.bank is not None:
+            self._look_due_s = now_s + 1.0
+            if (state := file_state(document.bank)) != self._bank_state:
+                self._bank_state, self._wanted = state, True
+        if not (self._wanted and shown and now_s >= self._due_s):
+            return
+        if self.stage:
+            self._cancel()  # the newest edit wins
+            return
+        self._wanted = False
+        if document.bank is None or document.problem or not document.draft.source:
+            self._refuse(NO_BANK if document.bank is None else document.problem or EMPTY)
+            return
+        self._bank_state = file_state(document.bank)
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(1, context, _begin_process, (self._newest,))
-        self._submit("drives", _drives, document.draft, document.place, document.bank, rig)
+        self._submit("drives", _drives, document.draft, document.place, document.bank, document.rig)
 
-    def cancel(self) -> None:
+    def pause(self) -> None:
+        """Stop calculating until `poll` is called for what is shown."""
+        if not self.complete:
+            self._cancel()
+            self._wanted = True
+
+    def _want(self) -> None:
+        self._wanted, self._due_s = True, time.monotonic() + 0.3
+
+    def _cancel(self) -> None:
         """Stop calculating; a step that goes on for too long ends with its process. May be called again and again."""
-        if self.busy and not self._cancelled_s:
+        if self.stage and not self._cancelled_s:
             self._newest.value += 1
             self._cancelled_s = time.monotonic()
-        elif self.busy and time.monotonic() > self._cancelled_s + _STOP_WAIT_S:
+        elif self.stage and time.monotonic() > self._cancelled_s + _STOP_WAIT_S:
             self.close()
 
     def close(self) -> None:
@@ -101,7 +137,7 @@ class Calculation(QObject):
             for process in list(self._pool._processes.values()):
                 process.kill()
             self._pool.shutdown(wait=False, cancel_futures=True)
-        self._pool, self.busy = None, False
+        self._pool, self.stage = None, ""
 
     def _submit(self, stage: str, work: Callable[..., SceneResults], *arguments: object) -> None:
         assert self._pool is not None
@@ -109,43 +145,44 @@ class Calculation(QObject):
             future = self._pool.submit(work, self._newest.value, *arguments)
         except (BrokenProcessPool, OSError):
             self.close()
-            self.refused.emit(LOST)
+            self._refuse(LOST)
             return
-        self._cancelled_s, self.busy = 0.0, True
+        self._cancelled_s, self.stage = 0.0, stage
         self._context.background.ask("scene", future.result, self._take, self._fail)
-        self.stage.emit(stage)
+        self.changed.emit()
 
     def _fail(self, failure: Exception) -> None:
-        if not self.busy:
+        if not self.stage:
             return
-        self.busy = False
+        stage, self.stage = self.stage, ""
         if isinstance(failure, BrokenProcessPool):
             self.close()
-            self.refused.emit(LOST)
-        elif self._cancelled_s or isinstance(failure, _SupersededError):
+            self._refuse(LOST, stage)
+        elif self._cancelled_s or isinstance(failure, CancelledError):
             return
         elif isinstance(failure, WavefocusError | OSError | MemoryError):
-            self.refused.emit(str(failure) or "there is not enough memory for this scene")
+            self._refuse(str(failure) or "there is not enough memory for this scene", stage)
         else:
             raise failure
 
-    def _take(self, results: SceneResults) -> None:
-        if not self.busy:
-            return
-        self.busy = False
-        if not self._cancelled_s:
-            self._go_on(results)
+    def _refuse(self, problem: str, stage: str = "") -> None:
+        """Say why there are no results; drives stay where only their field cannot be calculated."""
+        self.results, self.problem = self.results if stage == "field" else None, problem
+        self.changed.emit()
 
-    def _go_on(self, results: SceneResults) -> None:
+    def _take(self, results: SceneResults) -> None:
+        if not self.stage:
+            return
+        self.stage = ""
+        if self._cancelled_s:
+            return
+        self.results, self.problem = results, ""
         if results.field is None:
             self._submit("field", _field, results, _field_rate_hz(results.surface))
         elif results.figures is None:
             self._submit("figures", _figures, results)
-        self.made.emit(results)
-
-
-class _SupersededError(Exception):
-    """A newer scene is asked for."""
+        else:
+            self.changed.emit()
 
 
 def _field_rate_hz(surface: PlotSurface) -> float:
@@ -177,11 +214,11 @@ def _begin_process(newest: Any) -> None:
 
 
 def _checks(number: int) -> Callable[[int, int], None]:
-    """A report of progress that raises _SupersededError once a newer scene is asked for."""
+    """A report of progress that raises CancelledError once a newer scene is asked for."""
 
     def check(_done: int, _total: int) -> None:
         if any(newest.value != number for newest in _NEWEST):
-            raise _SupersededError
+            raise CancelledError
 
     return check
 

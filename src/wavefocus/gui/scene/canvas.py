@@ -212,8 +212,6 @@ class SurfacePanel(Themed, QWidget):
     def __init__(self, document: scenes.SceneDocument, live: LivePreview) -> None:
         super().__init__()
         self._document, self._live = document, live
-        #: What is wrong with the scene; empty where nothing is.
-        self.problem = ""
         self.canvas = SceneCanvas(document, live)
         choices = [(kind, text, tip, f"Tool: {text}") for kind, text, tip in _TOOLS]
         self.tools = ui.exclusive_buttons(choices, self.use_tool)
@@ -228,6 +226,11 @@ class SurfacePanel(Themed, QWidget):
         document.changed.connect(self._show_preview)
         self.use_tool("")
 
+    @property
+    def problem(self) -> str:
+        """What is wrong with the scene; empty where nothing is."""
+        return self._document.problem or self._live.problem
+
     def use_tool(self, kind: str) -> None:
         """Draw paths of a kind, or quiet places; nothing where it is empty."""
         self.canvas.kind = kind
@@ -237,7 +240,6 @@ class SurfacePanel(Themed, QWidget):
 
     def _show_preview(self) -> None:
         self.colours.show_range("Focus instant", "s", _span_s(self._live.traces))
-        self.problem = self._document.problem or self._live.problem
         self._show_hint()
 
     def _show_hint(self) -> None:

@@ -1,4 +1,4 @@
-"""The document of the Scene tab: the text of a scene file, the scene that it says, its points, and its bank."""
+"""The document of the Scene tab: the text of a scene file, the scene that it says, its points, its bank and rig."""
 
 from __future__ import annotations
 
@@ -176,17 +176,21 @@ class SceneDocument(TextDocument):
 
     draft: The scene that the text says; the last one that could be read.
     chosen: The list and the index of the source or quiet place in whose table the cursor is; `NOTHING` for none.
+    bank, rig: Whose measurements and limits count; the rig as the command line takes it. None, and empty, for none.
     """
 
     #: Another source or quiet place is chosen.
     chosen_changed = pyqtSignal()
     #: Another bank, or none.
     bank_changed = pyqtSignal()
+    #: Another rig, or none.
+    rig_changed = pyqtSignal()
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__("scene", parent)
         self.draft, self.chosen = NEW_SCENE, NOTHING
         self.bank: Path | None = None
+        self.rig = ""
         self.clear()
 
     @property
@@ -233,6 +237,12 @@ class SceneDocument(TextDocument):
         if bank != self.bank:
             self.bank = bank
             self.bank_changed.emit()
+
+    def use_rig(self, rig: str) -> None:
+        """Use another rig file, or ``virtual``, or none."""
+        if rig != self.rig:
+            self.rig = rig
+            self.rig_changed.emit()
 
     def clear(self) -> None:
         self.begin(scene_toml(NEW_SCENE), None)

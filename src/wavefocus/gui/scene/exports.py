@@ -17,7 +17,6 @@ from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.process import Message as Record
 from wavefocus.gui.scene.document import NEW_AMPLITUDE, SceneDocument, scene_toml, with_absolute_files
-from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import OwnCommand, TabContext
 
 KINDS = {".h5": "drive file", ".wav": "sound file"}
@@ -47,31 +46,23 @@ class _SceneTask(OwnCommand):
         self._holder = ""
         self.state = IDLE
 
-    @property
-    def busy(self) -> bool:
-        return self._folder is not None
-
-    def cancel(self) -> None:
-        """End the running command; files stay as they were."""
-        if self.own is not None:
-            self.own.kill()
-
     def detach(self) -> None:
         """Leave what sounds, which mutes and ends by itself; end all else."""
-        if self.state == RENDERING:
-            self.cancel()
+        if self.own is not None and self.state == RENDERING:
+            self.own.kill()
         super().detach()
         self._release()
         self.state = IDLE
 
-    def _prepare(self, failing: str, rig: str = VIRTUAL) -> bool:
+    def _prepare(self, failing: str, *, sounds: bool = True) -> bool:
         """Make the folder, with the present scene where its file is not up to date; later edits do not matter.
 
         failing: Beginning of the message that says why the folder cannot be made.
-        rig: The rig file on which it sounds, or ``virtual``.
+        sounds: Whether it sounds on the rig.
         """
         document = self._document
-        self._holder = "" if names_virtual_rig(rig) else f"the Scene tab {self.verb} on {Path(rig).name}"
+        holds = sounds and not names_virtual_rig(document.rig)
+        self._holder = f"the Scene tab {self.verb} on {Path(document.rig).name}" if holds else ""
         try:
             self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
             if document.path is not None and document.saved:
@@ -90,10 +81,10 @@ class _SceneTask(OwnCommand):
         assert self._folder is not None
         return str(Path(self._folder.name) / name)
 
-    def _render(self, rig: str, *options: str, out: str = "") -> list[str]:
-        """The command that renders the scene within the limits of a rig; empty for none."""
+    def _render(self, *options: str, out: str = "") -> list[str]:
+        """The command that renders the scene within the limits of the rig, where there is one."""
         # --force: the files are in the temporary folder, or their replacement was confirmed in the dialog.
-        limits = ["--rig", rig] if rig else []
+        limits = ["--rig", self._document.rig] if self._document.rig else []
         into = ["--out", out or self._in_folder("drive.h5"), *options, "--force"]
         return ["render", str(self._scene_file), "--bank", str(self._document.bank), *into, *limits]
 
@@ -166,16 +157,15 @@ class Output(_SceneTask):
         scene = self._document.path
         return self._context.settings.folder("scene drive", scene) / f"{scene.stem if scene else 'scene'}-drive.h5"
 
-    def save(self, path: Path, rig: str) -> None:
+    def save(self, path: Path) -> None:
         """Save the drives of the present scene.
 
         path: The file, a sound file where its name ends with ``.wav``; an existing one is replaced.
-        rig: A rig file whose limits count; empty for none.
         """
-        if self.busy or not self._prepare(f"{path.name} is not saved"):
+        if self.running or not self._prepare(f"{path.name} is not saved", sounds=False):
             return
         sound = path.suffix.lower() == ".wav"
-        render = self._render(rig, "--wav", str(path)) if sound else self._render(rig, out=str(path))
+        render = self._render("--wav", str(path)) if sound else self._render(out=str(path))
         self.file = path
         self._run_all([(RENDERING, render)], partial(self._saved, path))
 
@@ -186,25 +176,24 @@ class Output(_SceneTask):
         done, unsaved = f"{path} is saved: {process.last_line}", f"{path.name} is not saved"
         self._context.report_end(process, done, f"{unsaved}: cancelled", f"{unsaved}: {process.failure}")
 
-    def play(self, rig: str, gain_db: float, loops: int, lasts_s: float) -> None:
-        """Play the present scene.
+    def play(self, gain_db: float, loops: int, lasts_s: float) -> None:
+        """Play the present scene on the rig.
 
-        rig: The rig file, or ``virtual``.
         gain_db: Of the drives; the rig's limits hold.
         loops: Number of repetitions, without a gap.
         lasts_s: Duration of one repetition, for display.
         """
-        if self.busy or not self._prepare("nothing is played", rig):
+        if self.running or not self._prepare("nothing is played"):
             return
         self._lasts_s = loops * lasts_s
-        options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
+        options = ["--rig", self._document.rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
         play = ["play", self._in_folder("drive.h5"), *options]
-        self._run_all([(RENDERING, self._render(rig)), (OPENING, play)], self._played, self._received)
+        self._run_all([(RENDERING, self._render()), (OPENING, play)], self._played, self._received)
 
     def stop(self) -> None:
         """Stop saving, or playing, and mute."""
-        if self.state == RENDERING:
-            self.cancel()
+        if self.own is not None and self.state == RENDERING:
+            self.own.kill()
         elif self.state in (OPENING, PLAYING):
             self._end_process(sounds=self.state == PLAYING)
 
@@ -251,20 +240,19 @@ class LiveRun(_SceneTask):
         self._heard_s = 0.0
         self._ended: live.LiveEnded | None = None
 
-    def start(self, rig: str, look_ahead_ms: int, record: Path | None) -> None:
+    def start(self, look_ahead_ms: int, record: Path | None) -> None:
         """Start a session with the present scene's signal, regularisation and limits.
 
-        rig: The rig file, or ``virtual``.
         look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
         record: Folder for a new folder with the session's scene; None: not recorded.
         """
-        if self.busy or not self._prepare("nothing sounds", rig):
+        if self.running or not self._prepare("nothing sounds"):
             return
         document = self._document
         scene = ["--scene", str(self._scene_file)] if document.draft.source else []
         name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}"
         kept = [] if record is None else ["--record", str(record / name)]
-        arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
+        arguments = ["live", str(document.bank), "--rig", document.rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
         self._refusal, self.ready, self.latest, self._ended = "", None, None, None
         self._run_all([(STARTING, [*arguments, *scene, *kept])], self._summarise, self._receive)
 
@@ -273,10 +261,6 @@ class LiveRun(_SceneTask):
         if self.state in (STARTING, LIVE):
             self._send(live.EndLive())
             self._end_process(sounds=self.state == LIVE)
-
-    def detach(self) -> None:
-        self.places.clear()
-        super().detach()
 
     def press(self, name: str, at_mm: live.PointMm) -> None:
         """Let a source begin to sound."""

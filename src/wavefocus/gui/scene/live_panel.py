@@ -62,21 +62,12 @@ def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[tuple[s
 
 
 class LivePanel(Themed, QWidget):
-    """Controls and figures of live sources; hidden, it ends the session.
+    """Controls and figures of live sources; hidden, it ends the session."""
 
-    rig: The rig file, or ``virtual``; empty where there is none.
-    """
-
-    def __init__(
-        self,
-        context: TabContext,
-        document: SceneDocument,
-        run: LiveRun,
-        rig: Callable[[], str],
-    ) -> None:
+    def __init__(self, context: TabContext, document: SceneDocument, run: LiveRun) -> None:
         super().__init__()
         self.setAccessibleName("Live sources")
-        self._context, self._document, self._run, self._rig = context, document, run, rig
+        self._context, self._document, self._run = context, document, run
         tip = "Open the rig; then press on the surface"
         self.start = ui.action(self, "Start li&ve sources", self._begin, "F8", tip=tip)
         tip = "Let the sources fade, and mute the outputs"
@@ -103,7 +94,8 @@ class LivePanel(Themed, QWidget):
         )  # fmt: skip
         run.changed.connect(self.show_run)
         run.figures_changed.connect(self._show_figures)
-        for changed in (document.bank_changed, document.changed, document.chosen_changed, self.records.toggled):
+        edits = (document.bank_changed, document.rig_changed, document.changed, document.chosen_changed)
+        for changed in (*edits, self.records.toggled):
             changed.connect(self.show_run)
         self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
         self.figures.setToolTip(_DEFINITIONS)
@@ -113,7 +105,7 @@ class LivePanel(Themed, QWidget):
 
     def _hint(self) -> str:
         """What can be done now."""
-        if self._document.bank is None or not self._rig():
+        if self._document.bank is None or not self._document.rig:
             return "Choose a bank and a rig above"
         source = self._document.source
         once = source is not None and source.signal.kind == "impulse"
@@ -121,17 +113,17 @@ class LivePanel(Themed, QWidget):
 
     def _begin(self) -> None:
         """Start a session, unless something else has the instruments."""
-        rig, record = self._rig(), self.folder.path if self.records.isChecked() else None
+        record = self.folder.path if self.records.isChecked() else None
         if self.records.isChecked() and record is None:
             self._context.messages.warn("choose the folder to record in, or record nothing")
         else:
-            act = partial(self._run.start, rig, self.look_ahead.whole(), record)
-            self._context.claim_instruments("Start", act, virtual=names_virtual_rig(rig))
+            act = partial(self._run.start, self.look_ahead.whole(), record)
+            self._context.claim_instruments("Start", act, virtual=names_virtual_rig(self._document.rig))
 
     def show_run(self) -> None:
         """Show what can be done, and the state of the session."""
         state = self._run.state
-        ready = self._document.bank is not None and bool(self._rig())
+        ready = self._document.bank is not None and bool(self._document.rig)
         self.start.setEnabled(state == IDLE and ready and self.isVisible())
         self.stop.setEnabled(state in (STARTING, LIVE))
         for part in (self.look_ahead, self.records):
@@ -219,33 +211,17 @@ class LiveSurface(SurfaceView):
         names = [f"{source.name}, fading" if source.fading else source.name for source in sources]
         self.show_texts(names, [source.at_mm for source in sources], (-0.1, 1.1))
 
-    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        """Begin the mouse's source; other buttons pan."""
-        assert event is not None
-        if event.button() == Qt.MouseButton.LeftButton:
-            self._press(MOUSE, event.localPos())
-        else:
-            super().mousePressEvent(event)
-
-    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        assert event is not None
-        if event.buttons() & Qt.MouseButton.LeftButton:
-            self._drag(MOUSE, event.localPos())
-        else:
-            super().mouseMoveEvent(event)
-
-    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        assert event is not None
-        if event.button() == Qt.MouseButton.LeftButton:
-            self._lift(MOUSE)
-        else:
-            super().mouseReleaseEvent(event)
-
-    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
-        self.mousePressEvent(event)
-
     def viewportEvent(self, event: QEvent | None) -> bool:  # noqa: N802
-        """Give each finger a source of its own."""
+        """Give the left button, and each finger, a source of its own; other buttons pan."""
+        left, moves = Qt.MouseButton.LeftButton, event is not None and event.type() == QEvent.Type.MouseMove
+        if isinstance(event, QMouseEvent) and (event.buttons() & left if moves else event.button() == left):
+            if moves:
+                self._hold(self._run.move, MOUSE, event.localPos())
+            elif event.type() == QEvent.Type.MouseButtonRelease:
+                self._lift(MOUSE)
+            else:
+                self._hold(self._run.press, MOUSE, event.localPos())
+            return True
         if not isinstance(event, QTouchEvent):
             return bool(super().viewportEvent(event))
         while event.type() == QEvent.Type.TouchCancel and self._fingers:
@@ -254,12 +230,12 @@ class LiveSurface(SurfaceView):
             if point.state() == Qt.TouchPointState.TouchPointPressed:
                 numbers = (number for number in range(1, 100) if f"finger {number}" not in self._fingers.values())
                 self._fingers[point.id()] = f"finger {next(numbers)}"
-                self._press(self._fingers[point.id()], point.pos())
+                self._hold(self._run.press, self._fingers[point.id()], point.pos())
             elif point.id() in self._fingers:
                 if point.state() == Qt.TouchPointState.TouchPointReleased:
                     self._lift(self._fingers.pop(point.id()))
                 else:
-                    self._drag(self._fingers[point.id()], point.pos())
+                    self._hold(self._run.move, self._fingers[point.id()], point.pos())
         event.accept()  # no mouse events are made of it
         return True
 
@@ -291,18 +267,12 @@ class LiveSurface(SurfaceView):
         super().focusOutEvent(event)
         self._steps.clear()
 
-    def _press(self, name: str, at: QPointF) -> None:
+    def _hold(self, act: Callable[[str, PointMm], None], name: str, at: QPointF) -> None:
+        """Begin or move a source; where it cannot follow it stays at the last place."""
         self.setFocus(Qt.FocusReason.MouseFocusReason)
         at_mm = on_grid(self._live.backdrop, self._mm(at))
         if at_mm is not None:
-            self._run.press(name, at_mm)
-            self._show_spots()
-
-    def _drag(self, name: str, at: QPointF) -> None:
-        """Move a source; where it cannot follow it stays at the last place."""
-        at_mm = on_grid(self._live.backdrop, self._mm(at))
-        if at_mm is not None:
-            self._run.move(name, at_mm)
+            act(name, at_mm)
             self._show_spots()
 
     def _lift(self, name: str) -> None:

@@ -18,7 +18,7 @@ from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.loading import read_toml
 from wavefocus.config.scene import SceneConfig
 from wavefocus.gui.scene.document import SceneDocument, build_draft
-from wavefocus.gui.surface import PlotSurface, path_line, surface_from, surface_of
+from wavefocus.gui.surface import VIRTUAL, PlotSurface, path_line, surface_from, surface_of
 from wavefocus.gui.tab import TabContext
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -78,15 +78,15 @@ class LivePreview(QObject):
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__(document)
         self._context, self._document = context, document
-        self.backdrop = _bare_backdrop()
+        self.backdrop = _bare_backdrop(document.rig)
         self.problem = ""
         self._traces: Sequence[Trace] = ()
         self._shown = document.draft, self.backdrop
         self._lost: Path | None = None
-        self._rig: Path | None = None
         for signal in (document.changed, document.file_changed):
             signal.connect(self._ask)
         document.bank_changed.connect(self.read_bank)
+        document.rig_changed.connect(lambda: None if document.bank else self.read_bank())
 
     @property
     def idle(self) -> bool:
@@ -103,17 +103,10 @@ class LivePreview(QObject):
         """Read the bank's surface; again when a campaign may have filled it."""
         bank = self._document.bank
         if bank is None:
-            self._use_backdrop(_bare_backdrop(self._rig))
+            self._use_backdrop(_bare_backdrop(self._document.rig))
         else:
             read, failed = partial(_backdrop_of, bank), partial(self._no_bank, bank)
             self._context.background.ask("surface", read, self._use_backdrop, failed)
-
-    def use_rig(self, rig: Path | None) -> None:
-        """Draw on the surface of a rig while there is no bank."""
-        if rig != self._rig:
-            self._rig = rig
-            if self._document.bank is None:
-                self.read_bank()
 
     def poll(self) -> None:
         """Read a bank again that could not be read, once its file is back."""
@@ -132,7 +125,7 @@ class LivePreview(QObject):
 
     def _no_bank(self, bank: Path, why: Exception) -> None:
         if self._document.bank == bank:
-            self._show_backdrop(_bare_backdrop(self._rig))
+            self._show_backdrop(_bare_backdrop(self._document.rig))
             self._lost = None if bank.exists() else bank
         self._context.report_failure(why, _TOPIC)
 
@@ -147,12 +140,12 @@ class LivePreview(QObject):
         self._ask()
 
 
-def _bare_backdrop(rig: Path | None = None) -> Backdrop:
+def _bare_backdrop(rig: str) -> Backdrop:
     """The outline of a rig file's surface; the default one without a file that can be read."""
     table: object = {}
-    if rig is not None:
+    if rig not in ("", VIRTUAL):
         with suppress(InputError):  # reported by what plays on it
-            table = read_toml(rig).get("surface", {})
+            table = read_toml(Path(rig)).get("surface", {})
     return Backdrop(surface_from(table).outline.line(180))
 
 

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PyQt5.QtCore import pyqtSignal
-from PyQt5.QtWidgets import QAction, QTableWidget, QWidget
+from PyQt5.QtWidgets import QTableWidget, QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import Plot, Real
-from wavefocus.gui.files import PathField, choose_place, file_state, names_virtual_rig
+from wavefocus.gui.files import choose_place, names_virtual_rig
 from wavefocus.gui.film_player import Film, FilmPlayer
 from wavefocus.gui.scene.calculation import Calculation, SceneResults
-from wavefocus.gui.scene.document import EMPTY, SceneDocument
+from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.exports import IDLE, KINDS, PLAYING, STOPPING, Output
-from wavefocus.gui.surface import VIRTUAL, PlotSurface, surface_of
+from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.gui.surface_view import NOWHERE_MM
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
@@ -192,13 +190,8 @@ def _fill_figures(table: QTableWidget, results: SceneResults | None) -> None:
         ui.fill_row(table, number, (name, value, verdict), colours, right=(1,), tip=definition)
 
 
-NO_BANK = "choose a bank: drives and field are computed from its measurements"
-
-
 class ResultsPanel(Themed, QWidget):
-    """Results of the present scene, its warnings above them; the owner places `rig_field`, which others use, too."""
-
-    rig_changed = pyqtSignal()
+    """Results of the present scene, its warnings above them."""
 
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__()
@@ -206,18 +199,9 @@ class ResultsPanel(Themed, QWidget):
         self._context, self._document = context, document
         self.calculation = Calculation(context, document)
         self.output = Output(context, document)
-        self._due_s = self._look_due_s = 0.0
-        self._wanted = False
-        self._bank_state: object = None
-        self.results: SceneResults | None = None
-        self.complete = False
+        self._shown: SceneResults | None = None
         self.drives, self.field = _DrivesView(), _FieldView()
         self.figures = ui.table(("figure", "value", "verdict"), "Figures of the scene", (0,))
-        self.rig_field = PathField("Ri&g", ".toml", "rig file", context, words=(VIRTUAL,))
-        tip = "Rig file whose limits count and that plays the scene; virtual: the built-in rig"
-        self.rig_field.line.setToolTip(tip)
-        self.rig_field.line.setText(context.settings.text("scene/rig"))
-        self._rig = self.rig
         self.stage = ui.label("Stage of the calculation", any_width=True)
         self.problem = ui.label("Problem of the calculation", wraps=True)
         self.problem.setMinimumWidth(1)
@@ -230,15 +214,9 @@ class ResultsPanel(Themed, QWidget):
         self.pages = ui.tab_pages("Results", {"Drives": self.drives, "Field": self.field, "Figures": self.figures})
         foot = self._make_controls()
         ui.column(self.stage, self.problem, self._warned, (self.pages, 1), *foot, owner=self, spacing=3)
-        for changed in (document.changed, document.bank_changed, self.rig_changed):
-            changed.connect(self._edited)
-        self.output.changed.connect(self._show_state)
-        self.rig_field.line.editingFinished.connect(self._check_rig)
-        self.rig_field.chosen.connect(self._check_rig)
-        self.calculation.stage.connect(lambda stage: self.stage.setText(f"calculating: {stage}"))
-        self.calculation.made.connect(self._show)
-        self.calculation.refused.connect(self._refuse)
-        self._edited()
+        for changed in (self.output.changed, document.rig_changed):
+            changed.connect(self._show_state)
+        self.calculation.changed.connect(self._show)
         self._show_state()
 
     def _make_controls(self) -> list[ui.Item]:
@@ -258,102 +236,48 @@ class ResultsPanel(Themed, QWidget):
         stops.setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
         return [ui.row(saves, None), ui.row(self.gain, self.loops, plays, stops, None), self._state]
 
-    @property
-    def rig(self) -> str:
-        """The rig file, or ``virtual``, as the command line takes it; empty where there is none."""
-        text = self.rig_field.line.text().strip()
-        return text if text in ("", VIRTUAL) else str(self.rig_field.path)
-
-    def use_rig(self, path: Path) -> None:
-        """Use a rig file that was chosen elsewhere."""
-        self.rig_field.show_path(path)
-        self._check_rig()
-
-    def menu_actions(self) -> list[QAction | None]:
-        """The buttons' actions, for the tab's menu."""
-        named = self.actions_by_name
-        return [named["drive"], None, named["play"], named["stop"]]
-
     def poll(self) -> None:
-        """Calculate the latest scene once it is not edited any more, and again when the bank has changed."""
-        now_s, document = time.monotonic(), self._document
+        """Calculate what is shown, and show what is played."""
         if self.output.state == PLAYING:  # its time goes on
             self._show_state()
-        if now_s >= self._look_due_s and not self.complete and document.bank is not None:
-            self._look_due_s = now_s + 1.0
-            if (state := file_state(document.bank)) != self._bank_state:
-                self._bank_state, self._wanted = state, True
-        if not (self._wanted and self.isVisible() and now_s >= self._due_s):
-            return
-        if self.calculation.busy:
-            self.calculation.cancel()  # the newest edit wins
-            return
-        self._wanted = False
-        if document.bank is None or document.problem or not document.draft.source:
-            self._show(None, NO_BANK if document.bank is None else document.problem or EMPTY)
-        else:
-            self._bank_state = file_state(document.bank)
-            self.calculation.start(self.rig)
-
-    def pause(self) -> None:
-        """Calculate nothing until the panel is shown again."""
-        if not self.complete:
-            self.calculation.cancel()
-            self._wanted = True
-
-    def save(self, path: Path) -> None:
-        """Save the drives of the present scene; see `Output.save`."""
-        self.output.save(path, self.rig)
+        self.calculation.poll(shown=self.isVisible())
 
     def play(self) -> None:
         """Play the present scene on the rig."""
-        drive = None if self.results is None else self.results.drive
+        drive = None if self.calculation.results is None else self.calculation.results.drive
         lasts_s = 0.0 if drive is None else drive.drive_v.shape[1] / drive.sample_rate_hz
-        act = partial(self.output.play, self.rig, self.gain.value(), self.loops.whole(), lasts_s)
-        self._context.claim_instruments("Play", act, virtual=names_virtual_rig(self.rig))
+        act = partial(self.output.play, self.gain.value(), self.loops.whole(), lasts_s)
+        self._context.claim_instruments("Play", act, virtual=names_virtual_rig(self._document.rig))
 
     def _choose_place(self) -> None:
-        choose_place(self, "Save the drives", self.output.suggested, KINDS, self.save)
+        choose_place(self, "Save the drives", self.output.suggested, KINDS, self.output.save)
 
-    def _check_rig(self) -> None:
-        if self.rig != self._rig:
-            self._rig = self.rig
-            self._context.settings.keep("scene/rig", self._rig)
-            self._show_state()
-            self.rig_changed.emit()
-
-    def _edited(self) -> None:
-        self._wanted, self.complete = True, False
-        self._due_s = time.monotonic() + 0.3
-
-    def _show(self, results: SceneResults | None, problem: str = "") -> None:
-        self.results = results
-        self.drives.show_results(results)
-        _fill_figures(self.figures, results)
-        if results is None or results.field is not None:
-            self.field.show_results(results)
-            self.complete = results is not None and results.figures is not None
-        if not self.calculation.busy:
-            self.stage.setText("up to date with the scene" if self.complete else "not calculated")
+    def _show(self) -> None:
+        """Show what the calculation has, and what it does."""
+        calculation, results = self.calculation, self.calculation.results
+        if results is None or results is not self._shown:
+            self._shown = results
+            self.drives.show_results(results)
+            _fill_figures(self.figures, results)
+            if results is None or results.field is not None:
+                self.field.show_results(results)
+        state = "up to date with the scene" if calculation.complete else "not calculated"
+        self.stage.setText(f"calculating: {calculation.stage}" if calculation.stage else state)
         self._show_state()
-        self.problem.setText(problem)
-        self.problem.setVisible(bool(problem))
+        self.problem.setText(calculation.problem)
+        self.problem.setVisible(bool(calculation.problem))
         warnings = () if results is None else results.facts["warnings"]
         self.warnings.setText("\n".join(f"⚠ {warning}" for warning in warnings))
         self._warned.setVisible(bool(warnings))
 
-    def _refuse(self, problem: str) -> None:
-        """Say why a stage cannot be calculated; drives stay where only their field cannot."""
-        self._show(self.results if self.stage.text() == "calculating: field" else None, problem)
-
     def _show_state(self) -> None:
         """Show what can be done now, and what is being done."""
-        ready, state = self.results is not None, self.output.state
+        ready, rig, state = self.calculation.results is not None, self._document.rig, self.output.state
         free = ready and state == IDLE
         for name, possible in (
-            ("drive", free), ("play", free and bool(self.rig)), ("stop", state not in (IDLE, STOPPING)),
+            ("drive", free), ("play", free and bool(rig)), ("stop", state not in (IDLE, STOPPING)),
         ):  # fmt: skip
             self.actions_by_name[name].setEnabled(possible)
-        silent = "choose a rig to play" if ready and not self.rig else ""
+        silent = "choose a rig to play" if ready and not rig else ""
         self._state.setText(silent if state == IDLE else self.output.text)
         self._state.setToolTip(self._state.text())

@@ -18,12 +18,12 @@ from wavefocus.gui.editor.document import TextFiles, closing_question
 from wavefocus.gui.editor.tab import FileBar, TextPanel
 from wavefocus.gui.files import FileKind, PathField
 from wavefocus.gui.scene.canvas import SurfacePanel
-from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, Keys, SceneDocument, moved, new_source
+from wavefocus.gui.scene.document import QUIET, Chosen, Keys, SceneDocument, moved, new_source
 from wavefocus.gui.scene.exports import LiveRun
 from wavefocus.gui.scene.live_panel import LivePanel, LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
 from wavefocus.gui.scene.results_panel import ResultsPanel, read_field_on
-from wavefocus.gui.surface import PlotSurface
+from wavefocus.gui.surface import VIRTUAL, PlotSurface
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.storage.errors import InputError
 
@@ -51,31 +51,36 @@ class SceneTab(Tab):
         self.files = TextFiles(context, self.document, self)
         self.bar = FileBar(self, self.document, self.files)
         self.bank_field = PathField("&Bank", ".h5", "bank file", context)
+        self.rig_field = PathField("Ri&g", ".toml", "rig file", context, words=(VIRTUAL,))
+        tip = "Rig file whose limits count and that plays the scene; virtual: the built-in rig"
+        self.rig_field.line.setToolTip(tip)
+        self.rig_field.line.setText(context.settings.text("scene/rig"))
+        self._use_rig()
         self.editor = TextPanel(self.document)
         self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
         self.live_run = LiveRun(context, self.document)
         self.live_surface = LiveSurface(self.live_run, self.live)
-        self.live_panel = LivePanel(context, self.document, self.live_run, lambda: self.results.rig)
+        self.live_panel = LivePanel(context, self.document, self.live_run)
         self._stacks = QStackedWidget(), QStackedWidget()
         self.modes = ui.exclusive_buttons([(mode, text, tip, text) for mode, text, tip in _MODES], self.use_mode)
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
-        self.results.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
+        self.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
+        for chosen in (self.rig_field.chosen, self.rig_field.line.editingFinished):
+            chosen.connect(self._use_rig)
         self.surface.canvas.drawn.connect(self._drawn)
         self.surface.canvas.chosen.connect(self._show_table)
         self.surface.canvas.dragged.connect(self._drag)
         text = self.editor.text
         text.cursorPositionChanged.connect(lambda: self.document.choose_at_line(text.textCursor().blockNumber()))
         self.document.file_changed.connect(self._share_scene)
-        self.results.rig_changed.connect(self.live_panel.show_run)
-        self.results.rig_changed.connect(lambda: self.live.use_rig(self.results.rig_field.path))
-        self.live.use_rig(self.results.rig_field.path)
         self.files.restore_unsaved()
 
     def menu_actions(self) -> list[QAction | None]:
-        own, live = self.bar.actions_by_name.values(), (self.live_panel.start, self.live_panel.stop)
-        return [*own, None, *self.results.menu_actions(), None, *live]
+        drive, *sounds = self.results.actions_by_name.values()
+        live = self.live_panel.start, self.live_panel.stop
+        return [*self.bar.actions_by_name.values(), None, drive, None, *sounds, None, *live]
 
     def open_file(self, path: Path) -> None:
         """Open a scene, play a field, or add a drawing or a trajectory."""
@@ -121,7 +126,7 @@ class SceneTab(Tab):
         if mode == LIVE:
             if self.results.output.file is None:
                 self.results.output.stop()
-            self.results.pause()
+            self.results.calculation.pause()
         self.results.actions_by_name["play"].setVisible(mode == DRAW)  # its key, too: one of both sounds
         for stack in self._stacks:
             stack.setCurrentIndex([DRAW, LIVE].index(mode))
@@ -143,18 +148,25 @@ class SceneTab(Tab):
         self.remember(
             columns=columns, look_ahead=live.look_ahead, records=live.records, recordings=live.folder,
         )  # fmt: skip
-        fields = (self.bank_field, 3), (self.results.rig_field, 2)
+        fields = (self.bank_field, 3), (self.rig_field, 2)
         top = ui.row((self.bar, 3), *self.modes.values(), 6, *fields)
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
-        if self.results.output.busy or self.live_run.busy:
+        if self.results.output.running or self.live_run.running:
             return
         if kind is FileKind.BANK:
             self.bank_field.show_path(path)
             self.document.use_bank(path)
         elif kind is FileKind.RIG:
-            self.results.use_rig(path)
+            self.rig_field.show_path(path)
+            self._use_rig()
+
+    def _use_rig(self) -> None:
+        """Use the rig of the line, a file or a word."""
+        text = self.rig_field.line.text().strip()
+        self.document.use_rig(text if text in ("", VIRTUAL) else str(self.rig_field.path))
+        self.context.settings.keep("scene/rig", self.document.rig)
 
     def _share_scene(self) -> None:
         """Let the scene's file be verified, once it is saved."""
@@ -197,8 +209,6 @@ class SceneTab(Tab):
     def _drag(self, keys: Keys, table: SourceTable | QuietTable) -> None:
         """Write where a point was dragged to."""
         document, chosen = self.document, self.document.chosen
-        if chosen == NOTHING:
-            return
         try:
             document.replace(moved(document.toml(), chosen, keys, table))
         except InputError as refused:
