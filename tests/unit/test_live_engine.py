@@ -203,10 +203,10 @@ def test_interface_rate_then_drives_are_those_of_banks_rate_between_its_samples(
             regularisation=Regularisation(independent=independent),
         )  # fmt: skip
         drives.append(
-            run(engine, 70, lambda block, engine=engine: engine.move("finger", (8.0 * np.sin(block / 30.0), 3.0)))[0]
+            run(engine, 48, lambda block, engine=engine: engine.move("finger", (8.0 * np.sin(block / 30.0), 3.0)))[0]
         )
     coarse, fine = drives
-    assert fine.shape[1] == math.ceil(Fraction(70 * 11) * Fraction(frame_rate_hz) / 2000)
+    assert fine.shape[1] == math.ceil(Fraction(48 * 11) * Fraction(frame_rate_hz) / 2000)
     wanted = converted(coarse, rate_ratio(2000.0, frame_rate_hz))[:, lead_samples(rate_ratio(2000.0, frame_rate_hz)) :]
     # The conversion rings where the drives end.
     inner = slice(fine.shape[1] // 2, fine.shape[1] * 7 // 8)
