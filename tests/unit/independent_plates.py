@@ -56,25 +56,21 @@ def lattice(spacing_mm, radius_mm):
 
 @cache
 def _bessel_zeros(orders, zeros):
-    return [(order, zero) for order in range(orders) for zero in scipy.special.jn_zeros(order, zeros)]
+    return np.array([(order, zero) for order in range(orders) for zero in scipy.special.jn_zeros(order, zeros)]).T
 
 
 def disk(places_mm, actuator_mm, hertz, *, speed_m_s=7.0, loss=0.05, radius_mm=DISK_MM, modes=(18, 9)):
     """A membrane in a fixed ring: its modes are Bessel functions."""
-    omega = 2 * np.pi * np.asarray(hertz)
-    found = np.zeros((len(places_mm), len(actuator_mm), len(hertz)), complex)
+    omega, (order, zero) = 2 * np.pi * np.asarray(hertz), _bessel_zeros(*modes)
     (r, angle), (r0, angle0) = (
-        (np.hypot(*np.transpose(some)) / radius_mm, np.arctan2(some[:, 1], some[:, 0]))
+        (np.hypot(*np.transpose(some))[:, None] / radius_mm, np.arctan2(some[:, 1], some[:, 0])[:, None])
         for some in (np.asarray(places_mm), np.asarray(actuator_mm))
     )
-    for order, zero in _bessel_zeros(*modes):
-        shape, source = scipy.special.jv(order, zero * r), scipy.special.jv(order, zero * np.minimum(r0, 0.98))
-        around = np.cos(order * (angle[:, None] - angle0)) * (2 if order else 1)
-        norm = scipy.special.jv(order + 1, zero) ** 2
-        natural = zero * speed_m_s / (radius_mm / 1e3)
-        resonance = 1j * omega / (natural**2 * (1 + 1j * loss) - omega**2)
-        found += (shape[:, None] * source * around / norm)[..., None] * resonance
-    return found
+    shape, source = scipy.special.jv(order, zero * r), scipy.special.jv(order, zero * np.minimum(r0, 0.98))
+    around = np.cos(order * (angle[:, None] - angle0)) * np.where(order > 0, 2, 1)
+    norm = scipy.special.jv(order + 1, zero) ** 2
+    natural = (zero * speed_m_s / (radius_mm / 1e3))[:, None]
+    return (shape[:, None] * source * around / norm) @ (1j * omega / (natural**2 * (1 + 1j * loss) - omega**2))
 
 
 @cache

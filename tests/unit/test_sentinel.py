@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.unit import analytic_plates
-from tests.unit.analytic_plates import Medium
+from tests.unit.analytic_plates import ACTUATORS, Medium, driven
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
 from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.verify.mirror_error import sentinel_shift_mm
@@ -106,12 +106,6 @@ def step(then, now, actuators_mm, chance, noise_share, rate_hz, band_hz):
     return step_of(*rows, share, np.hypot(*actuators_mm.T), band_hz=band_hz, sample_rate_hz=rate_hz)
 
 
-def delayed(green, samples):
-    taps = green.shape[1]
-    turn = np.exp(-2j * np.pi * np.fft.rfftfreq(2 * taps) * samples)
-    return np.fft.irfft(np.fft.rfft(green, 2 * taps) * turn)[:, :taps]
-
-
 SWEEP = analytic_plates.RATE_HZ, analytic_plates.BAND_HZ
 ASIDE_MM = np.array([(0.0, 0.0), (0.3, 0.0), (-0.3, 0.0), (0.0, 0.3), (0.0, -0.3)])
 
@@ -132,7 +126,7 @@ def test_steps_of_the_limits_size_at_ten_places_are_found_and_noise_is_none(plat
         *slow, sudden = (analytic_plates.green(plate, medium, place_mm[None])[0] for medium in media)
         changes = {
             "level": [10 ** (level_db / 20) * then for level_db in (0.5, -0.5)],
-            "timing": [delayed(then, 0.3), delayed(then, -0.3)],
+            "timing": [driven(then, range(ACTUATORS), 1.0, late_ms) for late_ms in (0.075, -0.075)],  # 0.3 samples
             "mirror": aside,
             "polarity": polarity,
             "0.1 K": slow,
