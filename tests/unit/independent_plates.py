@@ -26,9 +26,9 @@ def reflected(wavenumber, points_mm, sources_mm, size_mm, reflection, orders):
     return found
 
 
-def mirror_images(places_mm, actuator_mm, hertz, *, speed_m_s=6.0, loss=0.1):
+def mirror_images(places_mm, actuator_mm, hertz):
     """A membrane in a rectangle whose edges are held."""
-    wave = 2 * np.pi * np.asarray(hertz) / (1e3 * speed_m_s) / np.sqrt(1 + 1j * loss)
+    wave = 2 * np.pi * np.asarray(hertz) / (1e3 * 6.0) / np.sqrt(1 + 0.1j)
     return reflected(wave, np.asarray(places_mm), np.asarray(actuator_mm), MIRRORED_MM, -1.0, 2) * np.asarray(hertz)
 
 
@@ -74,36 +74,27 @@ def disk(places_mm, actuator_mm, hertz, *, speed_m_s=7.0, loss=0.05, radius_mm=D
 
 
 @cache
-def _elements(refine):
+def _element_modes():
+    """Basis, squared wave numbers and shapes of the lowest modes of a quadrilateral without symmetry, in metres."""
+    import scipy.sparse.linalg
     import skfem
     from skfem.models.poisson import laplace, mass
 
-    # A quadrilateral without symmetry, in metres.
-    mesh = skfem.MeshTri.init_sqsymmetric().refined(refine)
+    mesh = skfem.MeshTri.init_sqsymmetric().refined(3)
     x, y = mesh.p
     bent = np.stack([0.17 * x * (1 - 0.2 * y) - 0.08, 0.13 * y * (1 + 0.15 * x) - 0.07])
-    mesh = skfem.MeshTri(bent, mesh.t)
-    basis = skfem.Basis(mesh, skfem.ElementTriP2())
-    return basis, skfem.asm(laplace, basis).tocsc(), skfem.asm(mass, basis).tocsc()
-
-
-def elements(places_mm, actuator_mm, hertz, *, speed_m_s=6.5, loss=0.06, refine=3, modes=90):
-    """A free membrane of another shape by finite elements (scikit-fem), its lowest modes."""
-    basis, values, vectors = (*_modes(refine, modes),)
-    omega = 2 * np.pi * np.asarray(hertz)
-    shapes = basis.probes(np.asarray(places_mm).T / 1e3) @ vectors
-    sources = basis.probes(np.asarray(actuator_mm).T / 1e3) @ vectors
-    resonance = 1j * omega / (speed_m_s**2 * values[:, None] * (1 + 1j * loss) - omega**2)
-    return np.einsum("pm,am,mf->paf", shapes, sources, resonance)
-
-
-@cache
-def _modes(refine, modes):
-    import scipy.sparse.linalg
-
-    basis, stiffness, mass = _elements(refine)
-    values, vectors = scipy.sparse.linalg.eigsh(stiffness, modes, mass, sigma=-1.0)
+    basis = skfem.Basis(skfem.MeshTri(bent, mesh.t), skfem.ElementTriP2())
+    stiffness, inertia = (skfem.asm(form, basis).tocsc() for form in (laplace, mass))
+    values, vectors = scipy.sparse.linalg.eigsh(stiffness, 90, inertia, sigma=-1.0)
     return basis, np.maximum(values, 1e-9), vectors
+
+
+def elements(places_mm, actuator_mm, hertz):
+    """A free membrane of another shape by finite elements (scikit-fem), its lowest modes."""
+    basis, values, vectors = _element_modes()
+    omega = 2 * np.pi * np.asarray(hertz)
+    shapes, sources = (basis.probes(np.asarray(some).T / 1e3) @ vectors for some in (places_mm, actuator_mm))
+    return (shapes[:, None] * sources) @ (1j * omega / (6.5**2 * values[:, None] * (1 + 0.06j) - omega**2))
 
 
 def places(kind, spacing_mm):
