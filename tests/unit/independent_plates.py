@@ -26,9 +26,9 @@ def reflected(wavenumber, points_mm, sources_mm, size_mm, reflection, orders):
     return found
 
 
-def mirror_images(places_mm, actuator_mm, hertz, *, speed_m_s=6.0, loss=0.1):
+def mirror_images(places_mm, actuator_mm, hertz):
     """A membrane in a rectangle whose edges are held."""
-    wave = 2 * np.pi * np.asarray(hertz) / (1e3 * speed_m_s) / np.sqrt(1 + 1j * loss)
+    wave = 2 * np.pi * np.asarray(hertz) / (1e3 * 6.0) / np.sqrt(1 + 0.1j)
     return reflected(wave, np.asarray(places_mm), np.asarray(actuator_mm), MIRRORED_MM, -1.0, 2) * np.asarray(hertz)
 
 
@@ -56,58 +56,45 @@ def lattice(spacing_mm, radius_mm):
 
 @cache
 def _bessel_zeros(orders, zeros):
-    return [(order, zero) for order in range(orders) for zero in scipy.special.jn_zeros(order, zeros)]
+    return np.array([(order, zero) for order in range(orders) for zero in scipy.special.jn_zeros(order, zeros)]).T
 
 
 def disk(places_mm, actuator_mm, hertz, *, speed_m_s=7.0, loss=0.05, radius_mm=DISK_MM, modes=(18, 9)):
     """A membrane in a fixed ring: its modes are Bessel functions."""
-    omega = 2 * np.pi * np.asarray(hertz)
-    found = np.zeros((len(places_mm), len(actuator_mm), len(hertz)), complex)
+    omega, (order, zero) = 2 * np.pi * np.asarray(hertz), _bessel_zeros(*modes)
     (r, angle), (r0, angle0) = (
-        (np.hypot(*np.transpose(some)) / radius_mm, np.arctan2(some[:, 1], some[:, 0]))
+        (np.hypot(*np.transpose(some))[:, None] / radius_mm, np.arctan2(some[:, 1], some[:, 0])[:, None])
         for some in (np.asarray(places_mm), np.asarray(actuator_mm))
     )
-    for order, zero in _bessel_zeros(*modes):
-        shape, source = scipy.special.jv(order, zero * r), scipy.special.jv(order, zero * np.minimum(r0, 0.98))
-        around = np.cos(order * (angle[:, None] - angle0)) * (2 if order else 1)
-        norm = scipy.special.jv(order + 1, zero) ** 2
-        natural = zero * speed_m_s / (radius_mm / 1e3)
-        resonance = 1j * omega / (natural**2 * (1 + 1j * loss) - omega**2)
-        found += (shape[:, None] * source * around / norm)[..., None] * resonance
-    return found
+    shape, source = scipy.special.jv(order, zero * r), scipy.special.jv(order, zero * np.minimum(r0, 0.98))
+    around = np.cos(order * (angle[:, None] - angle0)) * np.where(order > 0, 2, 1)
+    norm = scipy.special.jv(order + 1, zero) ** 2
+    natural = (zero * speed_m_s / (radius_mm / 1e3))[:, None]
+    return (shape[:, None] * source * around / norm) @ (1j * omega / (natural**2 * (1 + 1j * loss) - omega**2))
 
 
 @cache
-def _elements(refine):
+def _element_modes():
+    """Basis, squared wave numbers and shapes of the lowest modes of a quadrilateral without symmetry, in metres."""
+    import scipy.sparse.linalg
     import skfem
     from skfem.models.poisson import laplace, mass
 
-    # A quadrilateral without symmetry, in metres.
-    mesh = skfem.MeshTri.init_sqsymmetric().refined(refine)
+    mesh = skfem.MeshTri.init_sqsymmetric().refined(3)
     x, y = mesh.p
     bent = np.stack([0.17 * x * (1 - 0.2 * y) - 0.08, 0.13 * y * (1 + 0.15 * x) - 0.07])
-    mesh = skfem.MeshTri(bent, mesh.t)
-    basis = skfem.Basis(mesh, skfem.ElementTriP2())
-    return basis, skfem.asm(laplace, basis).tocsc(), skfem.asm(mass, basis).tocsc()
-
-
-def elements(places_mm, actuator_mm, hertz, *, speed_m_s=6.5, loss=0.06, refine=3, modes=90):
-    """A free membrane of another shape by finite elements (scikit-fem), its lowest modes."""
-    basis, values, vectors = (*_modes(refine, modes),)
-    omega = 2 * np.pi * np.asarray(hertz)
-    shapes = basis.probes(np.asarray(places_mm).T / 1e3) @ vectors
-    sources = basis.probes(np.asarray(actuator_mm).T / 1e3) @ vectors
-    resonance = 1j * omega / (speed_m_s**2 * values[:, None] * (1 + 1j * loss) - omega**2)
-    return np.einsum("pm,am,mf->paf", shapes, sources, resonance)
-
-
-@cache
-def _modes(refine, modes):
-    import scipy.sparse.linalg
-
-    basis, stiffness, mass = _elements(refine)
-    values, vectors = scipy.sparse.linalg.eigsh(stiffness, modes, mass, sigma=-1.0)
+    basis = skfem.Basis(skfem.MeshTri(bent, mesh.t), skfem.ElementTriP2())
+    stiffness, inertia = (skfem.asm(form, basis).tocsc() for form in (laplace, mass))
+    values, vectors = scipy.sparse.linalg.eigsh(stiffness, 90, inertia, sigma=-1.0)
     return basis, np.maximum(values, 1e-9), vectors
+
+
+def elements(places_mm, actuator_mm, hertz):
+    """A free membrane of another shape by finite elements (scikit-fem), its lowest modes."""
+    basis, values, vectors = _element_modes()
+    omega = 2 * np.pi * np.asarray(hertz)
+    shapes, sources = (basis.probes(np.asarray(some).T / 1e3) @ vectors for some in (places_mm, actuator_mm))
+    return (shapes[:, None] * sources) @ (1j * omega / (6.5**2 * values[:, None] * (1 + 0.06j) - omega**2))
 
 
 def places(kind, spacing_mm):

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import plate_bank
-from wavefocus import GreenArray, Impulse, InputError, Noise, Scene, Sine, Source, load_scene
-from wavefocus.config.scene import Output, Regularisation
+from wavefocus import GreenArray, Impulse, InputError, Noise, Sine, load_scene
+from wavefocus.config.scene import Regularisation
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import MAX_ENERGY, finer_rows, independent_filters
 from wavefocus.rendering.live.recording import SessionRecording
-from wavefocus.rendering.scene.trajectory import Trajectory, TrajectoryPath
+from wavefocus.rendering.scene.trajectory import Trajectory
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
 SUFFICIENT = TAPS - 1 + 4 * BLOCK
@@ -36,13 +36,16 @@ def engine_of(bank=BANK, *, look_ahead=0, fade_s=0.02, **options):
     )
 
 
-def run(engine, blocks, order):
+def run(engine, blocks, order, recording=None):
     """Drives of some blocks, and the parts of the record by number of the life."""
     drives, lives = [], {}
     for block in range(blocks):
         order(block)
         drives.append(engine.next_block())
-        for part in engine.take_record():
+        record = engine.take_record()
+        if recording is not None:
+            recording.add(record)
+        for part in record:
             lives.setdefault(part.number, []).append(part)
     return np.concatenate(drives, axis=1), lives
 
@@ -54,22 +57,14 @@ def course_of(parts):
     )
 
 
-def rendered(lives, samples, **output):
-    """What the scene of the record renders to, from scene time 0 on."""
-    courses = {number: course_of(parts) for number, parts in lives.items()}
-    sources = [
-        Source(
-            TrajectoryPath((course.sample - course.sample[0]) / RATE_HZ, course.at_mm, course.amplitude),
-            lives[number][0].signal, course.sample[0] / RATE_HZ, repeat=lives[number][0].repeat,
-        )
-        for number, course in courses.items()
-    ]  # fmt: skip
-    drive_v = render_with_report(Scene("record", sources, HELD, Output(**output)), BANK)[0].drive_v[:, TAPS - 1 :]
+def felt_v(folder, samples):
+    """What the scene of a recording renders to, from scene time 0 on."""
+    drive_v = render_with_report(load_scene(folder / "scene.toml"), BANK)[0].drive_v[:, TAPS - 1 :]
     return np.pad(drive_v, [(0, 0), (0, max(0, samples - drive_v.shape[1]))])[:, :samples]
 
 
 @pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
-def test_given_sufficient_look_ahead_then_the_drives_are_those_of_the_recorded_scene(interpolation):
+def test_given_sufficient_look_ahead_then_the_drives_are_those_of_the_recorded_scene(tmp_path, interpolation):
     engine = engine_of(look_ahead=SUFFICIENT + 4 * BLOCK, interpolation=interpolation, regularisation=HELD)
 
     def order(block):
@@ -83,8 +78,9 @@ def test_given_sufficient_look_ahead_then_the_drives_are_those_of_the_recorded_s
         if block == 70:
             engine.set_signal("thumb", Impulse())
 
-    drive_v, lives = run(engine, 150, order)
-    wanted_v = rendered(lives, drive_v.shape[1], interpolation=interpolation)
+    with SessionRecording(tmp_path, rate_hz=RATE_HZ, regularisation=HELD, interpolation=interpolation) as recording:
+        drive_v, lives = run(engine, 150, order, recording)
+    wanted_v = felt_v(tmp_path, drive_v.shape[1])
     assert engine.sufficient_samples == SUFFICIENT
     assert [parts[0].name for parts in lives.values()] == ["finger", "thumb", "thumb", "finger", "thumb", "thumb"]
     assert all(parts[-1].over for parts in lives.values())
@@ -207,10 +203,10 @@ def test_interface_rate_then_drives_are_those_of_banks_rate_between_its_samples(
             regularisation=Regularisation(independent=independent),
         )  # fmt: skip
         drives.append(
-            run(engine, 70, lambda block, engine=engine: engine.move("finger", (8.0 * np.sin(block / 30.0), 3.0)))[0]
+            run(engine, 48, lambda block, engine=engine: engine.move("finger", (8.0 * np.sin(block / 30.0), 3.0)))[0]
         )
     coarse, fine = drives
-    assert fine.shape[1] == math.ceil(Fraction(70 * 11) * Fraction(frame_rate_hz) / 2000)
+    assert fine.shape[1] == math.ceil(Fraction(48 * 11) * Fraction(frame_rate_hz) / 2000)
     wanted = converted(coarse, rate_ratio(2000.0, frame_rate_hz))[:, lead_samples(rate_ratio(2000.0, frame_rate_hz)) :]
     # The conversion rings where the drives end.
     inner = slice(fine.shape[1] // 2, fine.shape[1] * 7 // 8)
@@ -221,19 +217,17 @@ def test_interface_rate_then_drives_are_those_of_banks_rate_between_its_samples(
 def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tmp_path):
     engine = engine_of(look_ahead=SUFFICIENT + 4 * BLOCK)
     felt = {"rate_hz": RATE_HZ, "regularisation": Regularisation(), "interpolation": "nearest"}
-    drives = []
+
+    def order(block):
+        if block % 3 == 0:
+            engine.move("finger", (0.1 * block, 0.0))
+
     with SessionRecording(tmp_path, **felt, about="session\nof a test") as recording:
-        for block in range(90):
-            if block % 3 == 0:
-                engine.move("finger", (0.1 * block, 0.0))
-            drives.append(engine.next_block())
-            recording.add(engine.take_record())
+        drive_v, _ = run(engine, 90, order, recording)
         while len((tmp_path / "source-0.csv").read_text().splitlines()) < 25:
             pass
-        whole = render_with_report(load_scene(tmp_path / "scene.toml"), BANK)[0].drive_v[:, TAPS - 1 :][:, :400]
-    np.testing.assert_allclose(
-        np.concatenate(drives, axis=1)[:, :400], whole, rtol=0, atol=SINGLE * np.abs(whole).max()
-    )
+        wanted_v = felt_v(tmp_path, 400)
+    np.testing.assert_allclose(drive_v[:, :400], wanted_v, rtol=0, atol=SINGLE * np.abs(wanted_v).max())
     with pytest.raises(InputError, match=r"scene\.toml"):
         SessionRecording(tmp_path, **felt)
     with SessionRecording(tmp_path / "none", **felt) as recording:
