@@ -28,6 +28,8 @@ ROWS = [
     ("14", "faster than the waves", "nothing blows up", "correct, with a warning", "1e-12"),
     ("15-16", "one point, zero length, repeated points, v = 0", "division by zero",
      "the static focus; an empty signal is refused", "1e-12"),
+    ("17", "identical FIRs everywhere", "-", "one convolution", "1e-12"),
+    ("18", "source longer than the FIRs", "70 % error by circular wrap", "linear convolution", "1e-12"),
     ("19", "very many path points", "gigabytes", "bounded memory", "40 MB + drives"),
     ("20-21", "dt not whole samples", "250 ms of drift over 5000 points", "absolute rounding", "half a sample"),
     ("22", "response longer than its window", "3 % of the energy inside", "warning with the tail's share", "-"),
@@ -42,6 +44,7 @@ ROWS = [
     ("31", "time step beyond the explicit limit", "1e161", "refused before the first step, naming the limit", "-"),
     ("32", "Newmark at 0.1 ms", "-0.8 % in frequency at 500 Hz", "correct, dispersion reported", "5 % of it"),
     ("34", "everything below the converter's step", "silence", "refused", "-"),
+    ("35", "overlapping emission times", "negative slices", "the documented sum", "1e-12"),
     ("36", "duplicate or collinear positions", "a library's error", "merged; refused where degenerate", "1e-12"),
     ("37", "strided or memory-mapped banks", "silent copies", "as float64", "1e-12"),
 ]  # fmt: skip

@@ -232,6 +232,17 @@ def test_rows_15_to_16_source_that_does_not_move_is_the_static_focus(relative_er
         assert (drive.focus_sample.tolist(), drive.focus_position.tolist()) == ([30], [8])
 
 
+def test_rows_17_and_18_firs_alike_and_a_longer_source_make_one_linear_convolution(relative_error):
+    bank, long = make_bank(np.broadcast_to(VALUES[8], VALUES.shape)), Noise((50, 400), 20.0, 2)
+    methods = (("nearest", "exact"), ("bilinear", "sampled"))
+    around = Source(Circle((12.0, 8.0), 8.0, 50.0), long, 0.0, 100.0, 3.0)
+    for source, (interpolation, method) in itertools.product((CONTINUOUS, around), methods):
+        drive, _ = rendered(source, bank, interpolation=interpolation, method=method)
+        emitted = source.signal.samples(RATE_HZ)[: drive.drive_v.shape[1] - TAPS + 1]
+        signal = np.pad(emitted, (0, drive.drive_v.shape[1] - TAPS + 1 - len(emitted)))
+        assert relative_error(drive.drive_v, static_drive(VALUES[8], signal)) < 1e-12
+
+
 def test_row_19_many_path_points_take_bounded_memory():
     """1e5 points, 10 s; all the points' windows apart would take 1e5 * 50 * 8 * 3 = 120 MB."""
     turns = 1e5 * 0.01 / (2 * np.pi * 8.0)
@@ -366,6 +377,17 @@ def test_rows_27_and_37_bank_of_any_number_type_is_float64_and_no_complex(relati
 def test_row_34_limit_no_factor_can_reach_is_refused():
     with pytest.raises(InputError, match="limit_v"):
         rendered(Source(Point((4.0, 4.0)), Impulse(), amplitude=1e150), make_bank(), limit_v=1e-300)
+
+
+def test_row_35_emissions_that_overlap_add_up(relative_error):
+    """Points 2 ms apart that each emit 50 ms: the drive is the sum of the points' own drives."""
+    source = Source(Line((0.0, 4.0), (24.0, 4.0)), Noise((50, 400), 0.05, 1), 0.0, 2000.0, 4.0, emission="per_point")
+    together, _ = rendered(source, make_bank())
+    total = np.zeros_like(together.drive_v)
+    for m in range(7):
+        alone, _ = rendered(Source(Point((4.0 * m, 4.0)), source.signal, m * 0.002), make_bank())
+        total[:, : alone.drive_v.shape[1]] += alone.drive_v
+    assert relative_error(together.drive_v, total) < 1e-12
 
 
 def test_row_36_positions_that_repeat_count_once_and_on_one_line_bilinear_is_refused():
