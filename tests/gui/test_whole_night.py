@@ -104,7 +104,7 @@ def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone
     press(qtbot, _named(scene, "Undo"))
     wait(qtbot, lambda: scene.document.draft.source == ())
     press(qtbot, _named(scene, "Redo"))
-    wait(qtbot, lambda: scene.results.complete)
+    wait(qtbot, lambda: scene.results.calculation.complete)
     press(qtbot, _named(scene, "Save"))
     take(qtbot, "", window)
     wait(qtbot, (lab / "scene.toml").exists)

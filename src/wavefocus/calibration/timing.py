@@ -20,7 +20,6 @@ from wavefocus.calibration.known_signal import (
     KnownSignalClock,
     NearClock,
     ReferenceMissingError,
-    missing_reference,
 )
 from wavefocus.calibration.numerics import parabola_vertex, periodic_top
 from wavefocus.calibration.resampling import decimation_step, resampled
@@ -42,6 +41,15 @@ MIN_ENERGY = 0.05
 OVERSAMPLING = 1.5
 # Silence around the signal where its blocks are looked for in itself.
 TRIAL_MARGIN_SAMPLES = 200
+
+RATES_HZ = (48_000, 44_100, 96_000, 88_200)
+"""Rates that audio interfaces are set to, the usual ones first."""
+CARRIED = 0.3
+"""The signal is there when it explains this share of the energy where it lies."""
+LONGEST_SAMPLES = 1 << 15
+"""Of a signal at another rate so many samples are looked for, which takes some seconds."""
+SILENT = 0.005
+"""Less than this of the signal's rms is silence with its noise, for a loopback with a gain near 1: -46 dB."""
 
 
 class _BlockSearch:
@@ -191,18 +199,22 @@ class ClockFitter:
         absent, too noisy, or not entirely inside the recording.
         """
         recorded = self._checked(np.asarray(recorded_v), name)
-        offset, ratio = self.search.first_guess(recorded) if near is None else near
-        found = self._refined(*self._cut(recorded, offset), offset, self._near(ratio))[0]
+        found = self.best(recorded, near)
         if not self._is_found(found):
             words = f"unexplained {found.residual_db:.1f} dB, allowed {10 * np.log10(REFERENCE_LIMIT):g} dB"
             if not diagnose:
                 raise ReferenceMissingError(f"{name} does not carry what was played ({words})")
-            raise missing_reference(recorded, self._known, name, words)
+            raise missing_reference(recorded, self._known, found, self._clock.highest, name, words)
         if not self._is_inside(found, recorded.size):
             first, last = found.offset_samples, found.offset_samples + (self._known.size - 1) * found.ratio
             words = f"holds only a part of the signal, which spans samples {first:.1f} to {last:.1f} of {recorded.size}"
             raise ReferenceMissingError(f"{name} {words}", "cut")
         return found
+
+    def best(self, recorded: NDArray[np.floating], near: tuple[float, float] | None = None) -> ClockFit:
+        """The fit of one recording that explains most, whether the signal is there or not; `near` as `fit` has it."""
+        offset, ratio = self.search.first_guess(recorded) if near is None else near
+        return self._refined(*self._cut(recorded, offset), offset, self._near(ratio))[0]
 
     def fit_all(self, recorded_v: NDArray[np.floating], names: Sequence[str]) -> list[ClockFit]:
         """Find the known signal in recordings of one pair of clocks: each as `fit`, those after the first sooner.
@@ -280,3 +292,44 @@ class ClockFitter:
         if high > low:
             cut[low - first : high - first] = recorded[low:high]
         return scipy.fft.rfft(cut), first
+
+
+def missing_reference(
+    recorded: NDArray[np.floating], known_v: Float64Array, best: ClockFit, highest: float, name: str, found: str
+) -> ReferenceMissingError:
+    """Find out why a reference does not carry the known signal: its clock is off, or it is at one of `RATES_HZ`.
+
+    recorded, float (samples,): The reference channel in volts.
+    known_v, float64 (known,): What was played, in volts.
+    best: The best fit near a ratio of 1.
+    highest: Upper end of the signal's band in cycles per sample.
+    name: Of the recording, for the message.
+    found: What was found wrong, for the message.
+    """
+    steady = recorded - np.mean(recorded, dtype=np.float64)
+    rms_v = float(np.sqrt(np.mean(np.square(steady))))
+    expected_v = float(np.sqrt(np.sum(np.square(known_v)) / max(steady.size, known_v.size)))
+    missing, level = f"{name} does not carry what was played", f"{1e3 * rms_v:.2g} mV rms"
+    if best.explained > CARRIED and abs(best.ratio - 1) <= 1e-6 * MAX_PPM:
+        return ReferenceMissingError(f"{missing} clearly enough ({found})", "noise")
+    if rms_v < SILENT * expected_v:
+        return ReferenceMissingError(f"{missing}; it is silent, {level}", "silence")
+    # Of pairs with the same ratio that of the usual rates stays. A fit reaches as far as MAX_PPM either way.
+    tried = {1 + turn * 2e-6 * MAX_PPM: "" for turn in (-1, 1)}
+    for is_hz, asked_hz in reversed(list(itertools.permutations(RATES_HZ, 2))):
+        tried[asked_hz / is_hz] = f", as {is_hz} Hz where {asked_hz} Hz are asked for"
+    # So many samples that twice the highest frequency of what plays fastest is still there.
+    thinning = max(1, int(0.9 * min(tried) / (2 * highest)))
+    padded = np.pad(steady, (0, -steady.size % thinning))
+    thinned = np.asarray(scipy.fft.irfft(scipy.fft.rfft(padded), padded.size // thinning))
+    for wanted, as_if in tried.items():
+        samples = round(known_v.size * wanted / thinning)
+        stretched = scipy.fft.irfft(scipy.fft.rfft(known_v), samples)
+        # Of a slower signal only the beginning was recorded.
+        fit = ClockFitter(stretched[: min(thinned.size, LONGEST_SAMPLES)]).best(thinned)
+        if fit.explained > CARRIED:
+            ratio = thinning * samples / known_v.size * fit.ratio
+            faster = f"the player's clock runs {1 / ratio:.5f} times as fast as asked{as_if}"
+            skew = f"clock skew {1e6 * (ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
+            return ReferenceMissingError(f"{name} carries what was played at another rate: {faster} ({skew})", "rate")
+    return ReferenceMissingError(f"{missing} but another signal, {level} ({found})", "other")

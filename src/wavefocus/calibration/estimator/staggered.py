@@ -16,10 +16,10 @@ from wavefocus.calibration.known_signal import (
     ClockFit,
     KnownSignalClock,
     filled_bins,
-    missing_reference,
 )
 from wavefocus.calibration.numerics import periodic_signal
 from wavefocus.calibration.resampling import Decimated, decimate
+from wavefocus.calibration.timing import missing_reference
 from wavefocus.storage.errors import InputError
 
 # What of a period lies outside the record may last so many periods of the highest frequency: what sounds
@@ -201,7 +201,8 @@ class StaggeredEstimator:
         elif abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
             words = f"clock skew {1e6 * (clock.ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
         if words:
-            raise missing_reference(channels[0], self._base_v, f"the reference of {name}", words)
+            what = f"the reference of {name}"
+            raise missing_reference(channels[0], self._base_v, clock, self._highest, what, words)
         turn = 2 * np.pi / (self._period * clock.ratio)
         reference, answered = period_spectrum(decimated.spectrum(turn, 0, self._bins.stop), turn, samples)
         base = self._cleaned(reference[self._bins], clock)
