@@ -165,10 +165,11 @@ def flip(path, offset, bit=4):
 
 def raw_header(positions=3, records=2, samples=300):
     """Of raw recordings: sequential records at positions 2 mm apart, in whole counts of 1/1024 V."""
+    # Drivers of others may give NumPy's numbers.
     return RawHeader(
         1000.0, samples, 50, (50.0, 400.0), sequential(records), np.arange(2.0 * positions).reshape(positions, 2),
-        np.zeros((records, 2)), 0.125, volts_per_count=(1 / 1024, 1 / 1024), averages=1, sweep_s=0.2, decay_s=0.05,
-        plan_sha256="ab" * 32,
+        np.zeros((records, 2)), np.float64(0.125), volts_per_count=(1 / 1024, 1 / 1024), averages=1, sweep_s=0.2,
+        decay_s=0.05, plan_sha256="ab" * 32,
     )  # fmt: skip
 
 

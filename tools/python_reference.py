@@ -53,7 +53,9 @@ def _function_entry(name: str) -> str:
 def _class_entry(name: str) -> str:
     """A class: what it holds, its properties as a list, and its methods."""
     kind = getattr(wavefocus, name)
-    own = {key: member for key, member in vars(kind).items() if not key.startswith("_") and inspect.getdoc(member)}
+    bases = (base for base in reversed(kind.__mro__) if base.__module__.startswith("wavefocus"))
+    members = {key: member for base in bases for key, member in vars(base).items()}
+    own = {key: member for key, member in members.items() if not key.startswith("_") and inspect.getdoc(member)}
     call = f"{code(signature(f'wf.{name}', kind))}\n\n" if name in CALLED else ""
     parts = [f"### `{name}`\n\n{call}{markdown(kind)}"]
     if values := {key: member for key, member in own.items() if isinstance(member, property)}:

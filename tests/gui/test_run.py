@@ -106,6 +106,8 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
         window = open_window(bank, real_rig)
         rig, scene, verification = tab_of(window, RigTab), tab_of(window, SceneTab), tab_of(window, VerificationTab)
         wait(qtbot, lambda: bool(campaign_of(window).run.held))
+        scene.rig_field.line.setText("virtual")
+        assert scene.document.rig == "virtual"  # what the line shows counts, also without Enter
         scene.rig_field.line.setText(str(real_rig))
         form, start = verification.form, verification.row.start
         paths = tmp_path / "scene.toml", bank, real_rig, tmp_path / "verify"

@@ -146,8 +146,9 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, ba
     person = SimulatedParticipant(design, Observer("amplitude", -3.5, 8.0), np.random.default_rng(1))
     assert in_process(lambda session: answer(session, person.answer), *command, "--lines", "--fast") == 0
 
-    (result := out / "analysis").mkdir()
-    older = {"format": "wavefocus-trials-analysis", "files": ["analysis.json", "older.png"]}
+    result = out / "analysis"
+    (result / "bids").mkdir(parents=True)
+    older = {"format": "wavefocus-trials-analysis", "files": ["analysis.json", "older.png", "bids/older.tsv"]}
     for name in older["files"]:
         (result / name).write_text(json.dumps(older))
     assert "--force" in captures.refused(capsys, "analyse", out)
@@ -179,7 +180,7 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, ba
 
     assert "--force" in captures.refused(capsys, "analyse", out)
     (result / "notes.txt").write_text("mine")
-    captures.refused(capsys, "analyse", out, "--force")
+    assert "notes.txt" in captures.refused(capsys, "analyse", out, "--force")
     assert (result / "notes.txt").read_text() == "mine"
     captures.refused(capsys, "analyse", out, "--out", out, "--force")
     (out / "trials.json").write_text('{"format": "wavefocus-trials", "design": {"trials": 3}}')

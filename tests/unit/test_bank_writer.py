@@ -30,7 +30,7 @@ from wavefocus.storage.ledger.owner import bank_owner, owner_path
 def header(positions=4, actuators=2, taps=16):
     grid = np.stack([np.arange(positions) * 4.0, np.zeros(positions)], axis=1)
     return BankHeader(
-        10_000.0, taps, (20.0, 500.0), grid, np.full((actuators, 2), np.nan), '{"rig": "virtual"}',
+        np.float64(10_000.0), taps, (20.0, 500.0), grid, np.full((actuators, 2), np.nan), '{"rig": "virtual"}',
         '{"grid": {"spacing_mm": 4}}', "ab" * 32, "wavefocus test",
     )  # fmt: skip
 

@@ -33,6 +33,7 @@ def test_the_package_is_typed_and_its_reference_has_every_public_name():
     assert (files("wavefocus") / "py.typed").is_file()
     entries = python_reference.entries()
     assert not [name for name in wavefocus.__all__ if f"### `{name}`" not in entries]
+    assert "- `positions`: Number P of grid positions." in entries
 
 
 def test_no_module_imports_itself_round_a_circle():

@@ -50,7 +50,7 @@ def test_short_signal_is_found_anywhere_in_long_record_and_rest_does_not_count(o
     ("factor", "told"),
     [
         (44_100 / 48_000, "0.91870 .*, as 44100 Hz where 48000 Hz are"), (2.0, "1.99990 .*, as 96000 Hz where 48000"),
-        (44_100 / 96_000, "0.45935 .*, as 44100 Hz where 96000"), (1.0012, "1.00115 times .*skew -1149 ppm, allowed"),
+        (44_100 / 96_000, "0.45935 .*, as 44100 Hz where 96000"), (1.0012, "1.00115 times .*skew -114[89] ppm, allo"),
     ],
 )  # fmt: skip
 def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor, told):

@@ -325,10 +325,10 @@ def missing_reference(
     for wanted, as_if in tried.items():
         samples = round(known_v.size * wanted / thinning)
         stretched = scipy.fft.irfft(scipy.fft.rfft(known_v), samples)
-        # Of a slower signal only the beginning was recorded.
-        fit = ClockFitter(stretched[: min(thinned.size, LONGEST_SAMPLES)]).best(thinned)
-        if fit.explained > CARRIED:
-            ratio = thinning * samples / known_v.size * fit.ratio
+        # The beginning: of a slower signal the end was not recorded.
+        fit = ClockFitter(stretched[: min(thinned.size // 3, LONGEST_SAMPLES)]).best(thinned)
+        ratio = thinning * samples / known_v.size * fit.ratio
+        if fit.explained > 1 - REFERENCE_LIMIT and abs(ratio - 1) > 1e-6 * MAX_PPM:
             faster = f"the player's clock runs {1 / ratio:.5f} times as fast as asked{as_if}"
             skew = f"clock skew {1e6 * (ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
             return ReferenceMissingError(f"{name} carries what was played at another rate: {faster} ({skew})", "rate")

@@ -29,6 +29,8 @@ class Plot(Themed, pyqtgraph.PlotWidget):
     axis_px: Width of the left axis, where plots above one another are to have the same.
     """
 
+    _empty = False
+
     def __init__(
         self, name: str, bottom: str, left: str, legend_at: tuple[int, int] | None = None, axis_px: int | None = None
     ) -> None:
@@ -62,8 +64,9 @@ class Plot(Themed, pyqtgraph.PlotWidget):
     def title(self, words: str, *, faint: bool = False, size: str | None = None) -> None:
         """Set the line above the plot; a faint one says why it is empty, and then there are no axes."""
         colour = self.theme.faint if faint else self.theme.text
-        for side in ("left", "bottom"):
+        for side in ("left", "bottom") if faint != self._empty else ():  # an axis may be hidden for good
             self.getPlotItem().showAxis(side, not faint)
+        self._empty = faint
         self.getPlotItem().setTitle(words or None, color=colour, **({} if size is None else {"size": size}))
 
     def line(

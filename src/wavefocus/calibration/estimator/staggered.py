@@ -202,7 +202,7 @@ class StaggeredEstimator:
             words = f"clock skew {1e6 * (clock.ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
         if words:
             what = f"the reference of {name}"
-            raise missing_reference(channels[0], self._base_v, clock, self._highest, what, words)
+            raise missing_reference(channels[0], np.tile(self._base_v, 2), clock, self._highest, what, words)
         turn = 2 * np.pi / (self._period * clock.ratio)
         reference, answered = period_spectrum(decimated.spectrum(turn, 0, self._bins.stop), turn, samples)
         base = self._cleaned(reference[self._bins], clock)

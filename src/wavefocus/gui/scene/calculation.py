@@ -143,9 +143,9 @@ class Calculation(QObject):
         assert self._pool is not None
         try:
             future = self._pool.submit(work, self._newest.value, *arguments)
-        except (BrokenProcessPool, OSError):
+        except (BrokenProcessPool, OSError) as failure:
             self.close()
-            self._refuse(LOST)
+            self._refuse(LOST if isinstance(failure, BrokenProcessPool) else str(failure), stage)
             return
         self._cancelled_s, self.stage = 0.0, stage
         self._context.background.ask("scene", future.result, self._take, self._fail)

@@ -183,7 +183,7 @@ class Output(_SceneTask):
         loops: Number of repetitions, without a gap.
         lasts_s: Duration of one repetition, for display.
         """
-        if self.running or not self._prepare("nothing is played"):
+        if self.running or not self._document.rig or not self._prepare("nothing is played"):
             return
         self._lasts_s = loops * lasts_s
         options = ["--rig", self._document.rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
@@ -246,7 +246,7 @@ class LiveRun(_SceneTask):
         look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
         record: Folder for a new folder with the session's scene; None: not recorded.
         """
-        if self.running or not self._prepare("nothing sounds"):
+        if self.running or not self._document.rig or not self._prepare("nothing sounds"):
             return
         document = self._document
         scene = ["--scene", str(self._scene_file)] if document.draft.source else []

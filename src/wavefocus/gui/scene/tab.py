@@ -67,8 +67,7 @@ class SceneTab(Tab):
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
         self.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
-        for chosen in (self.rig_field.chosen, self.rig_field.line.editingFinished):
-            chosen.connect(self._use_rig)
+        self.rig_field.line.textChanged.connect(self._use_rig)  # a button or key that plays moves no focus
         self.surface.canvas.drawn.connect(self._drawn)
         self.surface.canvas.chosen.connect(self._show_table)
         self.surface.canvas.dragged.connect(self._drag)
@@ -160,7 +159,6 @@ class SceneTab(Tab):
             self.document.use_bank(path)
         elif kind is FileKind.RIG:
             self.rig_field.show_path(path)
-            self._use_rig()
 
     def _use_rig(self) -> None:
         """Use the rig of the line, a file or a word."""

@@ -350,7 +350,8 @@ class TrialsWindow(QMainWindow):
         elif self.question is None:
             self.notice.show_notice("The trials cannot begin", self.process.failure, "Close")
         else:
-            self.notice.show_notice("Please call the experimenter", f"{self.process.failure}\n\n{_RESUME}", "Close")
+            rest = "" if self._state is not None and self._state.phase == "done" else f"\n\n{_RESUME}"
+            self.notice.show_notice("Please call the experimenter", f"{self.process.failure}{rest}", "Close")
         self._pages.setCurrentWidget(self.notice)
 
     def _report_error(self, sentence: str, details: str) -> None:

@@ -181,7 +181,7 @@ class _RequestForm(QWidget):
 def unused_folder(folder: Path) -> Path:
     """Return the folder, or the first of ``NAME-2``, ``NAME-3``, ... where it holds results of a verification."""
     stem, _, number = folder.name.rpartition("-")
-    numbers = stem and number.isdecimal() and folder.with_name(stem).is_dir()
+    numbers = stem.strip(".") and number.isdecimal() and folder.with_name(stem).is_dir()
     name = stem if numbers else folder.name
     others = (folder.with_name(f"{name}-{count}") for count in itertools.count(2))
     return next(one for one in itertools.chain([folder], others) if not _holds_results(one))

@@ -39,8 +39,10 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 
-PREDICTION_OFFSET_SPACINGS, FOCAL_WIDTH_MM = 0.5, 1.0
-"""Largest median distance of the scanned focus from the predicted one, and difference of their focal widths."""
+PREDICTION_OFFSET_SPACINGS = 0.5
+"""Largest median distance of the scanned focus from the predicted one, in grid spacings."""
+WIDTH_DIFFERENCE_MM = 1.0
+"""Largest median difference of the focal widths."""
 USABLE_SHARE = 0.95
 """Least part of the scanned positions that can be compared."""
 
@@ -278,7 +280,7 @@ def _checks(
             "median over focus instants of the difference between scanned and predicted full width at half maximum:"
             " diameter of the disk of equal area to the connected region around the peak where y has the peak's sign"
             " and exceeds half of it (field interpolated between positions)",
-            wider_mm, "at most", FOCAL_WIDTH_MM, predicted=median_or_none(focus.predicted_width_mm),
+            wider_mm, "at most", WIDTH_DIFFERENCE_MM, predicted=median_or_none(focus.predicted_width_mm),
             scanned=median_or_none(focus.scanned_width_mm), difference=wider_mm,
         ),
         judged(

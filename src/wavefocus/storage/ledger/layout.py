@@ -125,8 +125,9 @@ def write_attributes(
         if getattr(header, own) or name not in may_lack:
             file.attrs[name] = getattr(header, own)
     for name, kind in numbers.items():
-        if getattr(header, name) not in (None, ()):
-            file.attrs[name] = np.array(getattr(header, name), kind)
+        value = getattr(header, name)
+        if value is not None and np.size(value):
+            file.attrs[name] = np.array(value, kind)
 
 
 def lay_out_data(file: h5py.File, shape: RowShape, count: int, units: Sequence[str]) -> tuple[h5py.Dataset, ...]:
