@@ -124,6 +124,15 @@ def test_any_scene_renders_to_the_direct_evaluation(seed, taps, start_s, speed_m
     assert relative_error(found, direct(scene_of(source), bank, method)) < 1e-12
 
 
+def test_an_impulse_of_amplitude_a_gives_the_response_a_at_its_focus():
+    for position, amplitude, start_s in ((0, 0.01, 0.0), (31, 1.0, 0.1), (62, 100.0, 0.1234)):
+        source = Source(Point(tuple(NOISE_MM[position])), Impulse(), start_s, amplitude=amplitude)
+        drive = drive_of(source, regularisation=Regularisation(saturation=0.8))
+        field = predict(drive, noise_bank(), [position]).field[0]
+        assert field[int(drive.focus_sample[0]) + noise_bank().taps - 1] == pytest.approx(amplitude, rel=1e-9)
+        assert drive.focus_position.tolist() == [position]
+
+
 def test_continuous_emission_lasts_to_the_next_focus_and_is_exact():
     drive = drive_of(Source(Line((-8, 0), (8, 0)), Sine(50, 0.01), 0.0, 80.0, 4.0))
     assert (drive.drive_v.shape[1], drive.focus_sample.tolist()) == (250 + 60 - 1, [0, 50, 100, 150, 200])
