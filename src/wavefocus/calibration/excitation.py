@@ -83,10 +83,14 @@ class PlayedExcitation:
         _require(0 <= self.decay_s < math.inf, self, "decay_s", "0 or more")
         _require(low < high, self, "start_hz", f"less than stop_hz, {high:g}")
         _require(high < half_rate, self, "stop_hz", f"less than half the sample rate, {half_rate:g}")
+        if isinstance(self.averages, bool) or int(self.averages) != self.averages or self.averages < 1:
+            raise InputError(f"capture averages is {self.averages!r}; allowed is a whole number of 1 or more")
         longest_s = self.duration_s / 2
         _require(0 <= self.fade_s <= longest_s, self, "fade_s", f"0 to half of duration_s, {longest_s:g}")
         least = f"at least {4 / (high - low):g} for a band of {high - low:g} Hz"
         _require((high - low) * self.duration_s >= 4, self, "duration_s", least)
+        if self.waveform not in WAVEFORMS:
+            raise InputError(f"sweep waveform is {self.waveform!r}; allowed is one of {', '.join(WAVEFORMS)}")
 
     @property
     def sweep_samples(self) -> int:
@@ -180,7 +184,7 @@ class StaggeredSignal:
     groups: Records of a position, 1 to `actuators`.
     periods: Periods of a record that count, >= 1.
 
-    Raises InputError: a period too short for its band.
+    Raises InputError: a value outside the range above, or a period too short for its band.
     """
 
     sweep: PlayedExcitation
@@ -191,6 +195,14 @@ class StaggeredSignal:
     periods: int = 1
 
     def __post_init__(self) -> None:
+        if not 1 <= self.groups <= self.actuators:
+            raise InputError(
+                f"capture groups is {self.groups}; allowed is 1 to the number of actuators, {self.actuators}"
+            )
+        if self.periods < 1:
+            raise InputError(f"capture periods is {self.periods}; allowed is 1 or more")
+        if not 1 <= self.taps <= self.stagger_samples:
+            raise InputError(f"taps is {self.taps}; allowed is 1 to a stagger, {self.stagger_samples} samples")
         self._period_sweep()
 
     @property
