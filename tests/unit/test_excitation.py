@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import wavefocus as wf
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import WAVEFORMS, PlayedExcitation
 
 DEFAULT = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)
@@ -28,7 +29,7 @@ def test_the_default_is_three_soft_sweeps_with_silence_flat_in_the_band_alone():
 
 
 @pytest.mark.parametrize("waveform", WAVEFORMS)
-def test_a_waveform_then_it_fills_its_band_at_its_peak(waveform):
+def test_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found(waveform):
     excitation = dataclasses.replace(DEFAULT, waveform=waveform, averages=2)
     base = excitation.base_v()
     assert np.abs(base).max() == pytest.approx(0.5, abs=1e-12)
@@ -37,6 +38,23 @@ def test_a_waveform_then_it_fills_its_band_at_its_peak(waveform):
     power = np.abs(np.fft.rfft(base)) ** 2
     hertz = np.arange(power.size) / 1.2
     assert power[(hertz > 20) & (hertz < 500)].sum() > 0.99 * power.sum()
+
+    draw = np.random.default_rng(0)
+    green = draw.standard_normal(600) * np.exp(-np.arange(600) / 100)
+    reference = np.pad(excitation.signal_v(), (150, 300))
+    response = np.convolve(reference, green)[: reference.size]
+    noise_v = 1e-3 * np.std(response)
+    channels = [
+        (channel + scale * draw.standard_normal(channel.size)).astype(np.float32)[None]
+        for channel, scale in ((reference, 1e-4), (response, noise_v))
+    ]
+    found = SequentialEstimator(excitation, 600).estimate(*channels, range_v=(10.0, 10.0))
+    spectra = [np.fft.rfft(row, 4000)[14:196] for row in (found.green[0], green)]
+    assert np.linalg.norm(spectra[0] - spectra[1]) < 3e-3 * np.linalg.norm(spectra[1])
+    assert found.residual_db[0] < -50
+    assert found.coherence[0] > 0.9999
+    harmonics = found.defects["harmonic_db"][0]
+    assert not harmonics > -60
 
 
 @pytest.mark.long

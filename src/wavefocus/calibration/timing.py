@@ -48,6 +48,8 @@ CARRIED = 0.3
 """The signal is there when it explains this share of the energy where it lies."""
 LONGEST_SAMPLES = 1 << 15
 """Of a signal at another rate so many samples are looked for, which takes some seconds."""
+SHORTEST_SAMPLES = 32
+"""Of less nothing is told."""
 SILENT = 0.005
 """Less than this of the signal's rms is silence with its noise, for a loopback with a gain near 1: -46 dB."""
 
@@ -204,7 +206,7 @@ class ClockFitter:
             words = f"unexplained {found.residual_db:.1f} dB, allowed {10 * np.log10(REFERENCE_LIMIT):g} dB"
             if not diagnose:
                 raise ReferenceMissingError(f"{name} does not carry what was played ({words})")
-            raise missing_reference(recorded, self._known, found, self._clock.highest, name, words)
+            raise missing_reference(recorded, self._known, self._clock.highest, name, words)
         if not self._is_inside(found, recorded.size):
             first, last = found.offset_samples, found.offset_samples + (self._known.size - 1) * found.ratio
             words = f"holds only a part of the signal, which spans samples {first:.1f} to {last:.1f} of {recorded.size}"
@@ -295,13 +297,15 @@ class ClockFitter:
 
 
 def missing_reference(
-    recorded: NDArray[np.floating], known_v: Float64Array, best: ClockFit, highest: float, name: str, found: str
+    recorded: NDArray[np.floating], known_v: Float64Array, highest: float, name: str, found: str
 ) -> ReferenceMissingError:
-    """Find out why a reference does not carry the known signal: its clock is off, or it is at one of `RATES_HZ`.
+    """Find out why a reference does not carry the known signal: noise, another rate, silence, or another signal.
+
+    The beginning of the signal is fitted as it is, a little faster and slower, and as interfaces at other rates than
+    asked for (`RATES_HZ`) would play it; the fit counts whose signal has the largest share of the recording's energy.
 
     recorded, float (samples,): The reference channel in volts.
     known_v, float64 (known,): What was played, in volts.
-    best: The best fit near a ratio of 1.
     highest: Upper end of the signal's band in cycles per sample.
     name: Of the recording, for the message.
     found: What was found wrong, for the message.
@@ -310,26 +314,36 @@ def missing_reference(
     rms_v = float(np.sqrt(np.mean(np.square(steady))))
     expected_v = float(np.sqrt(np.sum(np.square(known_v)) / max(steady.size, known_v.size)))
     missing, level = f"{name} does not carry what was played", f"{1e3 * rms_v:.2g} mV rms"
-    if best.explained > CARRIED and abs(best.ratio - 1) <= 1e-6 * MAX_PPM:
-        return ReferenceMissingError(f"{missing} clearly enough ({found})", "noise")
     if rms_v < SILENT * expected_v:
         return ReferenceMissingError(f"{missing}; it is silent, {level}", "silence")
-    # Of pairs with the same ratio that of the usual rates stays. A fit reaches as far as MAX_PPM either way.
-    tried = {1 + turn * 2e-6 * MAX_PPM: "" for turn in (-1, 1)}
+    # A fit reaches as far as MAX_PPM either way. Of pairs with the same ratio that of the usual rates stays.
+    tried = {1 + turn * 2e-6 * MAX_PPM: "" for turn in (0, -1, 1)}
     for is_hz, asked_hz in reversed(list(itertools.permutations(RATES_HZ, 2))):
         tried[asked_hz / is_hz] = f", as {is_hz} Hz where {asked_hz} Hz are asked for"
     # So many samples that twice the highest frequency of what plays fastest is still there.
     thinning = max(1, int(0.9 * min(tried) / (2 * highest)))
     padded = np.pad(steady, (0, -steady.size % thinning))
     thinned = np.asarray(scipy.fft.irfft(scipy.fft.rfft(padded), padded.size // thinning))
-    for wanted, as_if in tried.items():
+    # Of a slower signal the end was not recorded.
+    longest = min(thinned.size, LONGEST_SAMPLES)
+    share, ratio, as_if = 0.0, 1.0, ""
+    for wanted, words in tried.items() if longest >= SHORTEST_SAMPLES else ():
         samples = round(known_v.size * wanted / thinning)
-        stretched = scipy.fft.irfft(scipy.fft.rfft(known_v), samples)
-        # The beginning: of a slower signal the end was not recorded.
-        fit = ClockFitter(stretched[: min(thinned.size // 3, LONGEST_SAMPLES)]).best(thinned)
-        ratio = thinning * samples / known_v.size * fit.ratio
-        if fit.explained > 1 - REFERENCE_LIMIT and abs(ratio - 1) > 1e-6 * MAX_PPM:
-            faster = f"the player's clock runs {1 / ratio:.5f} times as fast as asked{as_if}"
-            skew = f"clock skew {1e6 * (ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
-            return ReferenceMissingError(f"{name} carries what was played at another rate: {faster} ({skew})", "rate")
+        fit = ClockFitter(scipy.fft.irfft(scipy.fft.rfft(known_v), samples)[:longest]).best(thinned)
+        # Of the energy where it lies; slow drifts, which look like what coupling capacitors leave out, are not its own.
+        own = 1 / (1 + 10 ** (fit.residual_db / 10))
+        if own > share:
+            share, ratio, as_if = own, thinning * samples / known_v.size * fit.ratio, words
+    # Less is a guess: lost samples, too, look like a stretch.
+    if share > 1 - REFERENCE_LIMIT and abs(ratio - 1) > 1e-6 * MAX_PPM:
+        return other_rate(name, ratio, as_if)
+    if share > CARRIED:
+        return ReferenceMissingError(f"{missing} clearly enough ({found})", "noise")
     return ReferenceMissingError(f"{missing} but another signal, {level} ({found})", "other")
+
+
+def other_rate(name: str, ratio: float, as_if: str = "") -> ReferenceMissingError:
+    """A recording carries the known signal at another rate: DAQ rate over playback rate, and what that looks like."""
+    faster = f"the player's clock runs {1 / ratio:.5f} times as fast as asked{as_if}"
+    skew = f"clock skew {1e6 * (ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
+    return ReferenceMissingError(f"{name} carries what was played at another rate: {faster} ({skew})", "rate")

@@ -130,6 +130,14 @@ class Channels:
     response_per_volt: float = 1.0
     inter_channel_delay_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.reference_gain) and self.reference_gain > 0):
+            raise InputError(f"reference_gain is {self.reference_gain:g}; allowed is a finite number above 0")
+        if not (np.isfinite(self.response_per_volt) and self.response_per_volt != 0):
+            raise InputError(f"response_per_volt is {self.response_per_volt:g}; allowed is a finite number, not 0")
+        if not (np.isfinite(self.inter_channel_delay_s) and abs(self.inter_channel_delay_s) < 1):
+            raise InputError(f"inter_channel_delay_s is {self.inter_channel_delay_s:g}; allowed is less than 1 s")
+
 
 DIRECT = Channels()
 

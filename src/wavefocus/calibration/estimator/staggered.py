@@ -19,7 +19,7 @@ from wavefocus.calibration.known_signal import (
 )
 from wavefocus.calibration.numerics import periodic_signal
 from wavefocus.calibration.resampling import Decimated, decimate
-from wavefocus.calibration.timing import missing_reference
+from wavefocus.calibration.timing import missing_reference, other_rate
 from wavefocus.storage.errors import InputError
 
 # What of a period lies outside the record may last so many periods of the highest frequency: what sounds
@@ -195,14 +195,14 @@ class StaggeredEstimator:
         require_coverage(samples, self._period, self._highest, name)
         decimated = decimate(channels, self._highest)
         clock = self._clock.fit(decimated)
-        words = ""
+        what = f"the reference of {name}"
         if not clock.explained > 1 - REFERENCE_LIMIT:
             words = f"explained {100 * clock.explained:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
-        elif abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
-            words = f"clock skew {1e6 * (clock.ratio - 1):.0f} ppm, allowed {MAX_PPM:g} ppm"
-        if words:
-            what = f"the reference of {name}"
-            raise missing_reference(channels[0], np.tile(self._base_v, 2), clock, self._highest, what, words)
+            # Half a period, which lies somewhere in the recording as a whole.
+            half = self._base_v[: self._period // 2]
+            raise missing_reference(channels[0], half, self._highest, what, words)
+        if abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
+            raise other_rate(what, clock.ratio)
         turn = 2 * np.pi / (self._period * clock.ratio)
         reference, answered = period_spectrum(decimated.spectrum(turn, 0, self._bins.stop), turn, samples)
         base = self._cleaned(reference[self._bins], clock)

@@ -48,7 +48,7 @@ from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 _HIGHEST_HZ = 500.0
 """Upper end of the band in which the plate is accurate to 1 %; above, it is a causal plate with fewer modes."""
-_RECIPE = 2
+_RECIPE = 3
 """Raised when the same plate is computed in another way, so that no older file is used."""
 _SOLVED_STEP_HZ = 26.0
 """Distance of the frequencies that are solved for; they go on to a quarter beyond the band."""
