@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from multiprocessing import Pipe
@@ -136,7 +136,8 @@ class Processes:
         while time.monotonic() < deadline_s and not self._pipe.poll():
             time.sleep(0.0005)
         if not self._pipe.poll():
-            os.kill(self.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has just ended
+                os.kill(self.pid, signal.SIGKILL)
         return self.wait()
 
     def converse(self, answers, *arguments, order=None, lifetime_s=1000000000.0):
