@@ -12,6 +12,7 @@ from wavefocus.acquisition.setup import RecordMargins, record_samples
 from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.config.run import DriftLimits, QualityLimits
+from wavefocus.storage.ledger.layout import OnGrid
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05
@@ -23,7 +24,7 @@ a coarse grid are judged by."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(OnGrid):
     """A campaign: which positions, in which order, with what excitation.
 
     position_mm, float64 (positions, 2): The grid, in the bank's order.
@@ -48,16 +49,6 @@ class Plan:
     staggered: StaggeredSignal | None = None
     drift: DriftLimits = field(default_factory=DriftLimits)
     check_rows: frozenset[int] = frozenset()
-
-    @property
-    def positions(self) -> int:
-        """Number of grid positions."""
-        return len(self.position_mm)
-
-    @property
-    def actuators(self) -> int:
-        """Number of actuators."""
-        return len(self.actuator_mm)
 
     @property
     def records(self) -> int:

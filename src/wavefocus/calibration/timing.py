@@ -326,10 +326,11 @@ def missing_reference(
     thinned = np.asarray(scipy.fft.irfft(scipy.fft.rfft(padded), padded.size // thinning))
     # Of a slower signal the end was not recorded.
     longest = min(thinned.size, LONGEST_SAMPLES)
+    spectrum = scipy.fft.rfft(known_v)
     share, ratio, as_if = 0.0, 1.0, ""
     for wanted, words in tried.items() if longest >= SHORTEST_SAMPLES else ():
         samples = round(known_v.size * wanted / thinning)
-        fit = ClockFitter(scipy.fft.irfft(scipy.fft.rfft(known_v), samples)[:longest]).best(thinned)
+        fit = ClockFitter(scipy.fft.irfft(spectrum, samples)[:longest]).best(thinned)
         # Of the energy where it lies; slow drifts, which look like what coupling capacitors leave out, are not its own.
         own = 1 / (1 + 10 ** (fit.residual_db / 10))
         if own > share:

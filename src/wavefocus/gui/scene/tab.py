@@ -54,8 +54,8 @@ class SceneTab(Tab):
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context, words=(VIRTUAL,))
         tip = "Rig file whose limits count and that plays the scene; virtual: the built-in rig"
         self.rig_field.line.setToolTip(tip)
+        self.rig_field.line.textChanged.connect(self._use_rig)  # a button or key that plays moves no focus
         self.rig_field.line.setText(context.settings.text("scene/rig"))
-        self._use_rig()
         self.editor = TextPanel(self.document)
         self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
@@ -67,7 +67,6 @@ class SceneTab(Tab):
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
         self.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
-        self.rig_field.line.textChanged.connect(self._use_rig)  # a button or key that plays moves no focus
         self.surface.canvas.drawn.connect(self._drawn)
         self.surface.canvas.chosen.connect(self._show_table)
         self.surface.canvas.dragged.connect(self._drag)
