@@ -11,7 +11,17 @@ from wavefocus.acquisition.drift_watch import DriftError
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.config.messages.campaign import Fault, ReconnectTried, SessionEnded, State, StateChanged
+from wavefocus.config.messages.campaign import (
+    CrosstalkMeasured,
+    Drift,
+    Fault,
+    PositionCommitted,
+    PositionStarted,
+    ReconnectTried,
+    SessionEnded,
+    State,
+    StateChanged,
+)
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.writer import BankWriter, create_bank
@@ -46,10 +56,11 @@ def blueprint(tmp_path_factory):
 class TrialSession:
     """One session, in which something is done at one of the events that it publishes."""
 
-    def __init__(self, blueprint, bank, at, act):
+    def __init__(self, blueprint, bank, at, act, unvouched=()):
         self.stop, self.events = StopRequest(), []
         self._at, self._act = at, act
-        create_bank(bank, blueprint.bank_header())
+        if not bank.exists():
+            create_bank(bank, blueprint.bank_header())
         configuration = blueprint.configuration
         with (
             # A mirror that is gone at the end cannot be parked; a sentinel measured in the dark is not what it was.
@@ -58,7 +69,7 @@ class TrialSession:
             open_setup(configuration.rig, configuration.run) as setup,
         ):
             try:
-                Campaign(blueprint.plan, setup, writer, self._publish, self.stop).run()
+                Campaign(blueprint.plan, setup, writer, self._publish, self.stop, unvouched=unvouched).run()
             finally:
                 self.measured = writer.status.copy()
 
@@ -119,3 +130,25 @@ def test_a_request_at_any_event_changes_states_by_the_table_and_ends(blueprint, 
         assert isinstance(session.events[-1], SessionEnded)
         # Nothing that was measured in the dark is in the bank.
         assert not set(session.measured.tolist()) - {0, 1}
+
+
+DARK = 'role = "recorder"\noperation = "read"\nkind = "dark"\nattempt = 1\nposition = '
+# In the pass, one position becomes valid and the next ten do not: it ends before the last one.
+FUTILE = [(lambda session: None, PositionStarted, 13, (1, *(f"{at}\ncount = 9" for at in range(2, 13))))]
+LAST = [(ACTS[name][0], PositionStarted, 2, ()) for name in ("stop", "pause")]
+
+
+@pytest.mark.parametrize(("act", "kind", "positions", "dark"), [*LAST, (at_once, CrosstalkMeasured, 2, ()), *FUTILE])
+def test_a_campaign_finishes_only_after_a_look_at_the_sentinel(tmp_path, act, kind, positions, dark):
+    lab = write_lab(tmp_path)
+    write_positions(lab, [(2.0 * x, 0.0) for x in range(positions)])
+    change_text(lab / "run.toml", "[quality]", "[quality]\nmax_attempts = 1")
+    with_faults(lab, *(f"{DARK}{one}" for one in dark))
+    blueprint = blueprint_from_files(lab / "run.toml")
+    whole = TrialSession(blueprint, lab / "whole.h5", -1, act).events
+    last = max(at for at, event in enumerate(whole) if isinstance(event, kind))
+    events = TrialSession(blueprint, lab / "plate.h5", last, act).events
+    if events[-1].state is State.STOPPED:
+        events += TrialSession(blueprint, lab / "plate.h5", -1, act, unvouched=range(2)).events
+    assert events[-1].state is State.FINISHED
+    assert isinstance([one for one in events if isinstance(one, Drift | PositionCommitted)][-1], Drift)

@@ -83,7 +83,7 @@ class DriftWatch:
     @property
     def owes_a_look(self) -> bool:
         """Whether positions were committed that no measurement of the sentinel vouches for yet."""
-        return bool(self._recorded and self._suspects(self._sentinel))
+        return bool(self._suspects(self._sentinel))
 
     def end(self) -> None:
         """Where the sentinel was off when it was last measured, mark what was committed since."""

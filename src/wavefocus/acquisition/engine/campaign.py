@@ -122,7 +122,7 @@ class Campaign:
             self._report.start(rows, names, second_looks=not self._neighbours_judged)
             with one_blas_thread(), self._worker:
                 self._walk()
-            if self._stop.requested and (self._queue or self._due_again()):
+            if self._stop.requested and (self._queue or self._due_again() or self._owes_a_look):
                 state, reason = State.STOPPED, f"{self._stop.reason} after the position"
         except StoppedWhileWaitingError as stopped:
             state, reason = State.STOPPED, str(stopped)
@@ -159,7 +159,7 @@ class Campaign:
             return self._collect
         if queue and queue[0].of_session > 1:
             return self._measure
-        if not queue and state is State.RUNNING and (self._leak.due or self._drift.owes_a_look):
+        if (not queue or self._pass_is_futile()) and state is not State.STOPPING and self._owes_a_look:
             return self._check_last
         if not queue and not self._neighbours_judged and np.all(self._bank.status[self._rows_of_session]):
             return self._mark
@@ -172,6 +172,11 @@ class Campaign:
         if queue:
             return self._check_again if self._drift.due else self._measure
         return self._begin_pass
+
+    @property
+    def _owes_a_look(self) -> bool:
+        """Whether positions were committed since the leak or the sentinel was measured."""
+        return self._leak.due or self._drift.owes_a_look
 
     def _pass_is_futile(self) -> bool:
         """Whether the latest positions of the pass have all stayed as they were, or a leak makes all of them poor."""
