@@ -88,8 +88,10 @@ def test_faults_that_pass_are_repeated_and_of_those_that_stay_a_poor_one_is_cure
 
 
 def test_given_three_positions_in_a_row_without_a_record_then_exit_3(lab, capsys):
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "missing_reference"\nrecord = 0\ncount = 3')
-    assert "3 positions in a row" in captured(capsys, lab, code=3).last
+    read = 'role = "recorder"\noperation = "read"\nkind = '
+    passing = f'{read}"timeout"\nposition = 0\nattempt = 1'  # it is over, and not why
+    with_faults(lab, f'{read}"missing_reference"\nrecord = 0\ncount = 3', passing)
+    assert "recorder: recording the reference: 3 positions in a row" in captured(capsys, lab, code=3).last
 
 
 def test_a_bank_refuses_another_run_file_and_goes_on_from_a_copy_alone(lab, bank, tmp_path_factory, capsys):

@@ -90,7 +90,7 @@ class Campaign:
         self._best: dict[int, AttemptResult] = {}
         self._replaceable: frozenset[int] = frozenset()
         self._failed_in_a_row = 0
-        self._last_fault: InstrumentError | None = None
+        self._faults: dict[int, InstrumentError] = {}  # of positions whose latest attempt gave no record
         self._common: frozenset[str] | None = None
 
     def run(
@@ -266,13 +266,14 @@ class Campaign:
         try:
             recordings = self._suspension.take_under_conditions(attempt, lambda: self._take(attempt))
         except TransientInstrumentError as fault:
-            self._last_fault = fault
+            self._faults[attempt.position] = fault
             self._session.fault(fault, attempt, retried=attempt.of_session < self._plan.quality.max_attempts)
             self._station.recovery.renew_if_repeated(fault)
             return Recorded(attempt, (), str(fault))
         except InstrumentError as fault:
             self._session.fault(fault, attempt, retried=False)
             raise
+        self._faults.pop(attempt.position, None)
         if attempt.of_session == 1:
             self._drift.recorded()
         if self._queue:
@@ -365,7 +366,7 @@ class Campaign:
         self._failed_in_a_row += 1
         if self._failed_in_a_row >= FAILED_IN_A_ROW:
             cause = f"{FAILED_IN_A_ROW} positions in a row gave no usable record ({result.judgement.reason})"
-            fault = self._last_fault
+            fault = self._faults.get(result.attempt.position)
             if fault is None:
                 where = "recorder", "recording the reference", cause, "put right what the reason names"
                 raise InstrumentError(*where)
