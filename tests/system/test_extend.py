@@ -1,16 +1,20 @@
 """Banks with more positions: what is taken over, what is measured, and what is refused."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import POSITIONS, change_text, with_check_rows, write_positions, write_rows
+from tests.lab_files import POSITIONS, change_text, raw_header, with_check_rows, write_positions, write_rows
 from tests.system.captures import answered, held, refused, told_by, wavefocus
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.extension import extend
 from wavefocus.configuration import load_run
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import create_raw
 
 MORE = [[12.0, 0.0], *POSITIONS[:4], [12.0, 4.0]]
 
@@ -130,6 +134,17 @@ def test_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extend
     with open_bank(tmp_path / "new.h5") as new:
         assert np.count_nonzero(new.status) == header.positions
         assert np.count_nonzero(new.check) >= 24
+
+
+def test_given_recordings_of_two_scales_then_they_are_not_put_into_one_file(lab):
+    change_text(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
+    header = blueprint_of(load_run(lab / "run.toml")).bank_header()
+    for name, per_volt in (("plate", 0.125), ("other", 0.05)):
+        write_rows(lab / f"{name}.h5", header, np.ones((6, 3, 1000)))
+        create_raw(lab / f"{name}.raw.h5", replace(raw_header(6, 3), response_per_volt=per_volt))
+    with pytest.raises(InputError, match=r"plate\.raw\.h5 .* response_per_volt 0\.125, .*other\.raw\.h5 with 0\.05"):
+        extend([lab / "plate.h5", lab / "other.h5"], lab / "new.h5")
+    assert not list(lab.glob("new*"))
 
 
 def test_given_kept_recordings_then_they_are_taken_over_too(lab, capsys):

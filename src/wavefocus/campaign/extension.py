@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefocus.acquisition.attempt import scale_differences
 from wavefocus.acquisition.limits import compare_sentinel
 from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.campaign.blueprint import (
@@ -206,6 +207,12 @@ def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, path:
             )
     with replacement(path) as temporary, ExitStack() as stack:
         raws = [stack.enter_context(open_raw(raw_path(view.path))) for view in views]
+        for raw in raws[1:]:
+            for name, first, other in scale_differences(raws[0].header, raw.header):
+                raise InputError(
+                    f"{raws[0].path} was recorded with {name} {first}, {raw.path} with {other}, and one file holds one "
+                    "value: to take over the rows alone, set keep_raw = false in a run file, and name it by --run"
+                )
         create_raw(
             temporary,
             replace(
