@@ -125,7 +125,7 @@ def test_a_session_ended_before_its_sentinel_is_marked_by_the_next_one(lab, caps
     mend = with_faults(lab, f"{fault}position = 2", LOST)
     captured(capsys, lab, code=3)
     assert held(bank) == [1, 1, 1, 0, 0, 0]
-    assert unvouched_rows(bank) == (0, 1, 2, 3)
+    assert unvouched_rows(bank, 6) == (0, 1, 2, 3)
     # Nothing vouches for what lies between the last look at the sentinel and the one that finds another gain.
     mend()
     mend = with_faults(lab, f'{fault}purpose = "sentinel"', *(f"{fault}position = {one}" for one in (3, 4, 5)))
@@ -138,7 +138,7 @@ def test_a_session_ended_before_its_sentinel_is_marked_by_the_next_one(lab, caps
     captured(capsys, lab)
     assert held(bank) == [1] * 6
     # A steady sentinel vouches for what came before it: a later change marks nothing of that.
-    assert unvouched_rows(bank) == ()
+    assert unvouched_rows(bank, 6) == ()
     with_faults(lab, LASTING.format(level_db=1.0) + 'purpose = "sentinel"')
     assert wavefocus("remeasure", bank, "--positions", "5") == 0
     assert held(bank)[:5] == [1] * 5

@@ -15,9 +15,10 @@ from wavefocus.campaign.sidecar_files import (
     last_events,
     log_path,
     read_drift,
+    unvouched_rows,
     write_whole,
 )
-from wavefocus.config.messages.campaign import Drift
+from wavefocus.config.messages.campaign import Drift, PositionStarted, SessionStarted
 from wavefocus.input_files import input_files
 from wavefocus.rendering.verify.record import read_record
 from wavefocus.storage.errors import InputError
@@ -95,6 +96,17 @@ def test_sector_of_garbage_after_power_cut_then_owner_s_name_is_written_and_remo
     owner_path(bank).write_bytes(b"\xff\xa5" * 257)  # more than a power cut leaves
     remove_owner(bank)
     assert owner_path(bank).exists()
+
+
+def test_log_of_another_bank_of_this_name_then_none_of_its_rows_is_unvouched(tmp_path):
+    bank = tmp_path / "plate.h5"
+    with EventLog(log_path(bank)) as log:
+        for positions, done, row in ((20, 0, 19), (20, 20, 3), (8, 6, 7)):
+            log(SessionStarted(0.0, bank.name, positions, 3, done, positions - done, 1.0, ()))
+            log(PositionStarted(0.0, row, 1, 0.0, 0.0))
+            if row == 3:
+                log(Drift(0.0, 0, 0.1, 0.0, 1.0, "stop", "repeat", "", (5,)))
+    assert unvouched_rows(bank, 8) == (7,)
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def opened_campaign(
         publish = EventPublisher({"the event log": log, "the drift history": drift, **subscribers}, report)
         for event in earlier:
             publish(event)
-        unvouched = unvouched_rows(path)
+        unvouched = unvouched_rows(path, bank.header.positions)
         yield Campaign(blueprint.plan, setup, bank, publish, stop, raw=raw, unvouched=unvouched), raw
 
 

@@ -169,21 +169,32 @@ def session_failure(bank: Path, since: datetime) -> tuple[str, str]:
     return "", ""
 
 
-def unvouched_rows(bank: Path) -> tuple[int, ...]:
+def unvouched_rows(bank: Path, positions: int) -> tuple[int, ...]:
     """Rows that were measured after the last measurement of the sentinel that a bank's log has.
 
     A session that was stopped or killed before its next look at the sentinel leaves them. A position counts from its
-    start on, for a kill between commit and log; one that stayed as the bank had it does not.
+    start on, for a kill between commit and log; one that stayed as the bank had it does not. Sessions of another number
+    of positions, and all before them, are of a bank that had this name earlier.
     """
     rows: list[int] = []
     kept: set[int] = set()
+    own, looked = 0, False  # rows of sessions whose start was read; read on to the start of the one with the look
     for logged in last_events(bank):
         match logged.event:
+            case SessionStarted(positions=of) if of != positions:
+                del rows[own:]
+                break
+            case SessionStarted(done=done):
+                own = len(rows)
+                if looked or not done:
+                    break
+            case _ if looked:
+                pass
             case Drift() as drift:
                 # A change is measured once more before it is believed, unless the session ended between the two.
                 if drift.verdict == "steady" or drift.occasion == "repeat" or rows:
                     rows += drift.suspect
-                    break
+                    looked = True
             case PositionKept(position=position):
                 kept.add(position)
             case PositionCommitted(position=position):
@@ -191,11 +202,9 @@ def unvouched_rows(bank: Path) -> tuple[int, ...]:
                 rows.append(position)
             case PositionStarted(position=position) if position not in kept:
                 rows.append(position)
-            case SessionStarted(done=0):
-                break
             case _:
                 pass
-    return tuple(dict.fromkeys(reversed(rows)))
+    return tuple(row for row in dict.fromkeys(reversed(rows)) if row < positions)
 
 
 def _lines_backwards(path: Path) -> Iterator[bytes]:
