@@ -57,8 +57,8 @@ def office():
         thread.join()
 
 
-def drift(verdict):
-    return Drift(1.0, 0, -0.7, 0.1, 0.99, verdict, "run", "the level changed", ())
+def drift(verdict, occasion="run"):
+    return Drift(1.0, 0, -0.7, 0.1, 0.99, verdict, occasion, "the level changed", ())
 
 
 def ended(state):
@@ -66,12 +66,13 @@ def ended(state):
 
 
 FAILED = (
-    Fault(1.0, "player", "playing", "no device", "plug it in", 3, 1, retried=False),
-    StateChanged(2.0, State.FAILED, "player: playing: no device"),
+    Fault(1.0, "recorder", "reading", "an overrun", "close other programs", 3, 1, retried=True),
+    StateChanged(2.0, State.FAILED, "player: playing: no device; plug it in"),
     ended(State.FAILED),
 )
 FINISHED = (StateChanged(0.0, State.RUNNING, "6 positions to do"), ended(State.FINISHED))
-DRIFTING = tuple(drift(verdict) for verdict in ("steady", "warn", "warn", "steady", "warn"))
+UNCONFIRMED = (drift("stop"), FAILED[0], drift("steady", "repeat"))
+DRIFTING = (*map(drift, ("steady", "warn", "warn", "steady")), drift("stop"), drift("warn", "repeat"))
 
 
 @pytest.mark.parametrize(
@@ -79,10 +80,12 @@ DRIFTING = tuple(drift(verdict) for verdict in ("steady", "warn", "warn", "stead
     [
         ({}, FINISHED, ["finished"], [sentence(ended(State.FINISHED))]),
         ({}, FAILED, ["failed"], ["player: playing: no device", "plug it in", "wavefocus resume plate.h5"]),
-        ({}, DRIFTING, ["drift", "drift"], ["level -0.70 dB", "the level changed"]),  # when it begins, and not again
+        # When it begins, and not again.
+        ({}, (*DRIFTING, ended(State.FINISHED)), ["drift", "drift", "finished"], ["level -0.70 dB", "level changed"]),
+        ({}, (*UNCONFIRMED, ended(State.FINISHED)), ["finished"], []),
         ({"about": ("failed",)}, (drift("warn"), *FINISHED), [], []),
     ],
-    ids=["finished", "failed", "drift", "only failures"],
+    ids=["finished", "failed", "drift", "drift not confirmed", "only failures"],
 )
 def test_given_a_campaign_s_events_then_those_that_are_asked_for_are_told(
     office, tmp_path, about, events, titles, words
@@ -93,6 +96,7 @@ def test_given_a_campaign_s_events_then_those_that_are_asked_for_are_told(
     assert [message["title"] for message in office.taken] == [f"plate.h5: {title}" for title in titles]
     for word in words:
         assert word in office.taken[0]["message"]
+    assert not any("close other programs" in message["message"] for message in office.taken)
 
 
 def test_given_a_wait_longer_than_allowed_then_it_is_told_once_and_so_is_its_end(office, tmp_path):

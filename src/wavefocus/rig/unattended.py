@@ -25,7 +25,16 @@ from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.control import resume_line
 from wavefocus.campaign.status import CampaignStatus
-from wavefocus.config.messages.campaign import Drift, Event, Logged, SessionEnded, State, StateChanged
+from wavefocus.config.messages.campaign import (
+    Drift,
+    Event,
+    Fault,
+    Logged,
+    ReconnectTried,
+    SessionEnded,
+    State,
+    StateChanged,
+)
 from wavefocus.config.messages.rig_checks import Act, Finding
 from wavefocus.config.rig import MessagesSection, RigConfig
 from wavefocus.console import say
@@ -96,6 +105,7 @@ class Messenger:
         self._status = CampaignStatus()
         self._since_s: float | None = None
         self._waiting_sent = False
+        self._look: Drift | None = None
         self._drift_sent = ""
         self._undelivered = 0
         self._thread = threading.Thread(target=self._work, name="messages", daemon=True)
@@ -138,6 +148,11 @@ class Messenger:
 
     def _take(self, event: Event) -> None:
         self._status = self._status.after(Logged(datetime.now(UTC), event))
+        # A change at the sentinel counts once its repeat confirms it; instruments may fail between the two.
+        if self._look is not None and not isinstance(event, Fault | ReconnectTried | StateChanged):
+            if not (isinstance(event, Drift) and event.occasion == "repeat"):
+                self._send_drift(self._look)
+            self._look = None
         match event:
             case StateChanged() if event.state in _WAITING:
                 self._since_s = time.monotonic() if self._since_s is None else self._since_s
@@ -146,19 +161,20 @@ class Messenger:
                     self._send("suspended", "goes on", event.reason)
                 self._since_s, self._waiting_sent = None, False
             case Drift():
-                if event.verdict not in (self._drift_sent, "steady"):
-                    self._send("drift", "drift", sentence(event))
-                self._drift_sent = event.verdict
+                self._look = event
             case SessionEnded():
                 self._send_end(event)
 
+    def _send_drift(self, look: Drift) -> None:
+        if look.verdict not in (self._drift_sent, "steady"):
+            self._send("drift", "drift", sentence(look))
+        self._drift_sent = look.verdict
+
     def _send_end(self, ended: SessionEnded) -> None:
-        text, fault = f"{sentence(ended)}.", self._status.fault
+        text = f"{sentence(ended)}."
         if ended.state is not State.FINISHED:
             reason = f"{self._status.reason}. " if self._status.reason else ""
             text = f"{reason}{text} Go on with: {self._go_on}"
-        if ended.state is State.FAILED and fault is not None:
-            text += f" What to do: {fault.remedy}"
         self._send(str(ended.state), str(ended.state), text)
 
     def _send_waiting(self) -> None:
