@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import signal
+import sys
 from dataclasses import replace
 
 import h5py
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import answered, captured, held, refused, resumed_after_a_kill, wavefocus
+from tests.system.captures import Listener, answered, captured, held, refused, resumed_after_a_kill, wavefocus
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.benchmarks.rig_bank import compare_with_truth
 from wavefocus.calibration.check import check_bank
@@ -86,6 +88,16 @@ def test_a_staggered_bank_measures_one_position_both_ways_and_states_it(lab, cap
     # The bank is there: nothing is compared again.
     assert not captured(capsys, lab).of("schedule_settled")
     assert wavefocus("resume", bank) == 0
+
+
+def test_given_sigterm_while_both_ways_are_measured_then_it_ends_in_130(lab, monkeypatch):
+    _with_capture(lab, _as("staggered"))
+    with_faults(lab, 'role = "mirror"\noperation = "wait_settled"\nkind = "timeout"\nat_call = 1')
+    former = signal.signal(signal.SIGTERM, lambda *_: None)
+    monkeypatch.setattr(sys, "stderr", Listener(("repeated", lambda: signal.raise_signal(signal.SIGTERM))))
+    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 130
+    assert not (lab / "plate.h5").exists()
+    signal.signal(signal.SIGTERM, former)
 
 
 def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on_so(lab):

@@ -20,7 +20,7 @@ from wavefocus.commands.status import is_paused, order
 from wavefocus.config.messages.campaign import Event, SessionEnded, State, Subscriber
 from wavefocus.console import Exit, print_line, progress, say
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.ending import stop_on_signals
+from wavefocus.ending import ending_at_once, stop_on_signals
 from wavefocus.input_files import parse_positions
 from wavefocus.options import SessionOptions
 from wavefocus.rig.calibration_validity import refuse_other_devices
@@ -39,7 +39,8 @@ def capture(run_file: Path, bank: Path, scene_files: Sequence[Path] = (), *, opt
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
         needed = needed_by(scene_files, asked)
-    with _naming_command(command_line("wavefocus", "capture", run_file, "--bank", bank)):
+    # A staggered run is compared with a sequential one first, before the session catches signals.
+    with ending_at_once(), _naming_command(command_line("wavefocus", "capture", run_file, "--bank", bank)):
         blueprint, earlier = with_bank(asked, bank, run_file, accept_calibration=options.accept_calibration)
     rig_file = blueprint.configuration.run.rig_file(run_file)
     options = replace(options, rig_file=rig_file)
