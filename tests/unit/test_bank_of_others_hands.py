@@ -17,6 +17,7 @@ from tests.lab_files import write_bank
 from wavefocus import add_note, open_bank
 from wavefocus.__main__ import run
 from wavefocus.calibration.check import check_bank
+from wavefocus.storage import durable
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.ledger.owner import claimed
@@ -130,6 +131,24 @@ def test_a_text_that_is_no_note_or_a_file_that_takes_none_then_no_note_is_added(
     with BankWriter.open(bank), pytest.raises(BankBusyError):
         add_note(bank, "too early")
     add_note(bank, "now")
+
+
+def test_a_note_added_while_another_process_opens_the_bank_then_nothing_is_lost(bank, monkeypatch):
+    opening, texts = durable.open_file, ["one"]
+
+    def open_slowly(path, *, write):
+        file = opening(path, write=write)
+        if texts:
+            add_note(bank, texts.pop())
+        return file
+
+    with BankWriter.open(bank, open_file=open_slowly) as writer:
+        writer.amend(0, status=16)
+    texts.append("two")
+    monkeypatch.setattr(durable, "open_file", open_slowly)
+    add_note(bank, "three")
+    with open_bank(bank) as view:
+        assert ([note.text for note in view.notes], view.status[0]) == (["one", "two", "three"], 16)
 
 
 def test_given_a_bank_that_a_notebook_has_open_in_h5py_then_both_read_it(bank):

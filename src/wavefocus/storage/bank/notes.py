@@ -101,26 +101,21 @@ def add_note(path: str | Path, text: str) -> Note:
     if path.is_symlink():
         raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank itself")
     clear_leftovers(path.parent, path.name)
-    with hdf5_reading.opened(path) as content:
-        hdf5_reading.require_sound_texts(content)
-        if "green" not in content:
-            raise InputError(f"{path} is not a bank: it has no dataset /green")
-        notes = read_notes(content)
-    if len(notes) >= MAX_NOTES:
-        raise InputError(f"{path} has {len(notes)} notes; more are not kept")
-    note = Note(datetime.now(UTC).astimezone().isoformat(timespec="seconds"), text)
     try:
-        file = durable.open_file(path, write=True)
-    except OSError as error:
-        raise InputError(f"{path} may not be written: {error.strerror}") from error
-    with file:
-        try:
-            owner.take_ownership(path, file, "bank")
+        with owner.opened_as_owner(path, "bank", durable.open_file):
+            with hdf5_reading.opened(path) as content:
+                hdf5_reading.require_sound_texts(content)
+                if "green" not in content:
+                    raise InputError(f"{path} is not a bank: it has no dataset /green")
+                notes = read_notes(content)
+            if len(notes) >= MAX_NOTES:
+                raise InputError(f"{path} has {len(notes)} notes; more are not kept")
+            note = Note(datetime.now(UTC).astimezone().isoformat(timespec="seconds"), text)
             with staging_dir(path) as staging:
                 shutil.copy2(path, staging.temporary)
                 write_notes(staging.temporary, (*notes, note))
                 durable.sync_path(staging.temporary)
                 staging.publish()
-        except OSError as error:
-            raise InputError(f"{path}: the note cannot be added: {error.strerror or error}") from error
+    except OSError as error:
+        raise InputError(f"{path}: the note cannot be added: {error.strerror or error}") from error
     return note

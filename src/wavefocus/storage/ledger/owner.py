@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from wavefocus.storage.durable import PositionedFile, open_file
+from wavefocus.storage.durable import OpenFile, PositionedFile, open_file
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.sidecar_files import create, is_replaceable
 from wavefocus.storage.text_file import permission_words, read_regular, require_regular
@@ -57,6 +57,28 @@ def bank_owner(path: str | Path) -> Owner | None:
         raise InputError(f"{path} may not be read: {error.strerror}") from error
     with file:
         return _named_owner(path) if file.locked_elsewhere() else None
+
+
+def opened_as_owner(path: Path, kind: str, opening: OpenFile) -> PositionedFile:
+    """Open a file, a `kind` in messages, for writing, and own it until it is closed.
+
+    Raises InputError: it may not be written. BankBusyError: as `take_ownership`.
+    """
+    for tries_left in reversed(range(_TRIES)):
+        try:
+            file = opening(path, write=True)
+        except OSError as error:
+            raise InputError(f"{path} may not be written: {error.strerror}") from error
+        try:
+            take_ownership(path, file, kind)
+        except BaseException:
+            file.close()
+            raise
+        # Its name may lead to a copy with a note by now; on drives that number files anew it never seems to be named.
+        if file.is_named(path) or not tries_left:
+            break
+        file.close()
+    return file
 
 
 def take_ownership(path: Path, file: PositionedFile, kind: str) -> None:

@@ -71,12 +71,8 @@ class LedgerWriter(Closing):
             raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the {kind} file itself")
         require_regular(path)
         clear_leftovers(path.parent, path.name)
+        file = owner.opened_as_owner(path, kind, open_file)
         try:
-            file = open_file(path, write=True)
-        except OSError as error:
-            raise InputError(f"{path} may not be written: {error.strerror}") from error
-        try:
-            owner.take_ownership(path, file, kind)
             with hdf5_reading.opened(path) as content:
                 layout = cls._read_layout(content, path)
             _require_plan(path, kind, layout.header.plan_sha256, plan_sha256)
