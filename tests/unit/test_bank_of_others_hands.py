@@ -7,6 +7,7 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -149,6 +150,16 @@ def test_a_note_added_while_another_process_opens_the_bank_then_nothing_is_lost(
     add_note(bank, "three")
     with open_bank(bank) as view:
         assert ([note.text for note in view.notes], view.status[0]) == (["one", "two", "three"], 16)
+
+
+def test_on_windows_then_the_bank_is_closed_when_its_noted_copy_takes_its_name(bank, monkeypatch):
+    def publish(staging):
+        with durable.open_file(bank) as file:
+            assert not file.locked_elsewhere()
+
+    monkeypatch.setattr("wavefocus.storage.bank.notes.sys", SimpleNamespace(platform="win32"))
+    monkeypatch.setattr("wavefocus.storage.sidecar_files.StagingDir.publish", publish)
+    add_note(bank, "x")
 
 
 def test_given_a_bank_that_a_notebook_has_open_in_h5py_then_both_read_it(bank):

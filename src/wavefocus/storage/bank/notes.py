@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import sys
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -102,7 +103,7 @@ def add_note(path: str | Path, text: str) -> Note:
         raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank itself")
     clear_leftovers(path.parent, path.name)
     try:
-        with owner.opened_as_owner(path, "bank", durable.open_file):
+        with owner.opened_as_owner(path, "bank", durable.open_file) as file:
             with hdf5_reading.opened(path) as content:
                 hdf5_reading.require_sound_texts(content)
                 if "green" not in content:
@@ -115,6 +116,8 @@ def add_note(path: str | Path, text: str) -> Note:
                 shutil.copy2(path, staging.temporary)
                 write_notes(staging.temporary, (*notes, note))
                 durable.sync_path(staging.temporary)
+                if sys.platform == "win32":  # no file is replaced there while it is open
+                    file.close()
                 staging.publish()
     except OSError as error:
         raise InputError(f"{path}: the note cannot be added: {error.strerror or error}") from error
