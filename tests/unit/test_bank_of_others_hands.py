@@ -115,6 +115,10 @@ def test_given_notes_then_status_and_exports_show_them_and_the_bank_is_as_it_was
     wf.export_bank(bank, bank.with_name("rows"), "csv")
     exported = json.loads(bank.with_name("rows-metadata.json").read_text(encoding="utf-8"))
     assert [note["text"] for note in exported["notes"]] == [note["text"] for note in notes]
+    wf.export_bank(bank, bank.with_name("rows.nc"), "netcdf")
+    add_note(bank.with_name("rows.nc"), "of the copy")
+    with open_bank(bank.with_name("rows.nc")) as copy:
+        assert (copy.notes[:-1], copy.notes[-1].text) == (view.notes, "of the copy")
 
 
 def test_a_text_that_is_no_note_or_a_file_that_takes_none_then_no_note_is_added(bank):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import wavefocus as wf
+from tests.lab_files import write_bank
 from tests.unit.plate_banks import SQUARE_MM, plate_bank
 from wavefocus import InputError, Point, Scene, Sine, Source
 from wavefocus.acquisition.judgement import in_band
@@ -52,6 +53,15 @@ def test_check_positions_beside_the_grid_then_a_cell_s_middle_is_still_on_it():
     rows = scene_rows(scene, place_mm, check).path
     corners = np.flatnonzero(np.hypot(*(SQUARE_MM - 2.0).T) < 3.0)
     assert (len(corners), set(corners) <= set(rows)) == (4, True)
+
+
+def test_a_netcdf_export_then_has_the_check_positions_and_the_report_of_its_rows(tmp_path):
+    path = write_bank(tmp_path / "a.h5", np.ones((4, 2, 16)), check_rows=(1, 3))
+    with wf.open_bank(path) as bank:
+        imported = replace(bank, import_report='{"caution": "a projection"}')
+        wf.export_bank(imported, tmp_path / "a.nc", "netcdf", positions=[0, 2, 3])
+    with wf.open_bank(tmp_path / "a.nc") as copy:
+        assert (copy.check_rows, copy.import_facts) == ((2,), {"caution": "a projection"})
 
 
 def begun_earlier(folder, grid, checks=None):

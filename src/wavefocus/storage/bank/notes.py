@@ -47,12 +47,13 @@ def notes_of(text: str) -> tuple[Note, ...]:
 
 
 def read_notes(file: h5py.File) -> tuple[Note, ...]:
-    """Notes of an open bank, oldest first; those of another program, which cannot be read, are passed over."""
+    """Notes of an open bank or export, oldest first; those of another program that cannot be read are passed over."""
+    text = ""
     try:
         text = hdf5_reading.text(file, hdf5_digest.NOTES) or "[]"
         return tuple(Note(str(note["at"]), str(note["text"])) for note in json.loads(text))
     except (InputError, ValueError, TypeError, KeyError, RecursionError):
-        return ()
+        return notes_of(text)  # as exports have them
 
 
 def write_notes(bank: Path, notes: Sequence[Note]) -> None:

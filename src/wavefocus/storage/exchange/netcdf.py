@@ -5,7 +5,7 @@ The arrays of any HDF5 file are read here, also those of MATLAB's version 7.3.
 
 import warnings
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -20,7 +20,7 @@ from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.bank.layout import describe_status
 from wavefocus.storage.bank.ledger import QUALITY
-from wavefocus.storage.bank.notes import Note, notes_of
+from wavefocus.storage.bank.notes import read_notes
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import Measured, require_honest
@@ -184,6 +184,10 @@ def _attributes(rows: ExportedRows) -> dict[str, object]:
         attributes["band_hz"] = np.array(bank.band_hz)
     if bank.directions_deg is not None:
         attributes["directions_deg"] = np.array(bank.directions_deg)
+    if bank.check[rows.row].any():
+        attributes["check_rows"] = np.flatnonzero(bank.check[rows.row]).astype(np.int32)
+    if bank.import_report is not None:
+        attributes["import_report"] = bank.import_report
     names = {
         "comment": "description", "creator_name": "people", "institution": "organisation", "license": "licence",
         "keywords": "keywords", "references": "references", "notes": "notes",
@@ -210,9 +214,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         how = hdf5_reading.packing_of(dataset)
         return dataset if how.is_plain else UnpackedArray(dataset, how)
 
-    notes: tuple[Note, ...] = ()
-    with hdf5_reading.opened(path) as content, suppress(InputError):  # another program may mean no text by it
-        notes = notes_of(hdf5_reading.text(content, "notes") or "")
+    with hdf5_reading.opened(path) as content:
+        notes = read_notes(content)
     return replace(read_arrays(path, options, stack, understand), notes=notes)
 
 
