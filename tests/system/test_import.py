@@ -31,7 +31,7 @@ def bank(tmp_path_factory):
 
     @functools.cache
     def bank_in(unit="m/s/V"):
-        path = tmp_path_factory.mktemp("bank") / "plate.h5"
+        path = tmp_path_factory.mktemp("bank") / "plate of silicone, status 2, measured with the new coil and bolt 3.h5"
         units = (unit, unit.replace(" per ", "/").rpartition("/")[2])
         write_bank(path, GREEN, PLACES_MM, actuator_mm=ACTUATORS_MM, rate_hz=RATE_HZ, units=units)
         with BankWriter.open(path) as writer:

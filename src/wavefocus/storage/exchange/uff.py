@@ -118,7 +118,7 @@ def _header(rows: ExportedRows, row: int, actuator: int, status: int) -> str:
     lines = (
         f"{58:6d}{binary}",
         f"Green's function, FIR from drive to response in {unit}"[:80],
-        f"{rows.bank_name}, row {row}, actuator {actuator}, status {status}"[:80],
+        f"{rows.bank_name[:36]}, row {row}, actuator {actuator}, status {status}",
         f"x = {x_mm:.6g} mm, y = {y_mm:.6g} mm, {bank.sample_rate_hz:.12g} samples a second",
         rows.publication.get("title", "NONE")[:80],
         rows.publication.get("licence", "NONE")[:80],

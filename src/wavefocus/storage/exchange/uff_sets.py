@@ -307,7 +307,7 @@ def _labelled(over: str, under: str) -> str:
 def _own_facts(lines: list[bytes], step: float) -> tuple[float | None, int | None]:
     """The sample rate with all its digits and the status, from the identification lines that our own export writes."""
     rate = re.search(rb", (\d+\.?\d*(?:e[+-]?\d+)?) samples a second", lines[2])
-    status = re.search(rb", status (\d{1,2})\b", lines[1])
+    status = re.search(rb".*, status (\d{1,2})\b", lines[1])  # the last: the bank's name may hold one, too
     if not (lines[0].startswith(b"Green's function, FIR") and rate and abs(float(rate[1]) * step - 1) < 1e-4):
         return None, None
     return float(rate[1]), int(status[1]) if status and 0 < int(status[1]) < 32 else None
