@@ -82,7 +82,7 @@ def matlab(path, variables, after=b""):
     return path
 
 
-@pytest.mark.parametrize("name", ["who", "comment", "description_of_the_test"])
+@pytest.mark.parametrize("name", ["who", "comment", "description_of_the_test", "response_unit"])
 def test_a_string_object_that_nobody_needs_then_is_passed_over(tmp_path, imported, name):
     assert np.allclose(imported(matlab(tmp_path / "a.mat", NEEDED, string_object(name)))[0], GREEN)
 

@@ -107,6 +107,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 
     def get(name: str) -> Any:
         value = fields[name] if name in fields else by_own_name.get(name)
+        if value is _UNREAD and name in ("response_unit", "drive_unit"):
+            return None  # a text in double quotes is an object: --unit states it
         if value is _UNREAD:
             raise InputError(f"{path}: variable {name!r} is not an array of numbers, which is needed")
         return None if isinstance(value, dict) else _squeezed(name, value)
