@@ -255,7 +255,7 @@ def _record(measured: Measured, position: int, residual_db: Float64Array | None)
     unknown = np.full(measured.shape[1], np.nan)
     each = {name: figures.get(name, unknown) for name in ("snr_db", "residual_db", "coherence", "peak_v")}
     each |= {} if residual_db is None else {"residual_db": residual_db.astype(np.float32)}
-    each |= {name: float(figures.get(name, np.nan)) for name in ("moved_mm", "reference_db")}
+    each |= {name: float(figures.get(name, np.nan)) for name in ("moved_mm", "reference_db", "leak_db")}
     status = int(Status.VALID) if measured.status is None else int(measured.status[position])
     attempts = figures.get("attempts", 1)
     attempts = int(attempts) if np.isfinite(attempts) and 0 <= attempts < 1 << 24 else 1
