@@ -8,7 +8,7 @@ and others.
 import math
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import datetime
 from functools import cache
@@ -77,8 +77,10 @@ def _notes(rows: ExportedRows) -> Iterator[str]:
     """A header (151) for each 80 characters of each note: the format has no longer text."""
     for number, note in enumerate(rows.bank.notes, start=1):
         text = str(note).encode("unicode_escape").decode("ascii")
-        at = datetime.fromisoformat(note.at)
-        date, time = f"{at.day:02d}-{_MONTHS[at.month - 1]}-{at:%y}", f"{at:%H:%M:%S}"
+        date = time = ""  # of another program's notes
+        with suppress(ValueError):
+            at = datetime.fromisoformat(note.at)
+            date, time = f"{at.day:02d}-{_MONTHS[at.month - 1]}-{at:%y}", f"{at:%H:%M:%S}"
         for first in range(0, len(text), _WIDTH - len(NOTE_PART)):
             part = text[first : first + _WIDTH - len(NOTE_PART)]
             yield (
