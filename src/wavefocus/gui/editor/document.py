@@ -106,7 +106,7 @@ class TextDocument(QObject):
         """
         assert self.path is not None
         self.seen = file_state(self.path)
-        self.replace(read_text(self.path))
+        self.replace(read_text(self.path).replace("\r\n", "\n"))
         self.text.setModified(False)
         self.file_changed.emit()
 
@@ -125,8 +125,9 @@ class TextDocument(QObject):
         self.read()
         if self.mistakes:
             raise InputError(f"{path}: not saved: line {self.mistakes[0].line + 1}: {self.mistakes[0].sentence}")
+        ends = "\r\n" if path.is_file() and b"\r\n" in path.read_bytes() else ""  # as the older file has them
         with replacement(path.resolve()) as temporary:  # a file that is linked to stays a link
-            temporary.write_text(self.toml(), encoding="utf-8", newline="")
+            temporary.write_text(self.toml(), encoding="utf-8", newline=ends)
         self.path, self.seen = path, file_state(path)
         self.text.setModified(False)
         self.file_changed.emit()
