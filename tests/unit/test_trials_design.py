@@ -89,6 +89,7 @@ def test_given_a_trajectory_then_it_needs_no_speed_and_its_signal_may_repeat(tmp
 
 MISTAKES = [
     ('answers = ["left", "right"]', 'answers = ["left", "left"]', "trials.answers"),
+    ('"left", "right"]', r'"left", "to the\nright"]', "trials.answers[1]"),
     ("repetitions", 'keys = ["F", "f"]\nrepetitions', "trials.keys"),
     ("repetitions", 'keys = ["Esc", "F"]\nrepetitions', "trials.keys[0]"),
     ("blocks = 2", "blocks = 4", "trials.repetitions"),

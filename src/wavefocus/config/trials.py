@@ -11,7 +11,10 @@ from wavefocus.config.scene import WITHOUT_SPEED, Output, PathTable, QuietTable,
 
 Count = Annotated[Whole, Field(ge=1, le=10_000)]
 Pause = Annotated[NonNegative, Field(le=600)]
-Words = Annotated[Text, Field(max_length=60)]
+Words = Annotated[
+    Text, Field(max_length=60),
+    like(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]+", "must be one line of text without tabs or other control characters"),
+]  # fmt: skip
 Name = Annotated[str, like(r"[A-Za-z0-9_-]{1,40}", "must be 1 to 40 letters, digits, - and _; files are named by it")]
 Key = Annotated[
     str, like(r"[A-Za-z0-9]|Left|Right|Up|Down|Space", "must be a letter, a digit, Left, Right, Up, Down or Space")
