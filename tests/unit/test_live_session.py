@@ -292,18 +292,23 @@ def test_bundle_of_positions_then_newest_of_each_source_is_read_and_rest_bounded
 
 
 def test_orders_of_other_programs_arrive_and_a_hanging_one_lets_the_receiver_close():
-    orders, hangs = Queue[dict](), threading.Event()
+    orders, hangs = Queue(), threading.Event()
     receiver = OscInput("127.0.0.1", 0)
 
     def receive(order, arrived_s):
         orders.put(order)
-        if order["order"] != "move":
+        if isinstance(order, dict) and order["order"] != "move":
             hangs.wait(60)
 
-    receiver.start(receive)
     host, _, port = receiver.address.rpartition(":")
     other = OSCClient(host, int(port), encoding="utf8")
     with SimpleUDPClient(host, int(port)) as sender:
+        for index in range(70):
+            sender.send_message(f"/source/n{index}/position", [1.0, 2.0])
+        receiver.start(receive)
+        refused, *burst = [orders.get(timeout=10) for _ in range(65)]
+        assert isinstance(refused, InputError)
+        assert [order["name"] for order in burst] == [f"n{index}" for index in range(6, 70)]
         for client in (sender, other):
             client.send_message("/source/a/position", [1.5, -2.0, 0.25])
             assert orders.get(timeout=10) == {"order": "move", "name": "a", "at_mm": [1.5, -2.0], "amplitude": 0.25}

@@ -117,12 +117,13 @@ def _text(message: bytes, at: int) -> tuple[str, int]:
 Content = Mapping[str, object]
 
 MAX_BYTES = 1 << 16
-MAX_AT_ONCE = 8
+MAX_AT_ONCE = 64
+"""Datagrams: one of each of 32 sources, twice."""
 MAX_WORDS = 200
 """Of what came at once, the newest so many messages are read, without positions that a newer one replaces."""
-FLOOD_PAUSE_S, FLOOD_SHARE = 0.002, 0.25
-"""Of a flood the newest 8 datagrams, or 64 kB, are read every 2 ms, and at most a quarter of the time is spent on it:
-reading more would slow down computing."""
+FLOOD_FROM, FLOOD_PAUSE_S, FLOOD_SHARE = 8, 0.002, 0.25
+"""After more than 8 datagrams the next are read 2 ms later, the newest 64 or 64 kB, and at most a quarter of the time
+is spent on it: reading more would slow down computing."""
 MAX_AMPLITUDES = 64
 CLOSING_S = 2.0
 LOOKS_EVERY_S = 0.2
@@ -172,7 +173,10 @@ class OscInput:
         messages = OscMessages()
 
         def listen() -> None:
-            for datagrams, arrived_s in self._datagrams():
+            for count, datagrams, arrived_s in self._datagrams():
+                if count > len(datagrams):
+                    text = f"OSC: {count} datagrams at once; only the newest {len(datagrams)} are read"
+                    receive(InputError(text), arrived_s)
                 for order in messages.read(*datagrams):
                     receive(order, arrived_s)
 
@@ -186,8 +190,8 @@ class OscInput:
             self._thread.join(CLOSING_S)
         self._socket.close()
 
-    def _datagrams(self) -> Iterator[tuple[list[bytes], float]]:
-        """What came at once, oldest first, and when."""
+    def _datagrams(self) -> Iterator[tuple[int, list[bytes], float]]:
+        """How many came at once, the newest of them, oldest first, and when."""
         while not self._over.is_set():
             with suppress(OSError, ValueError):  # closed meanwhile
                 select.select([self._socket], [], [], LOOKS_EVERY_S)
@@ -195,15 +199,15 @@ class OscInput:
             count, arrived_s = 0, time.monotonic()
             # Nothing more is there, or it is closed; Windows reports that an earlier answer met a closed port.
             with suppress(OSError):
-                while count < 100 * MAX_AT_ONCE:
+                while count < 100 * FLOOD_FROM:
                     newest.append(self._socket.recv(MAX_BYTES))
                     count += 1
             while len(newest) > 1 and sum(map(len, newest)) > MAX_BYTES:
                 newest.popleft()
             if newest:
-                yield list(newest), arrived_s
+                yield count, list(newest), arrived_s
             spent_s = time.monotonic() - arrived_s
-            if count > MAX_AT_ONCE or spent_s > FLOOD_PAUSE_S:
+            if count > FLOOD_FROM or spent_s > FLOOD_PAUSE_S:
                 self._over.wait(max(FLOOD_PAUSE_S, spent_s / FLOOD_SHARE))
 
 
