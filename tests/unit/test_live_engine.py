@@ -2,7 +2,9 @@
 
 import itertools
 import math
+from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -223,7 +225,7 @@ def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tm
             engine.move("finger", (0.1 * block, 0.0))
 
     with SessionRecording(tmp_path, **felt, about="session\nof a test") as recording:
-        drive_v, _ = run(engine, 90, order, recording)
+        drive_v, lives = run(engine, 90, order, recording)
         while len((tmp_path / "source-0.csv").read_text().splitlines()) < 25:
             pass
         wanted_v = felt_v(tmp_path, 400)
@@ -234,6 +236,10 @@ def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tm
         pass
     assert recording.scene is None
     assert list((tmp_path / "none").iterdir()) == []
+    wide = SimpleNamespace(samples=lambda rate_hz: np.ones((9, 2000)))  # libsndfile writes at most 1024 channels
+    with SessionRecording(tmp_path / "wide", **felt) as recording:
+        recording.add([replace(part, signal=wide) for part in lives[0]])
+    assert "signal-0.wav cannot be written" in recording.failure
 
 
 # --- independent sources

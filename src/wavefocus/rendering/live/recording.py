@@ -148,12 +148,14 @@ class SessionRecording(Closing):
     def _sound(self, signal: Signal, file: Path) -> tuple[SignalTable, float]:
         import soundfile  # loaded where a sound was used
 
+        from wavefocus.storage.exchange.wav import sound_failures  # with it comes all that reads banks of others
+
         rate_hz, samples = round(self._rate_hz), signal.samples(self._rate_hz)
         if rate_hz != self._rate_hz:
             raise InputError(
                 f"{file}: not written: the bank's rate is {self._rate_hz:g} Hz, and a sound file needs a whole number"
             )
-        with replacement(file) as temporary:
+        with replacement(file) as temporary, sound_failures(file):
             soundfile.write(temporary, samples, rate_hz, format="WAV", subtype="DOUBLE")
         return FileTable(path=file.name), float(np.abs(samples).max())
 
