@@ -160,6 +160,15 @@ def test_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals
     assert psychometric_of(table_of([row()]), ANSWERS) == ()
 
 
+def test_levels_decide_what_is_right_then_no_function_but_of_amplitudes_with_catch():
+    levels = [(2.0**power, n > 0) for power in range(6) for n in range(4)]
+    rows = [row(speed=level, answer=("slow", "fast")[(level > 5) == good], correct=good) for level, good in levels]
+    assert psychometric_of(table_of(rows), ("slow", "fast")) == ()
+    rows = [row(amplitude=level, answer=("no", "yes")[good], correct=good) for level, good in levels]
+    (found,) = psychometric_of(table_of([*rows, row(amplitude=0.0, answer="no")]), ("no", "yes"))
+    assert found.factor == "amplitude"
+
+
 def test_answers_then_report_shows_them_with_names_escaped_and_holds_all_it_shows(paper):
     analysis = paper[0]
     html, pictures = build_report(analysis, [("answers", "trials.csv")])

@@ -115,10 +115,10 @@ def psychometric_of(
     names: Answers of the design.
     """
     judged = answers[answers.correct.notna()]
-    candidates = ("amplitude", "speed_mm_s") if table is None else (table.factor,)
-    # Levels above 0 from which a factor gets a psychometric function where the design is not adaptive.
-    least = 5 if table is None else 0
-    factor = next((one for one in candidates if judged[one][judged[one] > 0.0].nunique() >= least), None)
+    above = {one: judged[judged[one] > 0.0] for one in ("amplitude", "speed_mm_s")}
+    # Where the design is not adaptive a factor needs five levels above 0 that do not decide which answer is right.
+    plain = [one for one, some in above.items() if some[one].nunique() >= 5 and not _decides(some, one)]
+    factor = table.factor if table else next(iter(plain), None)
     if factor is None:
         return ()
     parting = [other for other in factors_of(judged) if other not in (factor, "plays") and not _decides(judged, other)]
