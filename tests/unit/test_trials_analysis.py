@@ -205,3 +205,7 @@ def test_given_four_fingers_then_the_confusion_matrix_counts_each_pair():
     page, _ = build_report(analysis, [])
     assert "Confusion matrix" in page
     assert analysis.document()["confusions"][0]["counts"] == whole.counts
+    levels = {"": "still", "40": "slow"}
+    design = TrialsTable(question="?", answers=("still", "slow"), correct="speed_mm_s", correct_levels=levels)
+    rows = [row(answer="still", speed=None), row(answer="slow")]
+    assert analysis_of(rows, design).confusions[0].counts == ((1, 0), (0, 1))

@@ -216,9 +216,11 @@ class Confusion:
 
 def confusions_of(answers: DataFrame, design: TrialsTable) -> tuple[Confusion, ...]:
     """Confusion matrices of all together and of each participant; none where no answer is right or wrong."""
+    import pandas as pd
+
     if design.correct is None:
         return ()
-    levels = answers[design.correct].map(written_level)
+    levels = answers[design.correct].map(lambda level: written_level(None if pd.isna(level) else level))
     judged = answers.assign(right=levels.map(lambda level: design.correct_levels.get(level, level)))
     people = [] if judged.participant.nunique() < 2 else list(groups(judged, ("participant",)))
     return (
