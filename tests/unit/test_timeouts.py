@@ -3,10 +3,13 @@
 import _thread
 import signal
 import threading
+import time
+from types import SimpleNamespace
 
 import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.process import DriverProcess
 from wavefocus.drivers.timeouts import CallThread, bounded
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
@@ -52,3 +55,12 @@ def test_a_failure_comes_with_its_role_and_closed_instruments_say_so_and_close_t
         instrument.close()
         with pytest.raises(InstrumentError, match="closed"):
             instrument.identify()
+
+
+def test_given_answers_within_one_step_of_the_clock_then_the_process_is_asked_on(monkeypatch):
+    answers, began_s, step_s = [], time.monotonic(), 60.0
+    coarse = SimpleNamespace(monotonic=lambda: began_s + (time.monotonic() - began_s) // step_s * step_s)
+    monkeypatch.setattr("wavefocus.drivers.process.time", coarse)
+    process = DriverProcess("wavefocus.drivers.daq.ni.ni_process", "the process", answers.append)
+    assert process.wait_for(lambda: len(answers) > 2 or None, began_s + SOON_S)
+    process.close()

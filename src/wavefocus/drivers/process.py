@@ -232,7 +232,7 @@ class DriverProcess:
             looked_s = now_s
             if not asks:
                 continue
-            if answered_s > asked_s:
+            if answered_s >= asked_s:  # equal: an answer within one step of a coarse clock
                 asked_s, silent_s = now_s, 0.0
                 try:
                     self.send(ASK)

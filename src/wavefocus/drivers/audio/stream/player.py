@@ -106,7 +106,7 @@ class StreamPlayer(Player):
         self._check_open("identifying")
         stream, asked_s = self._stream, time.monotonic()
         self._send("identifying", ASK)
-        self._wait_for("identifying", lambda: stream.alive_s > asked_s or None, asked_s + 2 * ANSWER_S)
+        self._wait_for("identifying", lambda: stream.alive_s >= asked_s or None, asked_s + 2 * ANSWER_S)
         device = self._device
         rate = f"{self._request.rate_hz} Hz{_measured(self._request.rate_hz, stream.rate_hz)}"
         return (
