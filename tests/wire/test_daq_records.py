@@ -212,6 +212,19 @@ def test_a_module_of_5_v_with_rates_of_its_own_then_its_other_inputs_are_read_to
             recorder.start(ask(range_v=(5.0, 5.0)))
 
 
+def test_ranges_of_a_differential_input_alone_then_a_single_ended_one_has_them_not(monkeypatch):
+    box = Product("USB-6009", 8, ("differential", "rse"), (5.0, 10.0, 20.0), 48e3, 24e6, ("PFI0",), 2, ())
+    monkeypatch.setitem(PRODUCTS, box.name, box)
+    with daq_bench(product=box.name) as bench:
+        for terminal, ranges_v in (("differential", box.ranges_v), ("rse", box.ranges_v[:-1])):
+            recorder = bench.recorder(terminal=terminal)
+            assert recorder.input_ranges_v == ranges_v
+            assert recorder.sampling_delay_s(5000.0) > 0
+            check_tone(take_one(recorder, rate_hz=5000.0, range_v=ranges_v[-2:]))
+            assert abs(recorder.read_input_v("ai2")) < 0.6
+            recorder.close()
+
+
 def test_one_server_at_an_address_serves_programs_of_nidaqmx_too(bench):
     with pytest.raises(RuntimeError, match=bench.server.address):
         NiServer(Tone(), address=bench.server.address).start()

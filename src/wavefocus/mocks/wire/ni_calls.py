@@ -9,7 +9,7 @@ import numpy as np
 from wavefocus.drivers.protocols import Float64Array
 from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.ni_box import Alive, NiBox, NiCode, NiError, NiTask
-from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, OUTPUT_V, RSE
+from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, OUTPUT_V, RSE, SINGLE_ENDED_V
 
 Answer = dict[str, Any]
 """Fields of the answering message."""
@@ -179,12 +179,15 @@ class NiCalls:
                 name += str(index)
             self._box.touch(device)
             number = self._box.input_number(wanted)
-            if _TERMINALS.get(request.terminal_config_raw) not in self._box.product.terminals_of(number):
+            terminal = _TERMINALS.get(request.terminal_config_raw)
+            if terminal not in self._box.product.terminals_of(number):
                 raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
             largest_v = max(-request.min_val, request.max_val)
             channel = self._box.product.channel(name, number, largest_v, self._box.serial_number)
             if channel is None or not request.min_val < request.max_val:
                 raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Max")
+            if terminal != DIFFERENTIAL and largest_v > SINGLE_ENDED_V:
+                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Min")
             task.channels.append(channel)
         return {}
 

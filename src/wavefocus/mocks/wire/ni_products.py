@@ -18,6 +18,8 @@ _PAIR = 8
 """Inputs k and k + _PAIR make differential input k."""
 OUTPUT_V = 10.0
 """Largest output voltage to either side."""
+SINGLE_ENDED_V = 10.0
+"""Largest range of a single-ended input (USB-6008/6009 specifications: 20 V between two inputs alone)."""
 
 
 @dataclass(frozen=True, slots=True)

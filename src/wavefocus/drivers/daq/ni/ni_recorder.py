@@ -24,6 +24,9 @@ from wavefocus.drivers.protocols import DeviceIdentity, Recorder, Recording, Rec
 _ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""
 
+_SINGLE_ENDED_V = 10.0
+"""Where a device has larger ranges too, as the USB-6008 and 6009, they are of differential inputs alone."""
+
 # One period of the mains at 50 Hz.
 _INPUT_TIMING = TaskTiming(5000.0, 100, (10.0, 10.0))
 
@@ -247,6 +250,9 @@ class NiRecorder(Recorder):
     def _opened(self, identity: DeviceIdentity | None) -> NiSession:
         """A session with the device, reset where it may be and was ours before."""
         session = self._session_with(identity=identity, owned=self._owned)
+        if self._wiring.terminal in ("rse", "nrse"):
+            inside_v = tuple(range_v for range_v in session.limits.ranges_v or () if range_v <= _SINGLE_ENDED_V)
+            session.limits = replace(session.limits, ranges_v=inside_v or session.limits.ranges_v)
         try:
             if self._owned and self._resets:
                 with session.explaining("resetting the device"):
