@@ -16,6 +16,7 @@ from wavefocus.config.outline import Outline
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.registry import VibrometerReading
+from wavefocus.drivers.timeouts import CallThread
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rig.setup import setup_in_use
 from wavefocus.storage.bank.layout import BankHeader
@@ -200,6 +201,13 @@ def test_outputs_that_are_picked_up_then_worst_is_named_apart_from_leak_of_loopb
     assert findings["recorder", "pickup"].verdict == "fail"
     assert "output 2: -4" in findings["recorder", "pickup"].what
     assert verdicts(examined(VirtualRig(replace(SOUND, lost_signal_v=1e-3))))["recorder", "pickup"] == "ok"
+
+
+def test_records_of_every_output_count_in_the_time_that_pickup_may_take(monkeypatch):
+    limits_s, call = [], CallThread.call
+    monkeypatch.setattr(CallThread, "call", lambda thread, ask, s: call(thread, ask, limits_s.append(s) or s))
+    examined(VirtualRig(SOUND), {"recorder": {"post_roll_s": 2.0}})
+    assert 60.0 + (1 + len(ACTUATORS)) * 2.5 < max(limits_s) < 100.0
 
 
 @pytest.mark.parametrize(

@@ -241,7 +241,10 @@ class _Examination(RigFindings):
             return
         self._tell("vibrometer", "response", partial(_check_response, setup, amplitude_v, _middle_mm(self._rig)))
         if self._rig.shutter is not None or not self._parks_on_surface(setup):
-            self._tell("recorder", "pickup", partial(check_pickup, setup, amplitude_v, SAMPLE_RATE_HZ))
+            records_s = (1 + len(setup.actuator_channels)) * (setup.pre_roll_s + 2 * SWEEP_S + setup.post_roll_s)
+            self._tell(
+                "recorder", "pickup", partial(check_pickup, setup, amplitude_v, SAMPLE_RATE_HZ), OPEN_S + records_s
+            )
         else:
             what = "not measured: the mirror has no shutter, and the beam parked at mirror.park_mrad is on the surface"
             self.add("recorder", "pickup", "skipped", what)
@@ -251,9 +254,11 @@ class _Examination(RigFindings):
         x, y, scale = np.linalg.solve(np.array(setup.mirror_map.matrix), tangents)
         return bool(self._rig.surface.outline.contains(np.array([[x / scale, y / scale]])).all())
 
-    def _tell(self, instrument: str, check: str, listen: Callable[[], list[Finding]]) -> bool:
+    def _tell(
+        self, instrument: str, check: str, listen: Callable[[], list[Finding]], deadline_s: float = OPEN_S
+    ) -> bool:
         """Publish the findings of a record; True where nothing of that instrument failed."""
-        found = self.ask(instrument, check, listen, OPEN_S)
+        found = self.ask(instrument, check, listen, deadline_s)
         for finding in found or ():
             self._publish(finding)
         return found is not None and not any(one.verdict == "fail" for one in found if one.instrument == instrument)
