@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from functools import partial
 
 import pytest
 import serial
@@ -219,6 +220,17 @@ def test_a_board_that_starts_is_waited_for_and_lines_nobody_asked_for_are_no_ans
         for target in ((10.0, 0.0), (20.0, 0.0)):
             with suppress(TransientInstrumentError):
                 bench.check_move(mirror, *target)
+
+
+def test_a_checksum_in_small_letters_then_a_mirror_is_read_and_found_again(tmp_path):
+    class SmallLetters(GenericMirrorDevice):
+        def answer(self, command):
+            text, star, sum_ = super().answer(command).rpartition("*")
+            return text + star + sum_.lower()
+
+    device = partial(SmallLetters, identity="wavefocus,generic mirror,0001,1.x")  # its checksum is 6B
+    with mirror_bench("generic", LOCAL, tmp_path, move_fault("silent"), device=device) as bench:
+        bench.check_move(bench.mirror(answer_s=ANSWER_S), 12.5, -7.25)
 
 
 def test_given_a_peer_that_never_ends_its_line_then_opening_ends(tmp_path):

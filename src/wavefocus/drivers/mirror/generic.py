@@ -56,8 +56,10 @@ class GenericMirror(Dialect):
             except (UnreadableError, RefusedError):
                 return None
 
-        answer = f"{identity}*{checksum(identity)}"
-        return Marker(_checksummed("*IDN?"), identity, lambda line: line.endswith(answer), stranger)
+        answer = _checksummed(identity)
+        return Marker(
+            _checksummed("*IDN?"), identity, lambda line: (line[:-2] + line[-2:].upper()).endswith(answer), stranger
+        )
 
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         self._tell_park(dialogue, park_mrad)
@@ -93,7 +95,7 @@ def _checksummed(text: str) -> str:
 def _checked(answer: str) -> str:
     """The answer without its checksum; an error code is raised."""
     text, _, sum_ = answer.rpartition("*")
-    if sum_ != checksum(text):
+    if sum_.upper() != checksum(text):
         raise UnreadableError(answer)
     refusal = re.fullmatch(r"ERR (\d{1,3})(?: .*)?", text)
     if refusal is not None:
