@@ -10,7 +10,9 @@ import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import DriverProcess
-from wavefocus.drivers.timeouts import CallThread, bounded
+from wavefocus.drivers.protocols import Mirror, Player, Recorder
+from wavefocus.drivers.shutter import ShutteredMirror
+from wavefocus.drivers.timeouts import BoundedMirror, BoundedPlayer, BoundedRecorder, CallThread, bounded
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05
@@ -64,3 +66,11 @@ def test_given_answers_within_one_step_of_the_clock_then_the_process_is_asked_on
     process = DriverProcess("wavefocus.drivers.daq.ni.ni_process", "the process", answers.append)
     assert process.wait_for(lambda: len(answers) > 2 or None, began_s + SOON_S)
     process.close()
+
+
+@pytest.mark.parametrize(
+    ("wrapper", "role"),
+    [(ShutteredMirror, Mirror), (BoundedMirror, Mirror), (BoundedRecorder, Recorder), (BoundedPlayer, Player)],
+)
+def test_every_call_of_a_role_is_passed_on_to_the_device(wrapper, role):
+    assert [name for name in dir(role) if name[0] != "_" and getattr(wrapper, name) is getattr(role, name)] == []

@@ -245,6 +245,9 @@ class BoundedMirror(_Bounded[Mirror], Mirror):
     def block(self) -> None:
         self._rest("closing the shutter", self._device.block)
 
+    def where_mrad(self) -> tuple[float, float] | None:
+        return self._work("reading the position", self._device.where_mrad)
+
 
 class BoundedRecorder(_Bounded[Recorder], Recorder):
     """A recorder whose every call ends."""

@@ -60,6 +60,9 @@ class ShutteredMirror(Mirror):
     def park(self) -> None:
         self._each(self.block, self._mirror.park)
 
+    def where_mrad(self) -> tuple[float, float] | None:
+        return self._mirror.where_mrad()
+
     def reconnect(self) -> None:
         """Connect mirror and shutter afresh, and close the shutter."""
         self._is_open = True
