@@ -10,7 +10,7 @@ import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import DriverProcess
-from wavefocus.drivers.protocols import Mirror, Player, Recorder
+from wavefocus.drivers.protocols import Mirror, Player, Recorder, WallClock
 from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.timeouts import BoundedMirror, BoundedPlayer, BoundedRecorder, CallThread, bounded
 from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
@@ -74,3 +74,12 @@ def test_given_answers_within_one_step_of_the_clock_then_the_process_is_asked_on
 )
 def test_every_call_of_a_role_is_passed_on_to_the_device(wrapper, role):
     assert [name for name in dir(role) if name[0] != "_" and getattr(wrapper, name) is getattr(role, name)] == []
+
+
+def test_given_a_coarse_monotonic_clock_then_the_wall_clock_tells_a_millisecond(monkeypatch):
+    clock = WallClock()
+    with monkeypatch.context() as windows:
+        windows.setattr(time, "monotonic", lambda: 0.0)
+        began_s = clock.now_s()
+        clock.sleep(1e-3)
+        assert clock.now_s() > began_s
