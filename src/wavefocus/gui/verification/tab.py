@@ -26,7 +26,7 @@ from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import ClosingQuestion, OwnCommand, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, Results, VerdictPanel, read_results
-from wavefocus.rendering.verify.record import FIELD_NAMES, LOG_NAME, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
+from wavefocus.rendering.verify.record import FIELD_NAMES, LOG_NAME, PICTURE_NAMES, RECORD_NAME, REPORT_NAME, STOP_NAME
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
 
@@ -79,7 +79,13 @@ class _VerificationRun(OwnCommand):
         if self.own is not None and not self.stopping:
             self.stopping = True
             self.poll()
-            self.own.interrupt() if self._started else self.own.kill()
+            if not self._started:
+                self.own.kill()
+                return
+            try:
+                (self.out / STOP_NAME).touch()  # on Windows no signal reaches a process without a console
+            except OSError:
+                self.own.interrupt()
 
     def poll(self) -> bool:
         """Read what is new in its log, a block of it; returns whether there was anything."""
