@@ -3,14 +3,16 @@
 import os
 import signal
 import tomllib
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from msgspec.structs import replace
 from PyQt5.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, pixel, press, shown_tab, wait
+from tests.gui.conftest import LEFT, pixel, press, shown_tab, tab_of, wait
 from tests.system.test_calibrate import PRACTICE, TRUE
 from wavefocus.config.messages.rig_checks import Act, AskJog, Finding
 from wavefocus.gui.files import FileKind, kind_of, names_virtual_rig, rig_of_run
@@ -168,6 +170,14 @@ def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(qt
     window.close()
     assert not window.isVisible()
     os.waitpid(pid, 0)  # the window does not wait for it
+
+
+def test_given_a_close_then_an_examination_and_a_calibration_are_ended_first(open_window):
+    tab, ended = tab_of(window := open_window(), RigTab), []
+    for name, command in (("examined", tab.examination.command), ("calibrated", tab.calibration)):
+        command.own = SimpleNamespace(interrupt=partial(ended.append, name), detach=lambda: None)
+    window.close()
+    assert ended == ["examined", "calibrated"]
 
 
 def test_given_no_rig_or_a_wrong_one_then_it_is_said_and_nothing_is_offered(qtbot, open_window, rig):

@@ -187,8 +187,9 @@ class RigTab(Tab):
         self.calibration_page.options.setEnabled(free)
 
     def shut_down(self) -> None:
-        """Cancel an examination; the window does not wait for it."""
+        """Cancel an examination or a calibration; the window does not wait for it."""
         self.examination.command.interrupt()
+        self.calibration.interrupt()  # it reads its input only while it asks
 
     def _busy(self) -> str:
         """What is being done to the rig; empty where its instruments are free, or open in this tab."""
