@@ -16,9 +16,10 @@ from PyQt5.QtGui import QTouchEvent
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, click, edit, line_scene, mouse, pixel, press, shown_tab, wait
+from tests.lab_files import green_of, record_of, write_bank
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.config.scene import Output, QuietTable, SceneConfig
-from wavefocus.gui.scene.calculation import NO_BANK
+from wavefocus.gui.scene.calculation import NO_BANK, _drives, _field
 from wavefocus.gui.scene.document import EMPTY, changed
 from wavefocus.gui.scene.exports import IDLE, LIVE, OPENING, PLAYING, RENDERING
 from wavefocus.gui.scene.live_panel import KEYS, MOUSE, LiveSurface
@@ -28,6 +29,7 @@ from wavefocus.gui.scene.tab import DRAW, SceneTab
 from wavefocus.gui.scene.tab import LIVE as LIVE_PAGE
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.window import Window
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.drive_file import read_drive
 
 FINGER_SCENE = """
@@ -140,7 +142,7 @@ def test_no_bank_path_off_grid_or_bank_that_goes_and_comes_then_sentence_says_so
     assert panel.figures.rowCount() == 0
     bench.edit(line_scene())
     away = finished.rename(finished.with_name("away.h5"))
-    bench.edit(line_scene(amplitude=1.2), complete=False)
+    panel.calculation._looked_s = 0.0  # without an edit, and sooner than it would look by itself
     bench.says("is missing")
     assert panel.calculation.results is None
     away.rename(finished)
@@ -155,6 +157,23 @@ def test_no_bank_path_off_grid_or_bank_that_goes_and_comes_then_sentence_says_so
     bench.edit(line_scene(amplitude=3.0))
     assert panel.calculation.results is not None
     assert multiprocessing.active_children() != [process]
+
+    bench.edit(line_scene(amplitude=3.5), complete=False)
+    wait(bench.qtbot, lambda: panel.calculation.stage)
+    os.utime(finished, (0, 0))
+    panel.calculation._looked_s = 0.0
+    panel.calculation.poll(shown=True)
+    assert not panel.calculation._wanted  # a bank that is measured would never let a calculation end
+
+
+def test_positions_measured_after_the_drives_then_the_field_has_their_places(tmp_path):
+    green = np.stack([green_of(position) for position in range(3)])
+    bank = write_bank(tmp_path / "plate.h5", green, rows=(0, 1))
+    drives = _drives(0, line_scene(end_mm=1.5), tmp_path / "scene.toml", bank, "")
+    with BankWriter.open(bank) as writer:
+        writer.commit(2, green[2], record_of(2))
+    results = _field(0, drives, 2000.0)
+    assert len(results.field.field) == results.surface.positions == 3
 
 
 def test_given_save_then_the_files_are_what_the_command_makes(bench, finished, tmp_path):

@@ -44,6 +44,8 @@ _MAX_S = 600.0
 _MAX_FIELD_BYTES = 2**30
 # A step that does not look for newer edits is waited for no longer than this.
 _STOP_WAIT_S = 3.0
+# A bank that is measured changes all the time: one whose results are complete is looked at less often.
+_LOOK_S, _CALM_LOOK_S = 1.0, 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +79,7 @@ class Calculation(QObject):
         self._context, self._document = context, document
         self._pool: ProcessPoolExecutor | None = None
         self._newest = multiprocessing.get_context("spawn").Value("q", 0)
-        self._cancelled_s = self._due_s = self._look_due_s = 0.0
+        self._cancelled_s = self._due_s = self._looked_s = 0.0
         self._wanted = False
         self._bank_state: FileState | None = None
         self.results: SceneResults | None = None
@@ -95,8 +97,9 @@ class Calculation(QObject):
     def poll(self, *, shown: bool) -> None:
         """Calculate the latest scene while its results are shown, and again when the bank has changed."""
         now_s, document = time.monotonic(), self._document
-        if now_s >= self._look_due_s and not self.complete and document.bank is not None:
-            self._look_due_s = now_s + 1.0
+        look_due_s = self._looked_s + (_CALM_LOOK_S if self.complete else _LOOK_S)
+        if shown and now_s >= look_due_s and not self.stage and document.bank is not None:
+            self._looked_s = now_s
             if (state := file_state(document.bank)) != self._bank_state:
                 self._bank_state, self._wanted = state, True
         if not (self._wanted and shown and now_s >= self._due_s):
@@ -108,7 +111,7 @@ class Calculation(QObject):
         if document.bank is None or document.problem or not document.draft.source:
             self._refuse(NO_BANK if document.bank is None else document.problem or EMPTY)
             return
-        self._bank_state = file_state(document.bank)
+        self._bank_state, self._looked_s = file_state(document.bank), now_s
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(1, context, _begin_process, (self._newest,))
@@ -296,16 +299,17 @@ def _field(number: int, results: SceneResults, rate_hz: float) -> SceneResults:
     from wavefocus.rendering.field.prediction import Prediction
 
     path, check = results.surface.bank, _checks(number)
-    size = 4 * results.surface.positions * results.drive.drive_v.shape[1] * rate_hz / results.drive.sample_rate_hz
+    check(0, 1)
+    state = _state_of(path)
+    rows, surface = _measured(path, state)  # there may be more by now than for the drives
+    size = 4 * surface.positions * results.drive.drive_v.shape[1] * rate_hz / results.drive.sample_rate_hz
     if size > _MAX_FIELD_BYTES:
         raise InputError(
             f"the field would take {size / 2**30:.1f} GiB: shorten the scene, or save the drive and predict some"
             " positions with wavefocus predict --positions"
         )
-    check(0, 1)
-    state = _state_of(path)
     spectra = _spectra(path, state, rate_hz)
-    return replace(results, field=Prediction(results.drive, spectra, _measured(path, state)[0]).field(check))
+    return replace(results, surface=surface, field=Prediction(results.drive, spectra, rows).field(check))
 
 
 def _figures(number: int, results: SceneResults) -> SceneResults:
