@@ -1,9 +1,11 @@
 """Captures of the window and of others, what goes wrong, and what the tabs owe each other: instruments, closing."""
 
 import os
+import shutil
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,11 +37,15 @@ def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, sha
         wait(qtbot, lambda: words in window.messages.sentence)
         assert "Traceback" not in window.messages.sentence
 
+    other, scene = Path(shutil.copy(finished, tmp_path / "other.h5")), tab_of(window, SceneTab)
     finished.with_name("plate.h5.heartbeat").unlink()  # this process measured the bank, and will own it
     window.open_file(finished)
     with BankWriter.open(finished):
         wait(qtbot, lambda: tab.progress.state.text() == "preparing")
         assert not tab.controls.actions_by_name["resume"].isEnabled()
+        scene.bank_field.chosen.emit(other)
+        window.refresh()
+        assert (scene.document.bank, tab.bank_field.path) == (other, finished)  # and each is kept
         # Even one who is quicker than the buttons harms nothing.
         tab.run.start(["resume", str(finished)], finished)
         refused("owned by process")

@@ -65,7 +65,7 @@ class TabContext:
 
     def share(self, opened_in: QWidget, kind: FileKind, path: Path) -> None:
         """Show a run file, rig file or bank that was opened in one tab in all others that are not busy with another."""
-        if not path.is_file() or self.shared.get(kind) == path:
+        if self.shared.get(kind) == path or not path.is_file():
             return
         self.shared[kind] = path
         for tab in self.tabs:

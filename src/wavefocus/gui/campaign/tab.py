@@ -113,6 +113,7 @@ class CampaignTab(Tab):
         self._run_file: Path | None = None
         self._plan_of: tuple[object, ...] = ()
         self._planned_s = math.nan
+        self._shared: PlotSurface | None = None
         self._mismatch = ""
         """Why run file and bank do not belong together."""
         self.run_field = PathField("&Run", ".toml", "run file", context)
@@ -166,8 +167,9 @@ class CampaignTab(Tab):
         if self.follower is not None:
             self.follower.change(self.campaign, _FINDINGS_PER_TICK)
         surface = self.campaign.surface
-        if surface is not None:
+        if surface is not None and surface is not self._shared:
             self.context.share(self, FileKind.BANK, surface.bank)  # that of a capture, once it is there
+        self._shared = surface
         owner, real = self.campaign.owner, surface is None or not surface.is_virtual
         measures = f"process {owner.pid} on {owner.host} measures {self.bank_field.path}" if owner and real else ""
         self.run.foreign = measures
