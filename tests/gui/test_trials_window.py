@@ -163,6 +163,10 @@ def test_closed_in_a_trial_then_the_next_resumes_and_the_dialog_says_what_is_lef
     assert not dialog.start.isEnabled()
     dialog.participant.setText("P01")
     wait(qtbot, dialog.start.isEnabled)
+    dialog.rig.line.clear()
+    dialog.start.click()
+    assert dialog.standing.text() == "choose a bank, a rig and a folder for the answers first"
+    dialog.rig.show_path(measured / "rig.toml")
     dialog.start.click()
     assert dialog.command.own is not None
     os.kill(dialog.command.own.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)

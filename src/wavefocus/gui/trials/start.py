@@ -70,9 +70,9 @@ class TrialsStart(QDialog):
         self.start.setEnabled(can_start and not self.command.running)
 
     def _start(self) -> None:
-        bank, rig, out = self.bank.path, self.rig.path or VIRTUAL, self.out.path
-        if bank is None or out is None:
-            self.standing.setText("choose a bank and a folder for the answers first")
+        bank, rig, out = self.bank.path, self.rig.path or self.rig.line.text().strip(), self.out.path
+        if bank is None or not rig or out is None:
+            self.standing.setText("choose a bank, a rig and a folder for the answers first")
             return
         arguments = ["trials", str(self._trials), "--bank", str(bank), "--rig", str(rig), "--out", str(out)]
         arguments += ["--participant", self.participant.text().strip()]
