@@ -172,10 +172,14 @@ def test_instruments_of_a_killed_process_are_taken_again_and_freed_by_a_close(qt
     os.waitpid(pid, 0)  # the window does not wait for it
 
 
-def test_given_a_close_then_an_examination_and_a_calibration_are_ended_first(open_window):
-    tab, ended = tab_of(window := open_window(), RigTab), []
+def test_examination_or_calibration_then_its_rig_stays_and_a_close_ends_it_first(open_window, rig, tmp_path):
+    tab, ended = tab_of(window := open_window(rig), RigTab), []
     for name, command in (("examined", tab.examination.command), ("calibrated", tab.calibration)):
         command.own = SimpleNamespace(interrupt=partial(ended.append, name), detach=lambda: None)
+    tab.rig_field.show_path(tmp_path / "other.toml")
+    tab.open_file(tmp_path / "other.toml")
+    assert window.messages.sentence == "rig.toml is being examined; wait for its end, or cancel it"
+    assert tab.rig_field.path == tab.rig == rig
     window.close()
     assert ended == ["examined", "calibrated"]
 

@@ -148,7 +148,11 @@ class RigTab(Tab):
         return [examination.examine, examination.cancel, page.take, page.release, None, *self._with_instruments]
 
     def open_file(self, path: Path) -> None:
-        """Use another rig; open instruments are closed first."""
+        """Use another rig; open instruments are closed first, and one that is being measured stays."""
+        if self.rig is not None and (busy := self._busy()):
+            self._refuse(self.rig, busy)
+            self.rig_field.show_path(self.rig)
+            return
         self.session.release()
         self._show_rig(path)
         self.context.share(self, FileKind.RIG, path)
@@ -197,6 +201,9 @@ class RigTab(Tab):
             return "examined"
         return "calibrated" if self.calibration.running else ""
 
+    def _refuse(self, rig: Path, busy: str) -> None:
+        self.context.messages.warn(f"{rig.name} is being {busy}; wait for its end, or cancel it")
+
     def _show_rig(self, path: Path) -> None:
         self.context.settings.keep("rig/file", str(path.absolute()))
         self.rig_field.show_path(path)
@@ -216,7 +223,7 @@ class RigTab(Tab):
         if rig is None:
             self.context.messages.warn("choose a rig file first")
         elif busy := self._busy():
-            self.context.messages.warn(f"{rig.name} is being {busy}; wait for its end, or cancel it")
+            self._refuse(rig, busy)
         else:
             virtual = names_virtual_rig(rig)
             holds = "" if virtual else f"the Rig tab has the instruments of {rig.name}"
