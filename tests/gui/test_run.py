@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -136,6 +137,18 @@ def test_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_b
         assert verification.run.held == ""
         verification.run.cancel()
         wait(qtbot, lambda: not verification.run.running)
+
+
+def test_another_calibration_and_a_drift_then_continue_anyway_accepts_both(open_window, finished, monkeypatch):
+    window, asked = open_window(finished), []
+    run = campaign_of(window).run
+    monkeypatch.setattr(run, "run", lambda arguments, ended, **_options: asked.append((arguments, ended)))
+    monkeypatch.setattr("wavefocus.gui.campaign.tab.session_failure", lambda *_: ("drift", "stopped by drift"))
+    run.accept_calibration.setChecked(True)
+    run.start(["resume"], finished)
+    asked[0][1](SimpleNamespace(failure="stopped by drift", last_line="", stopped=False))
+    answer(window, "Continue anyway")
+    assert asked[1][0] == ["resume", "--accept-calibration", "--accept-drift"]
 
 
 def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_silently(qtbot, open_window, real_rig, tmp_path):

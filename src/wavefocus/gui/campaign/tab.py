@@ -46,7 +46,7 @@ class _CampaignRun(OwnCommand):
         accepted = ["--accept-calibration"] if self.accept_calibration.isChecked() else []
         self.accept_calibration.setChecked(False)
         self.bank = bank
-        again = partial(self.start, [*arguments, "--accept-drift"], bank, virtual=virtual)
+        again = partial(self.start, [*arguments, *accepted, "--accept-drift"], bank, virtual=virtual)
         self.run(
             [*arguments, *accepted],
             partial(self._ended, datetime.now().astimezone(), again),
