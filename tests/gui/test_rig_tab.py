@@ -74,6 +74,11 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     jog, sound, hands = tab.manual_page.jog, tab.manual_page.sound, tab.session
     assert sound.level_v.maximum() == 2.0
     assert sound.actuator.count() == 6
+    facts = hands.facts
+    for level_v, largest_v in ((0.1, 0.5), (facts.level_v, 2.0)):  # of another rig with as many actuators
+        hands.facts = replace(facts, level_v=level_v, largest_level_v=largest_v)
+        hands.changed.emit()
+        assert (sound.level_v.value(), sound.level_v.maximum()) == (pytest.approx(level_v, abs=1e-3), largest_v)
 
     qtbot.mouseClick(jog.picture.viewport(), LEFT, pos=pixel(jog.picture, 40.0, -25.0))
     wait(qtbot, lambda: hands.place_mm is not None)

@@ -253,6 +253,7 @@ class _SoundPanel(Themed, QWidget):
         self.actuator.activated.connect(self._listen_again)
         self.level_v.editingFinished.connect(self._listen_again)
         self._shown: SweepTaken | None = None
+        self._filled: object = None
         session.changed.connect(self._show)
         self._show()
 
@@ -266,7 +267,9 @@ class _SoundPanel(Themed, QWidget):
         for part in (self.listen, self.sounds, self.actuator, self.level_v, self.start_hz, self.stop_hz,
                      self.length_s):  # fmt: skip
             part.setEnabled(ready)
-        if facts is not None and self.actuator.count() != len(facts.actuator_mm):
+        filled = facts and (facts.name, len(facts.actuator_mm), facts.level_v, facts.largest_level_v, facts.band_hz)
+        if facts is not None and filled != self._filled:
+            self._filled = filled
             self.actuator.clear()
             self.actuator.addItems([str(one) for one in range(len(facts.actuator_mm))])
             self.level_v.setMaximum(facts.largest_level_v)
