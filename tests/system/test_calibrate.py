@@ -202,6 +202,13 @@ def test_given_a_wrong_option_then_it_is_one_line_and_exit_2(rig, capsys, option
     assert told in refused(capsys, "calibrate", rig, *options)
 
 
+def test_given_coils_of_limited_power_then_no_larger_amplitude_is_taken(rig, capsys):
+    coil = "limit_v = 4.0\ncoil_resistance_ohm = 8.0\nlimit_power_w = 0.1"
+    rig.write_text(RIG.replace("limit_v = 4.0", coil), encoding="utf-8")
+    told = refused(capsys, "calibrate", rig, "--amplitude-v", "1.3")
+    assert "at most 1.26491 (the rig's player.limit_v, player.limit_power_w" in told
+
+
 def test_given_a_person_who_leaves_half_way_then_what_was_measured_is_kept(rig):
     _, people = calibrate(rig, lines=[""] * (1 + OUTPUTS - 1), code=2)
     assert "standard input: ended before a cable was plugged" in people

@@ -53,7 +53,7 @@ from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
 from wavefocus.options import CalibrationOptions
-from wavefocus.rig.operation import SAMPLE_RATE_HZ
+from wavefocus.rig.operation import SAMPLE_RATE_HZ, largest_level_v
 from wavefocus.storage.errors import InputError
 
 MIN_V = 1e-6
@@ -65,13 +65,14 @@ def amplitude_v(rig: RigConfig, request: CalibrationOptions) -> float:
 
     Raises InputError: more than the rig may put out, or next to nothing.
     """
-    largest_v = rig.player.largest_v
+    largest_v, rms = largest_level_v(rig), rig.player.rms_limit
     if request.amplitude_v is None:
         return rig.safe_amplitude_v
     if not MIN_V <= request.amplitude_v <= largest_v:
         raise InputError(
             f"--amplitude-v {request.amplitude_v:g}: must be above 0 and at most {largest_v:g} (the rig's "
-            f"player.limit_v, or the full scale of its weakest output), and {MIN_V:g} V or more"
+            f"player.limit_v{f', {rms[0]}' if rms else ''}, or the full scale of its weakest output), and {MIN_V:g} V "
+            "or more"
         )
     return request.amplitude_v
 
