@@ -67,6 +67,10 @@ def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_g
     assert campaign.state().word is model.Extra.PREPARING
     _said(campaign, events.StateChanged(0.0, events.State.RUNNING, "6 positions to do"))
     assert campaign.state() == model.ShownState(events.State.RUNNING, "6 positions to do")
+    _said(campaign, events.StateChanged(0.5, events.State.RECOVERING, "no mirror"))
+    assert not campaign.state().paused
+    campaign.heartbeat = Heartbeat(datetime.now(UTC), 7, "here", events.State.RECOVERING, pause_asked=True)
+    assert campaign.state().paused
     _asked(campaign, owned=True, silent=True)
     assert campaign.state().word is model.Extra.SILENT
     _asked(campaign, owned=False)

@@ -15,12 +15,17 @@ from wavefocus.acquisition.event_wording import sentence
 from wavefocus.campaign import control
 from wavefocus.campaign.sidecar_files import last_events, log_path
 from wavefocus.campaign.status import CampaignView, Heartbeat, Recovering, campaign_status
+from wavefocus.commands.capture import resume
+from wavefocus.commands.status import is_paused
 from wavefocus.config.messages import campaign as told
 from wavefocus.config.messages import tag
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui.campaign.model import line_of
 from wavefocus.mocks.virtual import VirtualClock
-from wavefocus.storage.ledger.owner import Owner
+from wavefocus.options import SessionOptions
+from wavefocus.storage.durable import open_file
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.owner import Owner, take_ownership, write_owner
 
 
 @pytest.fixture
@@ -218,6 +223,20 @@ def test_given_events_then_the_state_is_that_of_the_latest_session(bank, events,
     status = after(bank, *events)
     assert (status.state, status.recovering) == (state, recovering)
     assert (status.since is None) == (status.reason == "") == (state is State.IDLE)
+
+
+def test_given_a_pause_while_recovering_then_resume_without_options_takes_it_back(bank):
+    bank.touch()
+    with open_file(bank) as file, control.CampaignControl(bank, StopRequest()):
+        take_ownership(bank, file, "bank")
+        write_owner(bank)
+        after(bank, STARTED, RUNNING, FAULT, LOST)
+        control.give_order(bank, "pause")
+        wait_until(lambda: is_paused(bank), "the pause is taken")
+        with pytest.raises(InputError, match="is paused and goes on with the rig that it has open"):
+            resume(bank, options=SessionOptions(rig_file=bank))
+        control.give_order(bank, "go-on")
+        wait_until(lambda: not is_paused(bank), "the pause is taken back")
 
 
 def test_given_a_session_under_way_then_progress_record_and_what_is_kept_are_known(bank):

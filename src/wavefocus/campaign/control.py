@@ -149,7 +149,8 @@ class CampaignControl:
             return None
 
     def _beat(self) -> None:
-        beat = Heartbeat.of(self._status, self._order)
+        pause_asked = self._stop.pause_requested and not self._stop.requested
+        beat = Heartbeat.of(self._status, self._order, pause_asked=pause_asked)
         finish = None if beat.finish_at is None else beat.finish_at.isoformat()
         try:
             write_whole(heartbeat_path(self._bank), {**to_record(beat), "finish_at": finish})

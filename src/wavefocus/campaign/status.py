@@ -146,7 +146,7 @@ class Heartbeat(Message, frozen=True):
 
     `since` is when it entered its state, `position` the one being measured, `remaining_s` by the wall's clock (None
     before the first position), `fault` the latest in words and `order` the number of the latest order taken, both
-    empty where there was none.
+    empty where there was none, `pause_asked` whether a pause was asked for and not taken back, in whatever state.
     """
 
     at: Instant
@@ -161,6 +161,7 @@ class Heartbeat(Message, frozen=True):
     remaining_s: float | None = None
     fault: str = ""
     order: str = ""
+    pause_asked: bool = False
 
     @property
     def finish_at(self) -> datetime | None:
@@ -184,7 +185,7 @@ class Heartbeat(Message, frozen=True):
         return f"{hours(age_s)} ago" if age_s > -1 else f"{hours(-age_s)} ahead of this computer's clock"
 
     @classmethod
-    def of(cls, status: CampaignStatus, order: str = "") -> Heartbeat:
+    def of(cls, status: CampaignStatus, order: str = "", *, pause_asked: bool = False) -> Heartbeat:
         """The heartbeat of this process now."""
         fault, progress = status.fault, status.progress
         return cls(
@@ -192,6 +193,7 @@ class Heartbeat(Message, frozen=True):
             since=status.since, position=status.position, done=status.done, total=status.total, order=order,
             remaining_s=None if progress is None else progress.wall_remaining_s,
             fault="" if fault is None else f"{fault.instrument}: {fault.operation}: {fault.cause}",
+            pause_asked=pause_asked,
         )  # fmt: skip
 
 

@@ -63,8 +63,15 @@ def resume(bank: Path, *, options: SessionOptions) -> Exit:
     """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file.
 
     A capture that is paused is let go on; one that measures is left alone, and BankBusyError says who.
+
+    Raises InputError: options that a capture which is paused cannot take up.
     """
     if is_paused(bank):
+        if options.rig_file is not None or options.accept_drift or options.accept_calibration:
+            raise InputError(
+                f"{bank}: is paused and goes on with the rig that it has open, without --rig, --accept-drift and "
+                f"--accept-calibration; end it first: {command_line('wavefocus', 'stop', bank)}, then resume with them"
+            )
         return order(bank, "go-on", as_json=options.as_json)
     blueprint = resumed_campaign(bank, options.rig_file, accept_calibration=options.accept_calibration)
     return _session(blueprint, bank, None, options)

@@ -210,9 +210,13 @@ WAITS_S = 15.0
 
 def is_paused(bank: Path) -> bool:
     """Whether a process measures into a bank and is paused, or about to be."""
-    owner = bank_owner(bank)
-    beat = None if owner is None else read_heartbeat(bank)
-    return owner is not None and campaign_status(bank, owner, beat).state in (State.PAUSED, State.PAUSING)
+    if (owner := bank_owner(bank)) is None:
+        return False
+    beat = read_heartbeat(bank)
+    # While an instrument is reconnected, or the conditions are waited for, no state says that a pause follows.
+    if beat is not None and beat.pid == owner.pid and beat.pause_asked:
+        return True
+    return campaign_status(bank, owner, beat).state in (State.PAUSED, State.PAUSING)
 
 
 def order(bank: Path, word: Word, *, as_json: bool) -> Exit:

@@ -190,6 +190,13 @@ class ShownState:
 
     word: events.State | Extra
     reason: str = ""
+    pause_asked: bool = False
+
+    @property
+    def paused(self) -> bool:
+        """Whether the second press of Pause continues."""
+        waits = self.word in (events.State.SUSPENDED, events.State.RECOVERING)
+        return self.word in (events.State.PAUSING, events.State.PAUSED) or (self.pause_asked and waits)
 
     @property
     def measuring(self) -> bool:
@@ -248,7 +255,7 @@ class CampaignModel:
     def state(self, *, starting: bool = False) -> ShownState:
         """State of the campaign; `starting` while a capture of this window has not opened the bank yet."""
         owner, beat, session = self.owner, self.heartbeat, self.session
-        logged = ShownState(session.state, session.reason)
+        logged = ShownState(session.state, session.reason, beat is not None and beat.pause_asked)
         if owner is not None:
             if beat is not None and beat.is_silent() and beat.pid == owner.pid:
                 reason = f"process {owner.pid} on {owner.host} is stopped, or its machine is asleep or hung"

@@ -32,10 +32,6 @@ _BUTTONS = (
 )
 
 
-#: States in which the second press of Pause continues.
-PAUSED = (State.PAUSING, State.PAUSED)
-
-
 class Controls(QtWidgets.QWidget):
     """Row of buttons; `actions_by_name` are in the menu, too.
 
@@ -65,7 +61,7 @@ class Controls(QtWidgets.QWidget):
         for name, enabled, text in (
             ("start", free and has_run, "Start"),
             ("resume", free and has_bank and left > 0, "Resume"),
-            ("pause", orders, "Continue" if word in PAUSED else "Pause"),
+            ("pause", orders, "Continue" if state.paused else "Pause"),
             ("stop", orders or word in (model.Extra.PREPARING, model.Extra.SILENT), "Stop after this position"),
             ("selected", free and has_bank and selected > 0, f"Remeasure selected{f' ({selected})' * (selected > 0)}"),
             ("poor", free and has_bank and poor > 0, f"Remeasure poor{f' ({poor})' * (poor > 0)}"),

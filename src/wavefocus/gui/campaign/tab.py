@@ -14,7 +14,7 @@ from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
 from wavefocus.gui.campaign.model import NOT_GOOD, CampaignModel, Extra
-from wavefocus.gui.campaign.panels import PAUSED, Controls, EventList, MapPanel, ProgressRow
+from wavefocus.gui.campaign.panels import Controls, EventList, MapPanel, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.files import FileKind, PathField, file_state, names_virtual_rig, rig_of_run
 from wavefocus.gui.process import CommandProcess
@@ -283,8 +283,7 @@ class CampaignTab(Tab):
         self.context.claim_instruments(word, start, virtual=virtual, but=self.run)
 
     def _pause_or_continue(self) -> None:
-        paused = self.campaign.state().word in PAUSED
-        self.run.order("resume" if paused else "pause", self.bank_field.path)
+        self.run.order("resume" if self.campaign.state().paused else "pause", self.bank_field.path)
 
     def _remeasure_selected(self) -> None:
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))
