@@ -193,6 +193,7 @@ def test_a_name_that_is_taken_meanwhile_then_what_was_measured_has_the_next_one(
         (["--fiducials", "nowhere.csv"], "nowhere.csv: no such file"),
         (["--only", "mirror", "--fiducials", "four.csv"], "four.csv"),  # too few to show a wrong one
         (["--only", "inputs", "--out", "rig.toml"], "rig.toml: is there already and is not overwritten"),
+        (["--only", "inputs", "--out", "nowhere/c.toml"], "nowhere: no calibration can be written there"),
     ],
 )
 def test_given_a_wrong_option_then_it_is_one_line_and_exit_2(rig, capsys, options, told):

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from msgspec.structs import replace
 
@@ -217,6 +218,12 @@ def calibrate(
     rig = load_rig(rig_file)
     if out is not None and os.path.lexists(out):
         raise InputError(f"--out {out}: is there already and is not overwritten; name another file")
+    folder = (out or rig_file).parent
+    try:
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        why = f"no calibration can be written there ({error.strerror or error})"
+        raise InputError(f"{folder}: {why}; name a file elsewhere by --out") from None
     file: Path | None = None
     session = CalibrationSession(rig, options)
     lines = LinesOut() if operator == "lines" else None
