@@ -194,6 +194,8 @@ class Listener(io.FileIO):
     def in_place_of(cls, stream: TextIO) -> TextIO:
         """A stream that takes the place of standard output; a terminal stays as it is."""
         try:
+            if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+                stream.reconfigure(errors="backslashreplace")  # a letter that its encoding lacks is no defect
             if stream.isatty() or getattr(stream, STAND_IN, False):
                 return stream
             stream.flush()

@@ -15,7 +15,7 @@ from wavefocus import cli
 from wavefocus.campaign.status import CampaignView
 from wavefocus.commands.calibrate import TerminalOperator
 from wavefocus.config.messages.campaign import Progress, State, StateChanged
-from wavefocus.console import progress, spinner
+from wavefocus.console import Listener, progress, spinner
 from wavefocus.mocks.virtual import PatchBay
 from wavefocus.rig.calibration_session import Cables
 
@@ -32,6 +32,12 @@ say("columns: none")
 with spinner("verifying the rows"):
     pass
 """
+
+
+def test_given_a_letter_that_standard_output_cannot_encode_then_it_is_escaped(tmp_path):
+    with (tmp_path / "redirected").open("w", encoding="cp1252") as file:
+        print("\N{GREEK CAPITAL LETTER DELTA}t", file=Listener.in_place_of(file), flush=True)
+    assert (tmp_path / "redirected").read_bytes().split() == [rb"\u0394t"]
 
 
 @pytest.mark.may_skip("a pseudo-terminal is POSIX")
