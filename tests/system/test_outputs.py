@@ -15,6 +15,7 @@ import pytest
 from tests.lab_files import point_scene, write_foreign
 from tests.system.lines import python
 from wavefocus.__main__ import run
+from wavefocus.commands.demo import _prepare
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement
 
@@ -130,6 +131,16 @@ def test_folders_of_results_then_they_stay_without_force_and_banks_in_them_with_
     Path("demo").mkdir()
     (lab / "demo" / "made-by-wavefocus-demo").touch()
     assert run(["demo", "--out", "demo"]) == 2
+
+
+def test_given_a_folder_of_the_demo_then_it_is_cleared_of_its_own_names_alone(tmp_path):
+    for name in ("made-by-wavefocus-demo", "rig.toml", "plate.waves.h5", ".plate.h5.heartbeat.1f.new", "lab.h5"):
+        (tmp_path / name).touch()
+    with pytest.raises(InputError, match=r"holds lab\.h5"):
+        _prepare(tmp_path, force=True)
+    (tmp_path / "lab.h5").unlink()
+    _prepare(tmp_path, force=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["made-by-wavefocus-demo"]
 
 
 # Commands in forks of one process, which has run each once: libraries are loaded once. Nothing measures coverage in

@@ -34,6 +34,8 @@ PLATE = "stadium"
 
 COMMAND = (sys.executable, "-m", "wavefocus")
 _MARKER = "made-by-wavefocus-demo"
+# First parts of the names that the demo, commands on its bank and macOS write there; hidden ones begin with a dot.
+_OWN = {_MARKER, "rig", "run", "scene", "trials", "fingers", "plate", "drive", "field", "verify", "DS_Store"}
 
 
 def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
@@ -100,6 +102,9 @@ def _prepare(out: Path, *, force: bool) -> None:
             raise InputError(f"--out {out}: is not empty and was not made by the demo; name another folder")
         if any(out.iterdir()) and not force:
             raise InputError(f"--out {out}: holds an earlier demo; name another folder, or replace it with --force")
+        for name in sorted(path.name for path in out.iterdir()):
+            if name.removeprefix(".").partition(".")[0] not in _OWN:
+                raise InputError(f"--out {out}: holds {name}, which the demo has not written; move it elsewhere")
         shutil.rmtree(out)
     out.mkdir(parents=True)
     (out / _MARKER).write_text("this folder is cleared whenever the demo runs\n", encoding="utf-8")
