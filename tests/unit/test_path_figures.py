@@ -20,6 +20,7 @@ from wavefocus.rendering.field.wave_figures import (
     path_responses,
 )
 from wavefocus.rendering.greens.regularisation import focus_gain_map, rms_map, saturation_threshold
+from wavefocus.rendering.verify.field_pair import BandLimit
 
 RATE_HZ = 10_000.0
 RNG = np.random.default_rng(4)
@@ -110,6 +111,14 @@ def test_waves_from_all_sides_correlate_like_a_bessel_function():
 
 def plane_wave_bank(wave, *, band=(50.0, 450.0), taps=1500):
     """exp(-j k r) / sqrt(r), flat over the band: what the definition of group velocity and loss speaks of."""
+def test_a_band_from_0_hz_has_no_lower_edge():
+    signal = np.random.default_rng(1).standard_normal(400) + 1.0
+    band = BandLimit(400, RATE_HZ, (0.0, 450.0))
+    found = metrics.band_limited(signal, RATE_HZ, (0.0, 450.0))
+    np.testing.assert_allclose(band.signals(band.spectrum(signal)), found, atol=0.03)
+    assert found.mean() == pytest.approx(signal.mean(), abs=0.03)
+
+
     position_mm = np.stack(np.meshgrid(np.arange(0, 80, 8.0), np.arange(0, 40, 8.0)), axis=-1).reshape(-1, 2)
     actuator_mm = np.array([[-25.0, 5.0], [100.0, 10.0], [30.0, 62.0]])
     radius_mm = np.hypot(*(position_mm[:, None] - actuator_mm).transpose(2, 0, 1))

@@ -220,17 +220,17 @@ def band_weights(samples: int, sample_rate_hz: float, band_hz: tuple[float, floa
     """Zero-phase weights of a band on the bins of ``rfft``, shape (samples // 2 + 1,).
 
     1 inside `band_hz`, falling to 0 over a quarter of an octave outside it, as half a cosine on the logarithm of
-    frequency.
+    frequency. A band from 0 Hz has no lower edge.
     """
     frequency = np.maximum(np.fft.rfftfreq(samples, 1.0 / sample_rate_hz), 1e-9)
-    outside = np.maximum(np.log2(band_hz[0] / frequency), np.log2(frequency / band_hz[1]))
+    outside = np.maximum(np.log2(max(band_hz[0], 1e-9) / frequency), np.log2(frequency / band_hz[1]))
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / 0.25, 0.0, 1.0)), dtype=np.float32)
 
 
 def band_limited(field: RealArray, sample_rate_hz: float, band_hz: tuple[float, float]) -> RealArray:
     """The part of signals (..., samples) within a band, by `band_weights` on their zero-padded spectra."""
     samples = field.shape[-1]
-    padded = fast_length(samples + round(2.0 * sample_rate_hz / band_hz[0]))
+    padded = fast_length(samples + round(2.0 * sample_rate_hz / (band_hz[0] or band_hz[1])))
     spectrum = np.fft.rfft(field, padded)
     spectrum *= band_weights(padded, sample_rate_hz, band_hz)
     limited: RealArray = np.fft.irfft(spectrum, padded)[..., :samples].astype(field.dtype, copy=False)

@@ -22,7 +22,7 @@ class BandLimit:
     """Limits chunks of signals to a bank's band; without one, leaves them as they are."""
 
     def __init__(self, samples: int, sample_rate_hz: float, band_hz: tuple[float, float] | None) -> None:
-        silence_s = MAX_DELAY_S if band_hz is None else 2.0 / band_hz[0]
+        silence_s = 2.0 / band_hz[0] if band_hz is not None and band_hz[0] > 0 else MAX_DELAY_S
         self._samples = samples
         self._padded = fast_length(samples + round(silence_s * sample_rate_hz))
         self.bins = self._padded // 2 + 1
