@@ -149,7 +149,7 @@ def _result(client: Any, future: Any, stopped: str) -> Any:
             raise
         except distributed.KilledWorker:
             lost = "workers of the cluster were lost, again and again"
-        except (distributed.client.FutureCancelledError, CommClosedError):
+        except (distributed.CancelledError, CommClosedError):
             lost = "the scheduler of the cluster is gone"
         except (TimeoutError, distributed.TimeoutError):
             reached = client.status == "running"

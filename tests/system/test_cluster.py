@@ -5,6 +5,7 @@ import sys
 import time
 from contextlib import contextmanager, suppress
 
+import distributed
 import h5py
 import numpy as np
 import pytest
@@ -114,6 +115,17 @@ def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab)
     (lab / "drive.h5").unlink()
     with pytest.raises(InputError, match="does not exist there"):
         field_parts(drive, bank, None, [[3]])
+
+
+def test_given_a_scheduler_that_cancels_then_it_is_said_to_be_gone():
+    class Gone:  # Before distributed 2024.7, CancelledError is what a future raises.
+        nthreads, submit = staticmethod(dict), lambda self, *_, **__: self
+
+        def result(self, timeout):
+            raise distributed.CancelledError
+
+    with pytest.raises(WavefocusError, match="scheduler of the cluster is gone"):
+        list(cluster.spread(Gone(), time.sleep, [(0.2,)], stopped="estimating plate"))
 
 
 @pytest.mark.nightly
