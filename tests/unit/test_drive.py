@@ -19,7 +19,7 @@ from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.device import Device, cuda_device, host_device
 from wavefocus.rendering.drive.coil_limits import levels_of
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
-from wavefocus.rendering.drive.wav import stream_wav
+from wavefocus.rendering.drive.wav import stream_wav, wav_format
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.report.render_report import RenderWarning
 
@@ -244,6 +244,7 @@ def test_a_streamed_wav_is_the_whole_one_and_beyond_full_scale_it_is_refused(tmp
     found, written_hz = written(renderer.unlimited_blocks(), 1.5 * np.abs(whole).max(), chunk_samples=128)
     assert written_hz == rate_hz
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-7)
+    assert [wav_format(size) for size in (2**32 - 1, 2**32)] == ["WAV", "RF64"]
 
 
 ALL, HUGE = (MOVING, REPEATING, STANDING), Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=1e42)

@@ -143,9 +143,10 @@ def stream_wav(
     largest_v = 0.0
     seconds = samples / sample_rate_hz
     with replacement(path) as temporary, sound_failures(path):
-        require_room(temporary, round(4 * actuators * seconds * interface_rate_hz) + 4096)
+        size = round(4 * actuators * seconds * interface_rate_hz) + 4096
+        require_room(temporary, size)
         with soundfile.SoundFile(
-            temporary, "w", samplerate=interface_rate_hz, channels=actuators, subtype="FLOAT", format="WAV"
+            temporary, "w", samplerate=interface_rate_hz, channels=actuators, subtype="FLOAT", format=wav_format(size)
         ) as file:
             for played_v in rate.pieces(_in_chunks(blocks), actuators, samples, chunk_samples):
                 peak_v = float(peaks(played_v).max())
@@ -157,6 +158,11 @@ def stream_wav(
                 file.write((played_v / full_scale_v).astype(np.float32).T)
                 largest_v = max(largest_v, peak_v)
     return largest_v
+
+
+def wav_format(size: int) -> str:
+    """Format of a file of so many bytes: the header of a WAV file counts them in 32 bits, that of RF64 in 64."""
+    return "WAV" if size < 2**32 else "RF64"  # EBU Tech 3306
 
 
 def _in_chunks(blocks: Iterable[Float64Array]) -> Iterator[Float64Array]:
