@@ -172,6 +172,19 @@ def test_given_a_gaussian_spot_between_positions_then_its_width_and_place_are_fo
 
 def test_given_two_spots_then_the_one_within_the_radius_is_found_and_measured_alone():
     field = gaussian((-10.0, 0.0), 9.0) - 5.0 * gaussian((25.0, 0.0), 12.0)
+@pytest.mark.parametrize("pitch_mm", [(4.0, 5.0), (4.0, 6.0), (4.0, 8.0), (12.0, 12.0)])
+def test_a_spot_on_a_rectangular_grid_or_next_to_a_check_position_is_found(pitch_mm):
+    grid_mm = np.stack(np.meshgrid(*(pitch * np.arange(-10.0, 11.0) for pitch in pitch_mm)), axis=-1).reshape(-1, 2)
+    if pitch_mm == (12.0, 12.0):
+        grid_mm = np.append(grid_mm, [(2.0, -1.0)], axis=0)
+    field = np.exp(-4.0 * math.log(2.0) * np.square((grid_mm - (1.1, 1.3)) / (3.0 * max(pitch_mm))).sum(axis=1))
+    spot = metrics.focus_spot(grid_mm, field, (0.0, 0.0), 15.0, metrics.grid_spacing_mm(grid_mm))
+    assert math.dist(spot.at_mm, (1.1, 1.3)) < 0.01
+    assert spot.width_mm == pytest.approx(3.0 * max(pitch_mm), rel=0.045)
+    hexagonal_mm = np.array([(4.0 * x + 2.0 * (y % 2), y * math.sqrt(12.0)) for x in range(9) for y in range(9)])
+    assert metrics.grid_spacing_mm(hexagonal_mm) == pytest.approx(4.0)
+
+
     peak = metrics.focus_peak(GRID_MM, field, (-9.0, 1.0), 10.0)
     assert math.dist(peak.at_mm, (-10.0, 0.0)) < 0.6
     assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(9.0, rel=0.04)

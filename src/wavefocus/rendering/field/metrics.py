@@ -77,13 +77,23 @@ def gain_range_db(gain: RealArray, position_mm: Float64Array, actuator_mm: Float
 
 
 def grid_spacing_mm(position_mm: Float64Array) -> float:
-    """Median distance from each position to its nearest neighbour. Raises InputError: fewer than two positions."""
+    """Median distance from each position to its nearest neighbour, or root mean square of a rectangular grid's pitches.
+
+    Raises InputError: fewer than two positions.
+    """
     if len(position_mm) < 2:
         raise InputError(f"a grid spacing needs two positions, there are {len(position_mm)}")
-    return PositionGrid(position_mm).spacing_mm
+    grid = PositionGrid(position_mm)
+    lattice, spacing_mm = grid.lattice, grid.spacing_mm
+    # On the lattice of a hexagonal grid, neighbours are not next to each other; a line has one pitch.
+    if lattice is None or min(lattice.row_at.shape) == 1 or spacing_mm != lattice.pitch_mm.min():
+        return spacing_mm
+    return math.hypot(*lattice.pitch_mm) / math.sqrt(2.0)
 
 
-def focus_peak(position_mm: Float64Array, field: RealArray, near_mm: Place, radius_mm: float) -> FocusPeak | None:
+def focus_peak(
+    position_mm: Float64Array, field: RealArray, near_mm: Place, radius_mm: float, spacing_mm: float | None = None
+) -> FocusPeak | None:
     """Find the place of the largest ``|field|`` within `radius_mm` of a point.
 
     The largest grid position is refined by the vertex of a quadratic surface fitted (least
@@ -94,6 +104,7 @@ def focus_peak(position_mm: Float64Array, field: RealArray, near_mm: Place, radi
 
     field, (positions,): The field at one instant, any unit.
     near_mm: Intended place of the focus.
+    spacing_mm: Spacing of the grid; the largest position's nearest neighbour counts where it is further, or without it.
 
     Returns None when no position lies within the radius.
     """
@@ -107,7 +118,7 @@ def focus_peak(position_mm: Float64Array, field: RealArray, near_mm: Place, radi
     at = centre
     others = distance[distance > 0.0]
     if others.size and value != 0.0:
-        spacing = float(others.min())
+        spacing = max(float(others.min()), spacing_mm or 0.0)
         near = distance <= 1.5 * spacing
         relative = field.astype(np.float64) / value
         # Neighbours of a peak below this part of it belong to its skirt and not to its lobe.
@@ -144,7 +155,7 @@ def focal_width_mm(position_mm: Float64Array, field: RealArray, peak_row: int, s
     axis = np.arange(-half_cells, half_cells + 1) * cell
     cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     gap, _ = spatial.cKDTree(offset[near]).query(cells)
-    # Any point of a full square grid lies within 0.71 spacings of a position.
+    # Any point of a full rectangular grid lies within 0.71 spacings of a position.
     known = (gap <= 0.75 * spacing_mm) & (np.hypot(*cells.T) <= reach)
     try:
         surface = RBFInterpolator(offset[near], field[near].astype(np.float64) / value, kernel="quintic")
@@ -203,7 +214,7 @@ def focus_spot(
     spacing_mm: float | None,
 ) -> FocusSpot | None:
     """All figures of the focus near a point; None where no position lies within the radius."""
-    peak = focus_peak(position_mm, field, near_mm, radius_mm)
+    peak = focus_peak(position_mm, field, near_mm, radius_mm, spacing_mm)
     if peak is None:
         return None
     width = None if spacing_mm is None else focal_width_mm(position_mm, field, peak.row, spacing_mm)

@@ -12,6 +12,7 @@ from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.config.run import DriftLimits, Tolerance
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, FocusTable, focus_table, intended_mm, median_or_none
+from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.quiet_levels import field_levels
 from wavefocus.rendering.greens.interpolation.base import bank_grid
 from wavefocus.rendering.greens.source import is_check
@@ -163,7 +164,7 @@ def compare(
         fields.scanned_snapshot,
         fields.position_index,
         position_mm,
-        spacing_mm,
+        spacing_mm and grid_spacing_mm(bank_grid(bank).position_mm),
     )
     noise_error, limits = _noise_error(fields), tolerance or Tolerance()
     model_error = _model_error(fields.error, noise_error)
