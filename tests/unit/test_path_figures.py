@@ -80,6 +80,8 @@ def test_maps_of_rms_and_focus_gain_are_equations_14_and_15_over_measured_positi
         found = focus_gain_map(bank, saturation)
         assert np.isnan(found[[2, 3, 5]]).all()
         np.testing.assert_allclose(found[measured], gain[measured], rtol=1e-13)
+        absolute = focus_gain_map(bank, saturation_absolute=0.0 if saturation is None else threshold)
+        np.testing.assert_array_equal(absolute, found)
 
 
 def test_silent_banks_rows_not_measured_and_gains_beyond_float64_are_refused():
@@ -109,8 +111,6 @@ def test_waves_from_all_sides_correlate_like_a_bessel_function():
     assert (found.mean <= found.high).all()
 
 
-def plane_wave_bank(wave, *, band=(50.0, 450.0), taps=1500):
-    """exp(-j k r) / sqrt(r), flat over the band: what the definition of group velocity and loss speaks of."""
 def test_a_band_from_0_hz_has_no_lower_edge():
     signal = np.random.default_rng(1).standard_normal(400) + 1.0
     band = BandLimit(400, RATE_HZ, (0.0, 450.0))
@@ -119,6 +119,8 @@ def test_a_band_from_0_hz_has_no_lower_edge():
     assert found.mean() == pytest.approx(signal.mean(), abs=0.03)
 
 
+def plane_wave_bank(wave, *, band=(50.0, 450.0), taps=1500):
+    """exp(-j k r) / sqrt(r), flat over the band: what the definition of group velocity and loss speaks of."""
     position_mm = np.stack(np.meshgrid(np.arange(0, 80, 8.0), np.arange(0, 40, 8.0)), axis=-1).reshape(-1, 2)
     actuator_mm = np.array([[-25.0, 5.0], [100.0, 10.0], [30.0, 62.0]])
     radius_mm = np.hypot(*(position_mm[:, None] - actuator_mm).transpose(2, 0, 1))
@@ -170,8 +172,6 @@ def test_given_a_gaussian_spot_between_positions_then_its_width_and_place_are_fo
     assert width == pytest.approx(fwhm, rel=0.045)
 
 
-def test_given_two_spots_then_the_one_within_the_radius_is_found_and_measured_alone():
-    field = gaussian((-10.0, 0.0), 9.0) - 5.0 * gaussian((25.0, 0.0), 12.0)
 @pytest.mark.parametrize("pitch_mm", [(4.0, 5.0), (4.0, 6.0), (4.0, 8.0), (12.0, 12.0)])
 def test_a_spot_on_a_rectangular_grid_or_next_to_a_check_position_is_found(pitch_mm):
     grid_mm = np.stack(np.meshgrid(*(pitch * np.arange(-10.0, 11.0) for pitch in pitch_mm)), axis=-1).reshape(-1, 2)
@@ -185,6 +185,8 @@ def test_a_spot_on_a_rectangular_grid_or_next_to_a_check_position_is_found(pitch
     assert metrics.grid_spacing_mm(hexagonal_mm) == pytest.approx(4.0)
 
 
+def test_given_two_spots_then_the_one_within_the_radius_is_found_and_measured_alone():
+    field = gaussian((-10.0, 0.0), 9.0) - 5.0 * gaussian((25.0, 0.0), 12.0)
     peak = metrics.focus_peak(GRID_MM, field, (-9.0, 1.0), 10.0)
     assert math.dist(peak.at_mm, (-10.0, 0.0)) < 0.6
     assert metrics.focal_width_mm(GRID_MM, field, peak.row, SPACING_MM) == pytest.approx(9.0, rel=0.04)

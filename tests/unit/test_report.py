@@ -92,7 +92,9 @@ def test_given_a_scan_then_the_remarks_say_what_to_check():
         (louder_scan(gain=1.3), "loopback carried 1.3 times", "Not judged"),
         (louder_scan(noise=0.5), "Most of the error is the vibrometer's noise", "not explained by noise"),
         (few, "Not judged: focus to path point", "not explained"),
+        (few, "scaled by 0.5 to keep to its limits", "limit_v"),
     ):
+        drive = dataclasses.replace(drive, scale=0.5)
         text = " ".join(remarks(compare(prediction, scan, drive, bank()), drive, scan))
         assert remark in text
         assert not_remark not in text

@@ -61,8 +61,7 @@ def build_report(
     """
     paths_mm = [path_line_mm(source, PATH_POINTS if source.path.length_mm > 0.0 else 1) for source in scene.sources]
     surface = ReportSurface.of(bank, paths_mm, outline_mm)
-    saturation = scene.regularisation.saturation
-    gain = focus_gain_map(bank, saturation)
+    gain = focus_gain_map(bank, scene.regularisation.saturation, scene.regularisation.saturation_absolute)
     pictures, captions = _pictures(surface, verification, drive, gain)
     if drift:
         pictures["drift"] = drift_over_time(drift, drift_limits or DriftLimits())
@@ -258,7 +257,7 @@ def remarks(verification: Verification, drive: Drive, scan: Scan) -> list[str]:
         ),
         (
             drive.scale < 1.0,
-            f"The drive was scaled by {number(drive.scale)} to keep to limit_v, and prediction and scan with it.",
+            f"The drive was scaled by {number(drive.scale)} to keep to its limits, and prediction and scan with it.",
         ),
         (
             drive.omitted_bound > 0.0,
