@@ -311,9 +311,6 @@ def render_by_options(
     from wavefocus.rendering.device import cuda_device
     from wavefocus.rendering.drive.rendering import render_with_report
 
-    if options.device != "cpu" and options.tolerance_db is not None:
-        raise InputError(f"--device {options.device} does not go with --tolerance-db")
-
     gpu = None if options.device == "cpu" else cuda_device()
     return render_with_report(
         scene, bank, method=options.method, tolerance_db=options.tolerance_db, on_progress=on_progress,

@@ -309,6 +309,11 @@ def test_given_any_bank_and_scene_then_the_array_api_standard_alone_gives_the_dr
         assert told.out_of_band == pytest.approx(report.out_of_band, abs=1e-3)
 
 
+def test_a_tolerance_on_another_device_is_refused():
+    with pytest.raises(InputError, match="does not go with --tolerance-db"):
+        render_with_report(scene_of(MOVING), noise_bank(), tolerance_db=-60.0, device=host_device())
+
+
 @pytest.mark.may_skip("a GPU is not everywhere")
 @pytest.mark.skipif(importlib.util.find_spec("cupy") is None, reason="needs CuPy and a GPU")
 def test_given_a_gpu_then_it_gives_the_drives_and_fields_of_the_cpu():

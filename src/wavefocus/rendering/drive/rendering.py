@@ -76,6 +76,8 @@ class SceneRenderer:
     ) -> None:
         self._scene, self._bank, self._device = scene, bank, device
         self._tolerance = tolerance_of(tolerance_db)
+        if device is not None and tolerance_db is not None:
+            raise InputError("--device cuda does not go with --tolerance-db")
         self._limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
         self._interface, self._rate_hz = interface, float(bank.sample_rate_hz)
         self._rate = None if interface is None else InterfaceRate(self._rate_hz, interface.rate_hz)
