@@ -17,6 +17,7 @@ from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.scene.model import QuietPlace, Scene, Source, read_scene
 from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.scene.trajectory import TrajectoryPath
 from wavefocus.rendering.verify.correction import control_rows
 from wavefocus.rendering.verify.verdict import compare
 from wavefocus.storage.drive_file import read_drive, write_drive
@@ -137,6 +138,15 @@ def test_independent_sources_are_quiet_at_each_other_while_both_sound(bank, seed
         _, report = render_with_report(Scene("two", sources[::2], Regularisation(independent=True)), bank)
         assert report.quiet_tracks == ()
         assert any(text.startswith("source 0 is at source 1") for text in report.warnings)
+
+
+def test_independent_rests_between_jumps_are_each_quiet(bank):
+    time_s = np.add.outer(0.04 * np.arange(12), (0.0, 0.02, 0.0395)).ravel()
+
+    taps_mm = [np.repeat(np.stack([4.0 * np.arange(12) - 20.0, np.full(12, y)], 1), 3, axis=0) for y in (0.0, 16.0)]
+    sources = tuple(Source(TrajectoryPath(time_s, one, [0, 1, 0] * 12), NOISE) for one in taps_mm)
+    _, report = render_with_report(Scene("taps", sources, Regularisation(independent=True), NEAREST), bank)
+    assert {*map(tuple, report.quiet_tracks[1].at_mm.tolist())} == {*map(tuple, taps_mm[1].tolist())}
 
 
 def test_a_disc_between_positions_is_quiet_in_truth(bank):

@@ -13,6 +13,7 @@ from wavefocus import Circle, InputError, Line, Point, Polyline, Scene, Source, 
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.sampling import sample_scene, scene_size
 from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine, SoundFile
@@ -176,6 +177,20 @@ def test_rows_close_in_time_or_silent_are_no_foci_and_a_resting_finger_is_a_poin
     resting = Source(TrajectoryPath((0.0, 0.07), ((4.0, 4.0), (4.0, 4.0))), NOISE)
     there, at_rest = (drive_v(scene_of(one)) for one in (Source(Point((4.0, 4.0)), NOISE), resting))
     np.testing.assert_allclose(at_rest, there, rtol=0, atol=1e-13 * np.abs(there).max())
+
+
+@pytest.mark.parametrize("stroke", [False, True])
+def test_kernel_interpolation_then_rests_between_jumps_sound_at_their_own_places(stroke):
+    (a, b), taps = ((-14.0, -10.0), (2.0, -4.3)), [(1.0 + 0.1 * stroke * k, 13.0) for k in range(3)] + [(9.0, 7.0)] * 3
+    places_mm, sounds = [a, b, b, b, *taps, a, b] if stroke else taps, [0, 1, 0] * 2
+    path = TrajectoryPath(0.1 * np.arange(len(places_mm)), places_mm, [0, 1, 1, 0, *sounds, 0, 0] if stroke else sounds)
+    scene, bank = scene_of(Source(path, Noise((80.0, 420.0), 1.0, 3)), interpolation="kernel"), plate_bank()
+    sampled, course = sample_scene(scene, bank), path.trajectory(0.0, bank.sample_rate_hz)
+    events = sampled.sources[0].emission.events(0, course.sample[-1])
+    at_mm, heard = course.at(np.arange(course.sample[-1]))
+    found_mm = np.einsum("ij,ijk->ik", events.weights, sampled.interpolation.rows_of(bank).position_mm[events.rows])
+    np.testing.assert_allclose(found_mm[heard != 0], at_mm[heard != 0], atol=1e-5)
+    assert np.isin(PositionGrid(NOISE_MM).nearest(np.array(taps))[0], scene_rows(scene, NOISE_MM).path).all()
 
 
 HEADER = "time_s,x_mm,y_mm,amplitude\n"

@@ -33,7 +33,15 @@ from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, Events, PointEmission
 from wavefocus.rendering.scene.model import Scene
-from wavefocus.rendering.scene.quiet_places import PlaceRows, PlannedPlace, QuietPlan, paths_of, place_at, plan_quiet
+from wavefocus.rendering.scene.quiet_places import (
+    PlaceRows,
+    PlannedPlace,
+    QuietPlan,
+    changes_place,
+    paths_of,
+    place_at,
+    plan_quiet,
+)
 from wavefocus.rendering.scene.sampling import SampledScene
 from wavefocus.storage.drive_file import Drive, QuietTrack
 
@@ -204,7 +212,7 @@ class QuietRows(BankRows):
         return QuietFigures(levels, plain_db, found.of_place[kept], found.energy, tuple(warnings))
 
     def _track(self, place: PlannedPlace, level_db: float, instants: int) -> QuietTrack:
-        knots = self.plan.knots if place.path.length_mm > 0 else self.plan.knots[:1]
+        knots = self.plan.knots if changes_place(place.path) else self.plan.knots[:1]
         sample = knots[evenly_spread(len(knots), instants)]
         return QuietTrack(
             place.words, sample, place.at(sample, self._rate_hz).round(6), place.radius_mm, place.level_db,
@@ -231,7 +239,7 @@ class QuietRows(BankRows):
         if self.found.uncut_level[number] > place.level * 10 ** (0.1 * MISSED_DB):
             return "the bank's actuators cannot do more"
         length_s = self.taps / self._rate_hz
-        if place.path.length_mm > 0 or any(source.path.length_mm > 0 for source in self._scene.sources):
+        if changes_place(place.path) or any(changes_place(source.path) for source in self._scene.sources):
             return f"filters are {length_s:.2g} s long, in which places and sources move: the filters' length"
         return f"filters end {self.tail / self._rate_hz:.2g} s after their focus: the filters' length"
 
@@ -351,7 +359,7 @@ def _instants(scene: Scene, sampled: SampledScene, plan: QuietPlan) -> tuple[Int
     some, evenly chosen.
     """
     sounding = np.array([_sounding(source.emission, plan.knots) for source in sampled.sources])
-    if not any(path.length_mm > 0 for path in paths_of(scene, plan.places)):
+    if not any(changes_place(path) for path in paths_of(scene, plan.places)):
         state = np.where(sounding, plan.of_source, -1)[:, sounding.any(axis=0)]
         _, first, count = np.unique(state, axis=1, return_index=True, return_counts=True)
         longest = np.argsort(-count, kind="stable")[:MAX_STATES]

@@ -67,6 +67,11 @@ def place_at(path: Path, speed_mm_s: float, start_s: float, sample: Int64Array, 
     return path.point_at(along_mm)
 
 
+def changes_place(path: Path) -> bool:
+    """Whether a path has more places than one; a trajectory that only rests between jumps has no length."""
+    return path.length_mm > 0 or (isinstance(path, TrajectoryPath) and len(set(path.points_mm)) > 1)
+
+
 def places_of(scene: Scene) -> tuple[PlannedPlace, ...]:
     """The quiet places of a scene, and those of its sources where they are independent."""
     places = [
@@ -188,7 +193,7 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
     emissions = [source.emission for source in sampled.sources]
     first = min(emission.first_sample for emission in emissions)
     stop = max(emission.stop_sample for emission in emissions)
-    moving = any(path.length_mm > 0 for path in paths_of(scene, places))
+    moving = any(changes_place(path) for path in paths_of(scene, places))
     apart = len({(emission.first_sample, emission.stop_sample) for emission in emissions}) > 1
     segment = max(1, round(SEGMENT_S * rate_hz))
     knots = np.arange(first, stop + segment, segment) if moving or apart else np.array([first])
@@ -227,7 +232,7 @@ def _rows(place: PlannedPlace, knots: Int64Array, rate_hz: float, place_rows: Pl
         rows = place_rows.at(points_mm).reshape(len(knots), len(around_mm))
     except OffGridError as off:
         raise InputError(f"{place.words} {off}") from off
-    if place.radius_mm == 0 and place.path.length_mm > 0 and len(knots) > 1:
+    if place.radius_mm == 0 and changes_place(place.path) and len(knots) > 1:
         before, after = np.concatenate([rows[:1], rows[:-1]]), np.concatenate([rows[1:], rows[-1:]])
         rows = np.concatenate([rows, before, after], axis=1)
     return rows
@@ -256,7 +261,7 @@ def _applies(
             if place.source is not None:
                 other = sampled.sources[place.source].emission
                 applies[index, number] &= (knots > other.first_sample - segment) & (knots < other.stop_sample + segment)
-            rests = source.path.length_mm == 0 and place.path.length_mm == 0
+            rests = not changes_place(source.path) and not changes_place(place.path)
             # A quiet point this near to a focus is at the focus.
             # A source that moves past a quiet place is not quiet there from this distance on: far within half a
             # wavelength.

@@ -15,6 +15,7 @@ from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
 from wavefocus.rendering.scene.quiet_places import places_of
 from wavefocus.rendering.scene.sampling import MAX_PATH_POINTS
+from wavefocus.rendering.scene.trajectory import rests_mm
 from wavefocus.storage.errors import InputError
 
 POINTS_AT_ONCE = 4096
@@ -103,7 +104,8 @@ def _more_rows(
 def _along(path: Path, spacing_mm: float) -> tuple[Float64Array, float]:
     """Points along a path so close that none on it is further than the returned distance from one of them."""
     if path.length_mm <= 0 or spacing_mm <= 0:
-        return path.point_at(np.zeros(1)), 0.0
+        at_rest_mm = rests_mm(path)
+        return at_rest_mm if len(at_rest_mm) else path.point_at(np.zeros(1)), 0.0
     # Points per grid spacing at which a path is looked at; what lies between them is covered by a margin.
     steps = path.length_mm / spacing_mm * 32
     if steps > 32 * MAX_PATH_POINTS:
@@ -113,7 +115,7 @@ def _along(path: Path, spacing_mm: float) -> tuple[Float64Array, float]:
         )
     count = max(2, math.ceil(steps) + 1)
     along_mm = np.linspace(0.0, path.length_mm, count)
-    return path.point_at(along_mm), float(along_mm[1])
+    return np.concatenate([path.point_at(along_mm), rests_mm(path, along_mm[1])]), float(along_mm[1])
 
 
 def _nearby_rows(tree: cKDTree, points_mm: Float64Array, radius_mm: Float64Array) -> set[int]:

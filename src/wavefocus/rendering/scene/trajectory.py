@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from wavefocus.acquisition.grid import read_rows
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.scene.paths import DrawnPath
+from wavefocus.rendering.scene.paths import DrawnPath, Strokes
+from wavefocus.rendering.scene.paths import Path as PathOnSurface
 from wavefocus.storage.argument_types import check_fields, real_array
 from wavefocus.storage.errors import InputError
 
@@ -128,6 +129,14 @@ class TrajectoryPath(DrawnPath):
         """Arc lengths at instants."""
         return np.interp(np.asarray(time_s, dtype=np.float64), np.asarray(self.time_s), self._arc_mm)
 
+    def strokes(self) -> list[tuple[int, Strokes]]:
+        """First row and course of each stroke between jumps on which the source sounds, at least one."""
+        points_mm, silent = np.asarray(self.points_mm, dtype=np.float64), self._amplitudes() == 0
+        jumps = silent[:-1] & silent[1:] & np.diff(points_mm, axis=0).any(axis=1)
+        rows = np.split(np.arange(len(silent)), np.flatnonzero(jumps) + 1)
+        sounding = [(int(own[0]), Strokes([points_mm[own]])) for own in rows if not silent[own].all()]
+        return sounding or [(0, Strokes([points_mm[:1]]))]
+
     def foci(self, start_s: float) -> tuple[Float64Array, Float64Array]:
         """Instants (foci,) in scene time and places (foci, 2) of the foci of a source that starts at `start_s`."""
         rows = self.focus_rows
@@ -135,6 +144,12 @@ class TrajectoryPath(DrawnPath):
 
     def _amplitudes(self) -> Float64Array:
         return np.ones(len(self.time_s)) if self.amplitude is None else real_array("amplitude", self.amplitude)
+
+
+def rests_mm(path: PathOnSurface, longest_mm: float = 0.0) -> Float64Array:
+    """First points, float64 (n, 2), of a trajectory's strokes of no more than a length: places along it miss them."""
+    strokes = path.strokes() if isinstance(path, TrajectoryPath) else []
+    return np.reshape([stroke.strokes_mm[0][0] for _, stroke in strokes if stroke.length_mm <= longest_mm], (-1, 2))
 
 
 def read_trajectory(file: Path) -> TrajectoryPath:

@@ -23,6 +23,7 @@ from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, is_check
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
+from wavefocus.rendering.scene.trajectory import rests_mm
 from wavefocus.storage.errors import InputError
 
 _SLACK = 1e-9
@@ -228,10 +229,14 @@ def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
 def scene_points(scene: Scene, most: int = 64) -> Float64Array:
     """Points evenly chosen along the paths of a scene's sources, at most so many each, float64 (n, 2).
 
-    Of a source that emits anew at every path point, path points.
+    Of a source that emits anew at every path point, path points; of a trajectory as many `rests_mm`, too.
     """
     parts = []
     for source in scene.sources:
+        at_rest_mm = rests_mm(source.path)
+        parts.append(at_rest_mm[evenly_spread(len(at_rest_mm), most)])
+        if len(at_rest_mm) and source.path.length_mm == 0:
+            continue
         length_mm, step_mm = source.path.length_mm, source.step_mm
         if length_mm > 0 and step_mm > 0 and source.emission == "per_point":
             last = int(min(length_mm / step_mm + 1e-9, 2**53))

@@ -18,6 +18,8 @@ from wavefocus.storage.bank.ledger import Status
 _STENCIL = 4
 """Nodes that make one point: a cubic polynomial in arc length."""
 _INSET = 1e-6
+LOOK = 0.25
+"""Distance, in node spacings, at which corners and gaps of a path are looked for."""
 
 
 def node_spacing_mm(wavenumber_rad_mm: float, error: float) -> float:
@@ -99,7 +101,7 @@ def _corners(path: Path, spacing_mm: float) -> Float64Array:
     if isinstance(path, Circle):
         return np.zeros(0)
     # A path is looked at so often; where it turns by more from look to look it has a corner or a gap.
-    looks = min(int(np.ceil(path.length_mm / spacing_mm * 4)) + 2, 4_000_000)
+    looks = min(int(np.ceil(path.length_mm / spacing_mm / LOOK)) + 2, 4_000_000)
     along = np.linspace(0.0, path.length_mm, looks)
     points = path.point_at(along)
     step_mm = along[1]
