@@ -2,6 +2,8 @@
 
 import json
 import re
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,12 +142,22 @@ def test_independent_sources_are_quiet_at_each_other_while_both_sound(bank, seed
         assert any(text.startswith("source 0 is at source 1") for text in report.warnings)
 
 
-def test_independent_rests_between_jumps_are_each_quiet(bank):
-    time_s = np.add.outer(0.04 * np.arange(12), (0.0, 0.02, 0.0395)).ravel()
+def test_independent_rests_between_jumps_are_each_quiet_and_one_thread_asks_a_bank(bank):
+    asking, time_s = threading.Lock(), np.add.outer(0.04 * np.arange(12), (0.0, 0.02, 0.0395)).ravel()
+
+    class Asked:
+        def __getattr__(self, name):
+            return getattr(bank, name)
+
+        def green(self, position):
+            assert asking.acquire(blocking=False)
+            time.sleep(0.001)
+            asking.release()
+            return bank.green(position)
 
     taps_mm = [np.repeat(np.stack([4.0 * np.arange(12) - 20.0, np.full(12, y)], 1), 3, axis=0) for y in (0.0, 16.0)]
     sources = tuple(Source(TrajectoryPath(time_s, one, [0, 1, 0] * 12), NOISE) for one in taps_mm)
-    _, report = render_with_report(Scene("taps", sources, Regularisation(independent=True), NEAREST), bank)
+    _, report = render_with_report(Scene("taps", sources, Regularisation(independent=True), NEAREST), Asked())
     assert {*map(tuple, report.quiet_tracks[1].at_mm.tolist())} == {*map(tuple, taps_mm[1].tolist())}
 
 

@@ -149,7 +149,8 @@ class QuietRows(BankRows):
         self._numbers: dict[tuple[int, int, int], int] = {}
         self._keys: list[tuple[int, int, int]] = []
         self._length = fast_length(2 * (bank.taps + tail))
-        self._quiet_reader = RowReader(place_rows.rows)
+        # Both read the same rows, and a bank is asked by one thread at a time only where they share the reader.
+        self._quiet_reader = self._reader if place_rows.rows is self.bank else RowReader(place_rows.rows)
         self._quiet_spectrum = lru_cache(256)(self._transform)
         self._quiet = lru_cache(MAX_STATES)(self._stack)  # foci that keep the same rows quiet share the array
 
