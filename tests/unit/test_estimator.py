@@ -111,6 +111,14 @@ def test_error_is_the_noise_limit_at_any_clock_ratio(kind, ppm):
     assert (error_db(estimate.green, truth) - limit_db(records, truth)).max() < 3.5
 
 
+def test_many_sweeps_of_a_wide_band_are_found_at_their_start_at_minus_200_ppm():
+    long = dataclasses.replace(SMALL, stop_hz=4000.0, averages=4)
+    estimator = SequentialEstimator(long, 60)
+    for post_roll in (300, 4000):  # the later one has room for a sweep more
+        estimate = records_of(damped_modes(1, 60, long), long, ppm=-200.0, post_roll=post_roll).estimate(estimator)
+        assert estimate.offset_samples == pytest.approx([100.4], abs=0.01)
+
+
 @pytest.mark.nightly
 def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm():
     default = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)

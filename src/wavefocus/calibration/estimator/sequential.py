@@ -1,5 +1,6 @@
 """From sequential records, sweeps with silence after each, to Green's functions and figures of their quality."""
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 
@@ -11,7 +12,7 @@ from wavefocus.calibration.estimator.causal_fit import RIDGE, CausalFit, Toeplit
 from wavefocus.calibration.estimator.defect_finder import DefectFinder, energy, measure_levels
 from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, Channels, Estimate, decibel
 from wavefocus.calibration.excitation import Excitation
-from wavefocus.calibration.known_signal import ClockFit, ReferenceMissingError, filled_bins
+from wavefocus.calibration.known_signal import MAX_PPM, ClockFit, ReferenceMissingError, filled_bins
 from wavefocus.calibration.timing import ClockFitter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Schedule
@@ -20,8 +21,8 @@ from wavefocus.storage.raw.header import Schedule
 MIN_POWER = 1e-3
 FLOOR_POWER = 1e-12
 GUARD_SAMPLES = 8
-# Sweeps that give the clock of a record of more, and the samples around them that are looked at.
-FEW_SWEEPS, FIRST_MARGIN = 3, 200
+# Sweeps that give the clock of a record of more.
+FEW_SWEEPS = 3
 # A sweep has one frequency at a time: the mean delay rises, or falls, over so many parts of the band.
 DELAY_PARTS = 8
 
@@ -86,13 +87,16 @@ class _SweepCutter:
         """Fit a record of many sweeps, near the clock of its first ones."""
         near = None
         if np.isfinite(recording).all() and recording.any():
-            length = scipy.fft.next_fast_len(recording.size, real=True)
-            place = self._clock.search.top(scipy.fft.rfft(recording, length), length)
-            low = max(round(place) - FIRST_MARGIN, 0)
-            part = recording[low : low + FEW_SWEEPS * self.period + 2 * FIRST_MARGIN]
+            # Without the part where only the later sweeps can be, however the clocks differ.
+            later = math.floor((self._least - FEW_SWEEPS * self.period) * (1 - 1e-6 * MAX_PPM))
+            part = recording[: recording.size - later]
             with suppress(ReferenceMissingError):
                 found = first_sweeps.fit(part, diagnose=False)
-                near = low + found.offset_samples, found.ratio
+                near = found.offset_samples, found.ratio
+                # A record with a period to spare holds more sweeps there: one period earlier may be the first.
+                while (earlier := near[0] - near[1] * self.period) >= -1:
+                    found = first_sweeps.fit(part, diagnose=False, near=(earlier, near[1]))
+                    near = found.offset_samples, found.ratio
         return self._clock.fit(recording, name=name, near=near)
 
     def spectra(self, recording: Float32Array, starts: Int64Array) -> Complex64Array:
