@@ -24,6 +24,8 @@ Interval = tuple[float | None, float | None]
 MAX_LAPSES = 0.12
 _LAPSES = np.linspace(0.0, MAX_LAPSES, 7)
 _DROP = chi2.ppf(0.95, 1) / 2.0
+# Points of each axis of a profile, which narrows to the interval in so many passes; halvings to its lapse rates.
+_PROFILE_POINTS, _PROFILE_PASSES, _HALVINGS = 61, 3, 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,17 +100,12 @@ class _Likelihood:
     def fit(self, levels: tuple[float, ...], sign: float) -> PsychometricFit:
         axes = [np.linspace(*bounds, 241) for bounds in self._bounds[:2]]
         thresholds, log_slopes = np.meshgrid(*axes, indexing="ij")
-        bare = np.stack([self._plain(thresholds, log_slopes, lapse) for lapse in _LAPSES]).max(axis=0)
-        surface = bare + self._penalty(thresholds, log_slopes)
+        plain = np.stack([self._plain(thresholds, log_slopes, lapse) for lapse in _LAPSES]).max(axis=0)
+        surface = plain + self._penalty(thresholds, log_slopes)
         start = [axis[at] for axis, at in zip(axes, np.unravel_index(surface.argmax(), surface.shape), strict=True)]
         found = minimize(self._loss, [*start, MAX_LAPSES / 2.0], method="L-BFGS-B", bounds=self._bounds)
         threshold, log_slope, lapse = (float(value) for value in found.x)
-        peak = max(-float(found.fun), float(surface.max()))
-        # Steeper slopes than the levels resolve: the penalty excludes them whatever the answers, so it does not count.
-        slope_drop = peak - surface.max(axis=0)
-        slope_drop = np.where(axes[1] > log_slope, np.minimum(slope_drop, bare.max() - bare.max(axis=0)), slope_drop)
-        resolved = bool(slope_drop[-1] > _DROP)
-        at, steep = _within(axes[0], peak - surface.max(axis=1)), _within(axes[1], slope_drop)
+        at, steep = self._intervals(found.x[:2], -float(found.fun))
         own = float(self._plain(np.array(threshold), np.array(log_slope), lapse))
         saturated = float((xlogy(self._k, self._k / self._n) + xlogy(self._n - self._k, 1.0 - self._k / self._n)).sum())
         deviance = 2.0 * (saturated - own)
@@ -116,15 +113,47 @@ class _Likelihood:
         return PsychometricFit(
             levels, right, of, self._guess, lapse, 10.0 ** (sign * threshold),
             _mapped(at, sign, lambda value: 10.0 ** (sign * value)), sign * math.exp(log_slope),
-            _mapped(steep if resolved else (steep[0], None), sign, lambda value: sign * math.exp(value)),
-            deviance, float(chi2.sf(deviance, max(len(self._x) - 2, 1))), resolved,
+            _mapped(steep, sign, lambda value: sign * math.exp(value)),
+            deviance, float(chi2.sf(deviance, max(len(self._x) - 2, 1))), steep[1] is not None,
         )  # fmt: skip
+
+    def _intervals(self, best: Float64Array, peak: float) -> tuple[Interval, Interval]:
+        """Spans of threshold and logarithm of the slope whose profile is near the peak, which lies at `best`."""
+        spans = self._bounds[:2]
+        for _ in range(_PROFILE_PASSES):
+            axes = [np.union1d(np.linspace(*spans[number], _PROFILE_POINTS), best[number]) for number in (0, 1)]
+            grid = np.meshgrid(*axes, indexing="ij")
+            bare = self._profile(*grid)
+            surface = bare + self._penalty(*grid)
+            peak = max(peak, float(surface.max()))
+            drops = [peak - surface.max(axis=other) for other in (1, 0)]
+            bare_drops = [bare.max() - bare.max(axis=other) for other in (1, 0)]
+            inside = [np.flatnonzero(np.minimum(*both) <= _DROP) for both in zip(drops, bare_drops, strict=True)]
+            spans = [
+                (axis[max(near[0] - 2, 0)], axis[min(near[-1] + 2, len(axis) - 1)])
+                for axis, near in zip(axes, inside, strict=True)
+            ]
+        # Steeper slopes than the levels resolve: the penalty excludes them whatever the answers, so it does not count.
+        slope_drop = np.where(axes[1] > best[1], np.minimum(drops[1], bare_drops[1]), drops[1])
+        return _within(axes[0], drops[0]), _within(axes[1], slope_drop)
 
     def _loss(self, point: Float64Array) -> float:
         threshold, log_slope, lapse = point
         return -float(self._plain(threshold, log_slope, lapse) + self._penalty(threshold, log_slope))
 
-    def _plain(self, threshold: Float64Array, log_slope: Float64Array, lapse: float) -> Float64Array:
+    def _profile(self, threshold: Float64Array, log_slope: Float64Array) -> Float64Array:
+        """Largest log-likelihood over the lapse rates, which is concave in them: its derivative is bisected."""
+        x, k, n = (row.reshape(-1, 1, 1) for row in (self._x, self._k, self._n))
+        logistic = share_right(x, threshold, np.exp(log_slope), 0.0, 0.0)
+        low, high = np.zeros(threshold.shape), np.full(threshold.shape, MAX_LAPSES)
+        for _ in range(_HALVINGS):
+            lapse = 0.5 * (low + high)
+            share = np.clip(self._guess + (1.0 - self._guess - lapse) * logistic, 1e-12, 1.0 - 1e-12)
+            falls = (logistic * (k / share - (n - k) / (1.0 - share))).sum(axis=0) > 0
+            low, high = np.where(falls, low, lapse), np.where(falls, lapse, high)
+        return self._plain(threshold, log_slope, low)
+
+    def _plain(self, threshold: Float64Array, log_slope: Float64Array, lapse: float | Float64Array) -> Float64Array:
         """Log-likelihood at thresholds and slopes of any shape."""
         total = np.zeros(np.shape(threshold))
         for x, k, n in zip(self._x, self._k, self._n, strict=True):
