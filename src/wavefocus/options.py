@@ -44,7 +44,7 @@ class RenderOptions:
         None, "By default exact, or sampled where emission is per point."
     )
     tolerance_db: float | None = option(
-        None, "Leave out what a proved bound allows, e.g. -60.", low=-1000.0, high=-1e-3
+        None, "Allow single precision within a proved bound, e.g. -60.", low=-1000.0, high=-1e-3
     )
     device: Literal["cpu", "cuda"] = option("cpu", "cuda: on a GPU, through CuPy.")
 

@@ -95,9 +95,9 @@ def test_given_sigterm_while_both_ways_are_measured_then_it_ends_in_130(lab, mon
     with_faults(lab, 'role = "mirror"\noperation = "wait_settled"\nkind = "timeout"\nat_call = 1')
     former = signal.signal(signal.SIGTERM, lambda *_: None)
     monkeypatch.setattr(sys, "stderr", Listener(("repeated", lambda: signal.raise_signal(signal.SIGTERM))))
-    assert wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 130
-    assert not (lab / "plate.h5").exists()
+    code = wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5")
     signal.signal(signal.SIGTERM, former)
+    assert (code, (lab / "plate.h5").exists()) == (130, False)
 
 
 def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on_so(lab):
