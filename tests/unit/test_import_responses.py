@@ -77,10 +77,13 @@ def test_given_a_whole_frequency_axis_then_the_response_comes_back(green, import
         spectra, axis_hz = np.fft.fftshift(spectra, -1), np.fft.fftshift(axis_hz)
     elif kind == "to the rate":
         axis_hz = np.arange(period) * RATE_HZ / period
-    found, facts, bank = imported(spectra, axis_hz, taps=TAPS)
-    assert off_db(found, green) < -130
-    assert bank.sample_rate_hz == pytest.approx(RATE_HZ)
-    assert facts["residual_db"] < -130
+    for unmeasured in (None, 0.0, np.nan):  # the first position
+        if unmeasured is not None:
+            spectra[0], green = unmeasured, np.concatenate([np.zeros_like(green[:1]), green[1:]])
+        found, facts, bank = imported(spectra, axis_hz, taps=TAPS)
+        assert off_db(np.nan_to_num(found), green) < -130
+        assert bank.sample_rate_hz == pytest.approx(RATE_HZ)
+        assert facts["residual_db"] < -130
 
 
 @pytest.mark.parametrize(("taps", "within_db"), [(TAPS, 1.0), (20, 0.1)])

@@ -32,11 +32,16 @@ class Conversion:
         self._count = measured.shape[1]
         self._measured = np.ones(measured.shape[0], bool) if measured.status is None else measured.status != 0
         motion = self._motion(measured)
-        rows = iter(measured.rows)
-        first = next(rows, None)
-        if first is None:
+        rows, before = iter(measured.rows), list[NDArray[Any]]()
+        for first in rows:
+            # A position that was not measured does not show how its values lie.
+            if self._is_measured(len(before), first):
+                before.append(first)
+                break
+            before.append(np.zeros(1))
+        if not before:
             raise InputError(f"{source}: holds no response")
-        self._rows = itertools.chain([first], rows)
+        self._rows = itertools.chain(before, rows)
         self._converter: CausalConverter | None = None
         self._take: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
         self._cut = self._whole = self._all_lines = self._lines_out = 0.0
@@ -204,13 +209,16 @@ class Conversion:
         Not measured are rows that are missing or zero throughout, as in a bank, and those that the file's status says.
         """
         for position, row in enumerate(self._rows):
-            if np.isnan(row).all() or not row.any() or not self._measured[position]:
+            if not self._is_measured(position, row):
                 yield position, None, None
             else:
                 # What is beyond single precision becomes infinite and is refused.
                 with np.errstate(over="ignore", invalid="ignore"):
                     green, residual_db = self._converted(row, position)
                 yield position, green, residual_db
+
+    def _is_measured(self, position: int, row: NDArray[Any]) -> bool:
+        return bool(self._measured[position] and row.any() and not np.isnan(row).all())
 
     def _converted(self, row: NDArray[Any], position: int) -> tuple[NDArray[np.float32], Float64Array | None]:
         residual_db = None
