@@ -14,7 +14,7 @@ from tests.unit.independent_plates import places, responses
 from wavefocus.acquisition.judgement import Cure, in_band, judge
 from wavefocus.calibration.estimator.defect_finder import not_looked_at
 from wavefocus.calibration.estimator.estimate import Estimate, Records
-from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.estimator.sequential import BATCH_RECORDS, SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.calibration.known_signal import ReferenceMissingError
@@ -243,6 +243,16 @@ def test_hum_below_the_band_that_leaves_the_rows_right_then_they_are_valid():
     assert error_db < -50
     assert judgement.status == Status.VALID
     assert float(estimate.residual_db.max()) == pytest.approx(error_db, abs=10)
+
+
+def test_faint_records_of_few_steps_are_excused_wherever_the_loudest_one_is():
+    played, answered, _ = quiet("images", 7)
+    few_steps = np.round(answered[:1] / loud(answered[0]) * 20) * loud(answered[0]) / 20
+    response = np.concatenate([30 * answered[:1], np.repeat(few_steps, BATCH_RECORDS, axis=0)])
+    reference = np.tile(played, (len(response), 1))
+    volts = reference.astype(np.float32), response.astype(np.float32)
+    estimate = estimator(3, TAPS).estimate(*volts, range_v=(10.0, 200.0))
+    assert np.isneginf(estimate.defects["misfit_db"][1:]).all()
 
 
 def later_each_sweep(y):

@@ -239,6 +239,7 @@ class DefectFinder:
         self,
         response_v: Float32Array,
         levels: _Levels,
+        loudest: int,
         answered_energy: Float64Array,
         reference: Complex64Array,
         differing: Complex64Array,
@@ -247,6 +248,7 @@ class DefectFinder:
         """Look through a batch of records, their spectra in all bins that the sweep fills.
 
         response_v, float32 (records, samples): Response channel in volts; `levels` are its peaks.
+        loudest: The record with the largest peak of its position, counted from the batch's first, inside or outside it.
         answered_energy, float64 (records,): Energy of the sweeps on the response channel in the sweep's band.
         reference, complex64 (records, averages, bins): Spectra of the sweeps on the reference channel.
         differing, complex64 (records, averages, bins): What one mean transfer function leaves of the response: zeros
@@ -271,7 +273,7 @@ class DefectFinder:
             apart = (power - missed_power)[:, here].sum(axis=1, dtype=np.float64) / (self.averages - 1)
             if 2 * (here.stop - here.start) * self.freedom > MIN_FREE:
                 self._compare(noise, apart, missed[:, here], left, whole, defects)
-                self._excuse_rounding(response_v, levels, defects)
+                self._excuse_rounding(response_v, levels, loudest, defects)
         loud = np.flatnonzero(self.is_swept & (whole > 10 ** (CLEAR_DB / 10) * np.minimum(apart, noise)))
         harmonic_db = _third_harmonic_db(response_v, levels.loudest, loud, self.sample_rate_hz, self.period)
         defects["harmonic_db"][loud] = harmonic_db
@@ -301,12 +303,14 @@ class DefectFinder:
         late[missing] = delays[:, after].sum(axis=1) > MOST * delays.sum(axis=1)
         defects["tail_db"][late] = defects["misfit_db"][late]
 
-    def _excuse_rounding(self, response_v: Float32Array, levels: _Levels, defects: NDArray[np.void]) -> None:
+    def _excuse_rounding(
+        self, response_v: Float32Array, levels: _Levels, loudest: int, defects: NDArray[np.void]
+    ) -> None:
         """Faint records have few steps of a range that is right for the loudest: the same rounding in all sweeps."""
         for record in np.flatnonzero(defects["misfit_db"] > -np.inf).tolist():
             middle = int(levels.loudest[record])
             around = response_v[record, max(0, middle - AROUND_SAMPLES) : middle + AROUND_SAMPLES]
-            if record != levels.response_v.argmax() and 0 < _converter_steps(around) < MIN_STEPS:
+            if record != loudest and 0 < _converter_steps(around) < MIN_STEPS:
                 defects["misfit_db"][record] = defects["tail_db"][record] = -np.inf
 
     def _concentrated(

@@ -185,8 +185,9 @@ class SequentialEstimator:
             )
         if not all(np.isfinite(end) and end > 0 for end in range_v):
             raise InputError(f"range_v is {range_v}; allowed are two finite numbers above 0")
+        loudest = int(np.maximum(response.max(axis=1), -response.min(axis=1)).argmax())
         parts = [
-            self._estimate(reference[low : low + self._batch], response[low : low + self._batch], range_v, low)
+            self._estimate(reference[low : low + self._batch], response[low : low + self._batch], range_v, low, loudest)
             for low in range(0, records, self._batch)
         ]
         found = parts[0] if len(parts) == 1 else Estimate.joined(parts)
@@ -199,7 +200,7 @@ class SequentialEstimator:
         )
 
     def _estimate(
-        self, reference: Float32Array, response: Float32Array, range_v: tuple[float, float], first: int
+        self, reference: Float32Array, response: Float32Array, range_v: tuple[float, float], first: int, loudest: int
     ) -> Estimate:
         levels = measure_levels(reference, response, range_v)
         starts, offset, ratio, slip_db = self._cutter.cut(reference, first)
@@ -221,7 +222,7 @@ class SequentialEstimator:
         noise = variance * self._share * self._fit.elements
         gain = reference_power.sum(axis=1, dtype=np.float64) / self._cutter.power.sum()
         missed = found.missed * self._in_time.conj()
-        defects = self._defects.find(response, levels, answered, x, differing, missed)
+        defects = self._defects.find(response, levels, loudest - first, answered, x, differing, missed)
         defects["slip_db"] = slip_db
         return Estimate(
             green=found.green * np.float32(self._scale),
