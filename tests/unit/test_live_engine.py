@@ -177,6 +177,17 @@ def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
     assert heard[60] == heard[19]
 
 
+def test_of_more_names_than_are_kept_one_that_moved_lately_keeps_its_signal():
+    engine, own = engine_of(), Sine(100.0, 0.1)
+    for names in (["finger"], range(40), range(40, 80)):
+        for name in names:
+            engine.set_signal(str(name), own)
+        engine.move("finger", (0.0, 0.0))
+        engine.next_block()
+        engine.end_source("finger")
+    assert {part.signal for part in engine.take_record()} == {own}
+
+
 def test_given_a_wrong_position_then_it_is_refused_and_the_sources_sound_on():
     engine = engine_of(most_sources=2)
     engine.move("finger", (1.0, 1.0))

@@ -194,6 +194,7 @@ class LiveEngine:
         if not goes_on:
             self._surface.require(place, name)
         source = self._named(name)
+        self._sources[name] = self._sources.pop(name)  # the last to be forgotten
         if former is None:
             self._appearances += 1
             source.appeared, source.life = self._appearances, None
