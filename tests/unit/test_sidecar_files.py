@@ -18,7 +18,7 @@ from wavefocus.campaign.sidecar_files import (
     unvouched_rows,
     write_whole,
 )
-from wavefocus.config.messages.campaign import Drift, PositionStarted, SessionStarted
+from wavefocus.config.messages.campaign import Drift, Fault, PositionStarted, SessionEnded, SessionStarted, State
 from wavefocus.input_files import input_files
 from wavefocus.rendering.verify.record import read_record
 from wavefocus.storage.errors import InputError
@@ -106,7 +106,15 @@ def test_log_of_another_bank_of_this_name_then_none_of_its_rows_is_unvouched(tmp
             log(PositionStarted(0.0, row, 1, 0.0, 0.0))
             if row == 3:
                 log(Drift(0.0, 0, 0.1, 0.0, 1.0, "stop", "repeat", "", (5,)))
-    assert unvouched_rows(bank, 8) == (7,)
+        assert unvouched_rows(bank, 8) == (7,)
+        for fault in (False, True):  # the repeat was not asked for, or could not be measured
+            log(SessionStarted(0.0, bank.name, 8, 3, 6, 2, 1.0, ()))
+            log(PositionStarted(0.0, 4, 1, 0.0, 0.0))
+            log(Drift(0.0, 0, 0.9, 0.0, 1.0, "stop", "run", "", ()))
+            if fault:
+                log(Fault(0.0, "recorder", "reading", "an overrun", "", 0, 2, retried=False))
+            log(SessionEnded(0.0, State.FINISHED, 8, 8, {}))
+            assert unvouched_rows(bank, 8) == ((4,) if fault else ())
 
 
 @pytest.mark.parametrize(

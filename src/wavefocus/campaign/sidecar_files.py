@@ -20,6 +20,7 @@ from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
     Event,
+    Fault,
     Logged,
     PositionCommitted,
     PositionKept,
@@ -179,22 +180,29 @@ def unvouched_rows(bank: Path, positions: int) -> tuple[int, ...]:
     rows: list[int] = []
     kept: set[int] = set()
     own, looked = 0, False  # rows of sessions whose start was read; read on to the start of the one with the look
+    accepted = (
+        False  # a session that finishes after a change was told to go on, unless the repeat could not be measured
+    )
     for logged in last_events(bank):
         match logged.event:
             case SessionStarted(positions=of) if of != positions:
                 del rows[own:]
                 break
             case SessionStarted(done=done):
-                own = len(rows)
+                own, accepted = len(rows), False
                 if looked or not done:
                     break
             case _ if looked:
                 pass
             case Drift() as drift:
                 # A change is measured once more before it is believed, unless the session ended between the two.
-                if drift.verdict == "steady" or drift.occasion == "repeat" or rows:
+                if drift.verdict == "steady" or drift.occasion == "repeat" or rows or accepted:
                     rows += drift.suspect
                     looked = True
+            case SessionEnded(state=state):
+                accepted = state is State.FINISHED
+            case Fault():
+                accepted = False
             case PositionKept(position=position):
                 kept.add(position)
             case PositionCommitted(position=position):

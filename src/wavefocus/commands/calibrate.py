@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
-from tempfile import TemporaryFile
+from secrets import token_hex
 
 from msgspec.structs import replace
 
@@ -41,6 +41,7 @@ from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, Publish, faulted, level_measured
 from wavefocus.rig.setup import open_rig, setup_in_use
 from wavefocus.storage.errors import ExistsError, InputError
+from wavefocus.storage.sidecar_files import create
 
 HELP = 'two numbers move the beam by so many mrad, "= x y" moves it there, Enter alone says: the spot is on the mark'
 _CABLES = {
@@ -220,7 +221,9 @@ def calibrate(
         raise InputError(f"--out {out}: is there already and is not overwritten; name another file")
     folder = (out or rig_file).parent
     try:
-        TemporaryFile(dir=folder).close()
+        tried = folder / f".calibration-{token_hex(8)}.new"
+        create(tried).close()
+        tried.unlink()
     except OSError as error:
         why = f"no calibration can be written there ({error.strerror or error})"
         raise InputError(f"{folder}: {why}; name a file elsewhere by --out") from None

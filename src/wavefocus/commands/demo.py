@@ -103,7 +103,7 @@ def _prepare(out: Path, *, force: bool) -> None:
         if any(out.iterdir()) and not force:
             raise InputError(f"--out {out}: holds an earlier demo; name another folder, or replace it with --force")
         for name in sorted(path.name for path in out.iterdir()):
-            if name.removeprefix(".").partition(".")[0] not in _OWN:
+            if name.lstrip("._").partition(".")[0] not in _OWN:
                 raise InputError(f"--out {out}: holds {name}, which the demo has not written; move it elsewhere")
         shutil.rmtree(out)
     out.mkdir(parents=True)

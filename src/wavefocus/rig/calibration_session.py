@@ -67,14 +67,14 @@ def amplitude_v(rig: RigConfig, request: CalibrationOptions) -> float:
     """
     largest_v, rms = largest_level_v(rig), rig.player.rms_limit
     if request.amplitude_v is None:
-        return rig.safe_amplitude_v
-    if not MIN_V <= request.amplitude_v <= largest_v:
+        return min(rig.safe_amplitude_v, largest_v)
+    if not MIN_V <= request.amplitude_v <= largest_v * (1 + 1e-5):  # it is named to six digits
         raise InputError(
             f"--amplitude-v {request.amplitude_v:g}: must be above 0 and at most {largest_v:g} (the rig's "
             f"player.limit_v{f', {rms[0]}' if rms else ''}, or the full scale of its weakest output), and {MIN_V:g} V "
             "or more"
         )
-    return request.amplitude_v
+    return min(request.amplitude_v, largest_v)
 
 
 def marks(rig: RigConfig, request: CalibrationOptions) -> tuple[tuple[Place, ...], tuple[Place, ...] | None]:

@@ -149,7 +149,8 @@ class Messenger:
     def _take(self, event: Event) -> None:
         self._status = self._status.after(Logged(datetime.now(UTC), event))
         # A change at the sentinel counts once its repeat confirms it; instruments may fail between the two.
-        if self._look is not None and not isinstance(event, Fault | ReconnectTried | StateChanged):
+        paused = isinstance(event, StateChanged) and event.state is State.PAUSED
+        if self._look is not None and (paused or not isinstance(event, Fault | ReconnectTried | StateChanged)):
             if not (isinstance(event, Drift) and event.occasion == "repeat"):
                 self._send_drift(self._look)
             self._look = None
@@ -160,6 +161,8 @@ class Messenger:
                 if self._waiting_sent and event.state is State.RUNNING:
                     self._send("suspended", "goes on", event.reason)
                 self._since_s, self._waiting_sent = None, False
+            case Drift(occasion="repeat"):
+                self._send_drift(event)
             case Drift():
                 self._look = event
             case SessionEnded():
