@@ -268,9 +268,10 @@ class FilmPlayer(Themed, QWidget):
         for one, (title, end) in zip(self.maps, film.scales, strict=True):
             one.show_surface(film.surface)
             one.show_scale(title, end, film.unit)
-        same = former is not None and (former.bank, former.positions) == (film.surface.bank, film.surface.positions)
+        same = former is not None and marked >= 0 and former.bank == film.surface.bank
+        place = film.surface.raster.nearest(*former.position_mm[marked]) if former is not None and same else -1
         self.time.show_samples(film.start_s, film.sample_rate_hz, film.samples, film.marks)
-        self.show_position(marked if same else -1)
+        self.show_position(place)
 
     @property
     def marked(self) -> int:

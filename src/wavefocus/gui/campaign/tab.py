@@ -155,6 +155,7 @@ class CampaignTab(Tab):
         self.bank_field.show_path(bank)
         if self.follower is not None:
             if same_file(self.follower.bank, bank):
+                self.context.share(self, FileKind.BANK, bank)
                 return
             self.follower.end()
         self.context.settle("campaign")

@@ -125,7 +125,8 @@ class TextDocument(QObject):
         self.read()
         if self.mistakes:
             raise InputError(f"{path}: not saved: line {self.mistakes[0].line + 1}: {self.mistakes[0].sentence}")
-        ends = "\r\n" if path.is_file() and b"\r\n" in path.read_bytes() else ""  # as the older file has them
+        older = path.read_bytes() if path.is_file() else b""
+        ends = "\r\n" if 0 < older.count(b"\n") == older.count(b"\r\n") else ""  # as the older file has them
         with replacement(path.resolve()) as temporary:  # a file that is linked to stays a link
             temporary.write_text(self.toml(), encoding="utf-8", newline=ends)
         self.path, self.seen = path, file_state(path)

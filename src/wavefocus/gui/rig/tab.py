@@ -150,7 +150,9 @@ class RigTab(Tab):
     def open_file(self, path: Path) -> None:
         """Use another rig; open instruments are closed first, and one that is being measured stays."""
         if self.rig is not None and (busy := self._busy()):
-            self._refuse(self.rig, busy)
+            if path.absolute() != self.rig.absolute():
+                self._refuse(self.rig, busy)
+                self.context.share(self, FileKind.RIG, path)
             self.rig_field.show_path(self.rig)
             return
         self.session.release()

@@ -94,11 +94,14 @@ class Calculation(QObject):
         results = self.results
         return not (self._wanted or self.stage or results is None or results.figures is None)
 
-    def poll(self, *, shown: bool) -> None:
-        """Calculate the latest scene while its results are shown, and again when the bank has changed."""
+    def poll(self, *, shown: bool, look: bool = True) -> None:
+        """Calculate the latest scene while its results are shown, and again when the bank has changed.
+
+        look: Whether to look at the bank now.
+        """
         now_s, document = time.monotonic(), self._document
         look_due_s = self._looked_s + (_CALM_LOOK_S if self.complete else _LOOK_S)
-        if shown and now_s >= look_due_s and not self.stage and document.bank is not None:
+        if shown and look and now_s >= look_due_s and not self.stage and document.bank is not None:
             self._looked_s = now_s
             if (state := file_state(document.bank)) != self._bank_state:
                 self._bank_state, self._wanted = state, True
@@ -111,7 +114,7 @@ class Calculation(QObject):
         if document.bank is None or document.problem or not document.draft.source:
             self._refuse(NO_BANK if document.bank is None else document.problem or EMPTY)
             return
-        self._bank_state, self._looked_s = file_state(document.bank), now_s
+        self._bank_state = file_state(document.bank)
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(1, context, _begin_process, (self._newest,))
@@ -185,6 +188,7 @@ class Calculation(QObject):
         elif results.figures is None:
             self._submit("figures", _figures, results)
         else:
+            self._looked_s = time.monotonic()
             self.changed.emit()
 
 

@@ -240,7 +240,8 @@ class ResultsPanel(Themed, QWidget):
         """Calculate what is shown, and show what is played."""
         if self.output.state == PLAYING:  # its time goes on
             self._show_state()
-        self.calculation.poll(shown=self.isVisible())
+        # No new results end a film that plays.
+        self.calculation.poll(shown=self.isVisible(), look=not self.field.slider.playing)
 
     def play(self) -> None:
         """Play the present scene on the rig."""
