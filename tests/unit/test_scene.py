@@ -181,9 +181,12 @@ def test_rows_close_in_time_or_silent_are_no_foci_and_a_resting_finger_is_a_poin
 
 @pytest.mark.parametrize("stroke", [False, True])
 def test_kernel_interpolation_then_rests_between_jumps_sound_at_their_own_places(stroke):
-    (a, b), taps = ((-14.0, -10.0), (2.0, -4.3)), [(1.0 + 0.1 * stroke * k, 13.0) for k in range(3)] + [(9.0, 7.0)] * 3
-    places_mm, sounds = [a, b, b, b, *taps, a, b] if stroke else taps, [0, 1, 0] * 2
-    path = TrajectoryPath(0.1 * np.arange(len(places_mm)), places_mm, [0, 1, 1, 0, *sounds, 0, 0] if stroke else sounds)
+    (a, b), taps = (
+        ((-14.0, -10.0), (2.0, -4.3)),
+        [(9.0, 7.0)] * 3 + [(1.0, 13.0), (1.0 + 0.9 * stroke, 13.0), (1.0, 13.0)],
+    )
+    places_mm, sounds = [a, b, b, b, *taps, b, a] if stroke else taps, [0, 1, 0] * 2
+    path = TrajectoryPath(0.1 * np.arange(len(places_mm)), places_mm, [0, 1, 1, 0, *sounds, 0, 1] if stroke else sounds)
     scene, bank = scene_of(Source(path, Noise((80.0, 420.0), 1.0, 3)), interpolation="kernel"), plate_bank()
     sampled, course = sample_scene(scene, bank), path.trajectory(0.0, bank.sample_rate_hz)
     events = sampled.sources[0].emission.events(0, course.sample[-1])

@@ -12,7 +12,7 @@ from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions
-from wavefocus.rendering.greens.interpolation.base import OffGridError
+from wavefocus.rendering.greens.interpolation.base import OffGridError, bank_grid
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.quiet_places import PlaceRows
 from wavefocus.storage.drive_file import Drive
@@ -257,7 +257,8 @@ def focus_figures(
         values = np.where(within, field.field[:, np.where(within, column, 0)], np.nan).T.astype(np.float64)
     position_mm = np.asarray(bank.position_mm, np.float64)
     intended = intended_mm(drive, instants, position_mm)
-    spacing_mm = metrics.grid_spacing_mm(position_mm[rows]) if len(rows) > 1 else None
+    on_grid_mm = bank_grid(bank).position_mm[rows]  # a check position counts as the one beside it
+    spacing_mm = (metrics.grid_spacing_mm(on_grid_mm) or None) if len(rows) > 1 else None
     at_mm, figures = _spots(position_mm[rows], values, intended, spacing_mm, on_progress)
     position = np.array([instant.row for instant in instants], np.int64)
     source = np.array([instant.source for instant in instants], np.int64)

@@ -4,10 +4,9 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import (
@@ -17,7 +16,7 @@ from wavefocus.rendering.greens.interpolation.base import (
     scene_interpolation,
     show_mm,
 )
-from wavefocus.rendering.greens.interpolation.path_nodes import LOOK, PathInterpolation
+from wavefocus.rendering.greens.interpolation.path_nodes import STENCIL, PathInterpolation
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from wavefocus.rendering.scene.model import Scene, Source
@@ -220,13 +219,15 @@ def _sample_trajectory(
         with np.errstate(over="ignore", invalid="ignore"):  # drives that are not finite are refused
             part *= course.at(first + np.arange(begin, begin + len(part)))[1]
     with _off_grid(lambda _: f"the path of source {index}"):
-        follow = _follow_strokes(path, interpolation) if isinstance(interpolation, PathInterpolation) else None
+        follow = None
+        if isinstance(interpolation, PathInterpolation):
+            follow = _follow_strokes(path, interpolation, source.start_s, sample_rate_hz)
 
     def nodes_at(sample: Int64Array) -> Nodes:
         # Ties between positions fall as while it sounded only at the same places to the bit.
         if follow is None:
             return interpolation.nodes(course.at(sample)[0])
-        return follow(sample / sample_rate_hz - source.start_s)
+        return follow(sample)
 
     def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         sample = first + np.arange(start, stop)
@@ -246,40 +247,26 @@ def _sample_trajectory(
     return SampledSource(index, emission, arc_mm, points_mm, focus, nodes.nearest, signal, nodes.rows.shape[1])
 
 
-def _follow_strokes(path: TrajectoryPath, interpolation: PathInterpolation) -> Callable[[Float64Array], Nodes]:
-    """Nodes at seconds after its start; at a joint, arc length does not tell one stroke from the next.
+def _follow_strokes(
+    path: TrajectoryPath, interpolation: PathInterpolation, start_s: float, sample_rate_hz: float
+) -> Callable[[Int64Array], Nodes]:
+    """Nodes at samples, along each stroke by itself: at a joint, arc length does not tell one from the next."""
+    strokes = path.strokes()
+    follows = [interpolation.follow(stroke) for _, _, stroke in strokes]
+    begin_mm = path.arc_length_mm(np.asarray(path.time_s)[[first for first, _, _ in strokes]])
 
-    A stroke too short to be found along the path, as a finger's tap is, goes straight from its first point to its last.
-    """
-    rows, strokes = zip(*path.strokes(), strict=True)
-    follow = interpolation.follow(path if path.length_mm > 0 else strokes[0])
-    begin_s, length_mm = np.asarray(path.time_s)[[*rows]], np.array([stroke.length_mm for stroke in strokes])
-    begin_mm = path.arc_length_mm(begin_s)
-    firsts, lasts = (
-        interpolation.nodes(np.array([stroke.strokes_mm[0][end] for stroke in strokes])) for end in (0, -1)
-    )
-    ends, nearest = np.hstack([firsts.rows, lasts.rows]), np.stack([firsts.nearest, lasts.nearest], axis=1)
-    at_joint_mm = 1e-9 * path.length_mm  # so well is a joint found along the path
-    is_short = length_mm < LOOK * interpolation.node_spacing_mm
-
-    def wide(part: NDArray[Any], mode: Literal["edge", "constant"]) -> NDArray[Any]:
-        return np.pad(part, ((0, 0), (0, (4 if path.length_mm > 0 else 2) - part.shape[1])), mode=mode)
-
-    def nodes_at(time_s: Float64Array) -> Nodes:
-        along_mm = path.arc_length_mm(time_s)
-        number = np.maximum(np.searchsorted(begin_s, time_s, side="right") - 1, 0)
-        own_mm, of_mm, found = along_mm - begin_mm[number], length_mm[number], follow(along_mm)
-        straight = is_short[number] | (own_mm <= at_joint_mm) | (own_mm >= of_mm - at_joint_mm)
-        share = np.clip(np.divide(own_mm, of_mm, out=np.zeros_like(own_mm), where=of_mm > 0), 0.0, 1.0)
-        return Nodes(
-            np.where(straight[:, None], wide(ends[number], "edge"), wide(found.rows, "edge")),
-            np.where(
-                straight[:, None],
-                wide(np.stack([1.0 - share, share], axis=1), "constant"),
-                wide(found.weights, "constant"),
-            ),
-            np.where(straight, nearest[number, (share > 0.5).astype(np.int64)], found.nearest),
-        )
+    def nodes_at(sample: Int64Array) -> Nodes:
+        number = path.on_stroke(sample, start_s, sample_rate_hz)[0]
+        own_mm = path.arc_length_mm(sample / sample_rate_hz - start_s) - begin_mm[number]
+        rows, weights = np.zeros((len(sample), STENCIL), dtype=np.int64), np.zeros((len(sample), STENCIL))
+        nearest = np.zeros(len(sample), dtype=np.int64)
+        for one in np.unique(number).tolist():
+            chosen = number == one
+            found = follows[one](np.clip(own_mm[chosen], 0.0, strokes[one][2].length_mm))
+            width = found.rows.shape[1]
+            rows[chosen] = found.rows[:, :1]
+            rows[chosen, :width], weights[chosen, :width], nearest[chosen] = found.rows, found.weights, found.nearest
+        return Nodes(rows, weights, nearest)
 
     return nodes_at
 

@@ -129,13 +129,20 @@ class TrajectoryPath(DrawnPath):
         """Arc lengths at instants."""
         return np.interp(np.asarray(time_s, dtype=np.float64), np.asarray(self.time_s), self._arc_mm)
 
-    def strokes(self) -> list[tuple[int, Strokes]]:
-        """First row and course of each stroke between jumps on which the source sounds, at least one."""
+    def strokes(self) -> list[tuple[int, int, Strokes]]:
+        """First and last row, and course, of each stroke between jumps on which the source sounds; at least one."""
         points_mm, silent = np.asarray(self.points_mm, dtype=np.float64), self._amplitudes() == 0
         jumps = silent[:-1] & silent[1:] & np.diff(points_mm, axis=0).any(axis=1)
         rows = np.split(np.arange(len(silent)), np.flatnonzero(jumps) + 1)
-        sounding = [(int(own[0]), Strokes([points_mm[own]])) for own in rows if not silent[own].all()]
-        return sounding or [(0, Strokes([points_mm[:1]]))]
+        sounding = [(int(own[0]), int(own[-1]), Strokes([points_mm[own]])) for own in rows if not silent[own].all()]
+        return sounding or [(0, 0, Strokes([points_mm[:1]]))]
+
+    def on_stroke(self, sample: Int64Array, start_s: float, sample_rate_hz: float) -> tuple[Int64Array, Int64Array]:
+        """Number of the stroke at samples, the last that has begun, or the first; and the nearest sample on it."""
+        ends = np.array([self.time_s[row] for first, last, _ in self.strokes() for row in (first, last)]).reshape(-1, 2)
+        begin, end = np.rint((start_s + ends) * sample_rate_hz).astype(np.int64).T
+        number = np.maximum(np.searchsorted(begin, sample, side="right") - 1, 0)
+        return number, np.clip(sample, begin[number], end[number])
 
     def foci(self, start_s: float) -> tuple[Float64Array, Float64Array]:
         """Instants (foci,) in scene time and places (foci, 2) of the foci of a source that starts at `start_s`."""
@@ -149,7 +156,7 @@ class TrajectoryPath(DrawnPath):
 def rests_mm(path: PathOnSurface, longest_mm: float = 0.0) -> Float64Array:
     """First points, float64 (n, 2), of a trajectory's strokes of no more than a length: places along it miss them."""
     strokes = path.strokes() if isinstance(path, TrajectoryPath) else []
-    return np.reshape([stroke.strokes_mm[0][0] for _, stroke in strokes if stroke.length_mm <= longest_mm], (-1, 2))
+    return np.reshape([stroke.strokes_mm[0][0] for _, _, stroke in strokes if stroke.length_mm <= longest_mm], (-1, 2))
 
 
 def read_trajectory(file: Path) -> TrajectoryPath:

@@ -15,18 +15,16 @@ from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.paths import Circle, Path
 from wavefocus.storage.bank.ledger import Status
 
-_STENCIL = 4
+STENCIL = 4
 """Nodes that make one point: a cubic polynomial in arc length."""
 _INSET = 1e-6
-LOOK = 0.25
-"""Distance, in node spacings, at which corners and gaps of a path are looked for."""
 
 
 def node_spacing_mm(wavenumber_rad_mm: float, error: float) -> float:
     """Spacing at which a wave along the path is interpolated with an error."""
     # Rms error of that polynomial for exp(j k s) between its middle nodes, over (k spacing)**4: the root of the mean
     # of ((t + 1) t (t - 1) (t - 2) / 24)**2 over 0 < t < 1.
-    return float((error / 0.0177) ** (1.0 / _STENCIL) / wavenumber_rad_mm)
+    return float((error / 0.0177) ** (1.0 / STENCIL) / wavenumber_rad_mm)
 
 
 class PathNodes:
@@ -70,13 +68,13 @@ class PathNodes:
         Returns they sum to 1; 0 for nodes that a short piece does not have.
         """
         piece = np.clip(np.searchsorted(self._begins, arc_length_mm, side="right") - 1, 0, len(self._begins) - 1)
-        nodes = np.zeros((len(arc_length_mm), _STENCIL), dtype=np.int64)
-        weights = np.zeros((len(arc_length_mm), _STENCIL))
+        nodes = np.zeros((len(arc_length_mm), STENCIL), dtype=np.int64)
+        weights = np.zeros((len(arc_length_mm), STENCIL))
         for number in np.unique(piece).tolist():
             chosen = np.flatnonzero(piece == number)
             first, count = self._first[number], self._count[number]
             mine = self.arc_length_mm[first : first + count]
-            width = min(_STENCIL, count)
+            width = min(STENCIL, count)
             low = np.searchsorted(mine, arc_length_mm[chosen], side="right") - width // 2
             low = np.clip(low, 0, count - width)
             stencil = low[:, None] + np.arange(width)
@@ -101,7 +99,7 @@ def _corners(path: Path, spacing_mm: float) -> Float64Array:
     if isinstance(path, Circle):
         return np.zeros(0)
     # A path is looked at so often; where it turns by more from look to look it has a corner or a gap.
-    looks = min(int(np.ceil(path.length_mm / spacing_mm / LOOK)) + 2, 4_000_000)
+    looks = min(int(np.ceil(path.length_mm / spacing_mm * 4)) + 2, 4_000_000)
     along = np.linspace(0.0, path.length_mm, looks)
     points = path.point_at(along)
     step_mm = along[1]
