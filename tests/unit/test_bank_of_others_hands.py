@@ -138,6 +138,8 @@ def test_a_text_that_is_no_note_or_a_file_that_takes_none_then_no_note_is_added(
     add_note(bank, "now")
 
 
+@pytest.mark.may_skip("Windows replaces no file that is open: the note is refused there")
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows replaces no file that is open")
 def test_a_note_added_while_another_process_opens_the_bank_then_nothing_is_lost(bank, monkeypatch):
     opening, texts = durable.open_file, ["one"]
 

@@ -305,6 +305,7 @@ def test_orders_of_other_programs_arrive_and_a_hanging_one_lets_the_receiver_clo
     with SimpleUDPClient(host, int(port)) as sender:
         for index in range(70):
             sender.send_message(f"/source/n{index}/position", [1.0, 2.0])
+        time.sleep(0.1)  # all of them are there, whatever the system
         receiver.start(receive)
         refused, *burst = [orders.get(timeout=10) for _ in range(65)]
         assert isinstance(refused, InputError)

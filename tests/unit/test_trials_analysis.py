@@ -147,6 +147,12 @@ def test_answers_at_levels_rising_or_falling_have_the_fit_of_penalised_likelihoo
     assert falling.slope == pytest.approx(-rising.slope, rel=1e-3)
     assert falling.threshold == pytest.approx(1 / rising.threshold, rel=1e-3)
     assert falling.threshold_interval[0] == pytest.approx(1 / rising.threshold_interval[1], rel=1e-2)
+    # A staircase on a steep function: its threshold has hardly any room; the interval is that of a plain evaluation.
+    levels, right = np.concatenate([np.linspace(-0.2, 0.2, 9), [0.4, 0.6, 0.8, 1.0]]), [1, 1, 9, 20, 24, 12, 7]
+    steep = fit_psychometric(
+        10**levels, [*right, 4, 4, 2, 2, 2, 2], [2, 4, 17, 29, 30, 14, 8, 4, 4, 2, 2, 2, 2], guess=0.5
+    )
+    assert steep.slope_interval == pytest.approx((5.81, 75.9), rel=0.02)
 
 
 @pytest.mark.parametrize("right", [(0, 0, 20, 20), (20, 20, 20, 20), (10, 10, 10, 10), (20, 15, 10, 5)])

@@ -24,8 +24,9 @@ Interval = tuple[float | None, float | None]
 MAX_LAPSES = 0.12
 _LAPSES = np.linspace(0.0, MAX_LAPSES, 7)
 _DROP = chi2.ppf(0.95, 1) / 2.0
-# Points of each axis of a profile, which narrows to the interval in so many passes; halvings to its lapse rates.
-_PROFILE_POINTS, _PROFILE_PASSES, _HALVINGS = 61, 3, 16
+# Points of the axes of a profile, threshold and slope, in the passes that narrow it to the interval: the first must see
+# a threshold that a steep slope leaves hardly any room. Halvings to its lapse rates.
+_PROFILE_POINTS, _HALVINGS = ((241, 61), (61, 61), (61, 61)), 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +121,8 @@ class _Likelihood:
     def _intervals(self, best: Float64Array, peak: float) -> tuple[Interval, Interval]:
         """Spans of threshold and logarithm of the slope whose profile is near the peak, which lies at `best`."""
         spans = self._bounds[:2]
-        for _ in range(_PROFILE_PASSES):
-            axes = [np.union1d(np.linspace(*spans[number], _PROFILE_POINTS), best[number]) for number in (0, 1)]
+        for points in _PROFILE_POINTS:
+            axes = [np.union1d(np.linspace(*spans[number], points[number]), best[number]) for number in (0, 1)]
             grid = np.meshgrid(*axes, indexing="ij")
             bare = self._profile(*grid)
             surface = bare + self._penalty(*grid)
