@@ -180,9 +180,7 @@ def unvouched_rows(bank: Path, positions: int) -> tuple[int, ...]:
     rows: list[int] = []
     kept: set[int] = set()
     own, looked = 0, False  # rows of sessions whose start was read; read on to the start of the one with the look
-    accepted = (
-        False  # a session that finishes after a change was told to go on, unless the repeat could not be measured
-    )
+    accepted = False  # who finishes after a change was told to go on, unless its repeat could not be measured
     for logged in last_events(bank):
         match logged.event:
             case SessionStarted(positions=of) if of != positions:

@@ -83,6 +83,7 @@ class TrajectoryPath(DrawnPath):
     amplitude: Sequence[float] | Float64Array | None = None
     focus_rows: Int64Array = field(init=False, repr=False, compare=False)
     _arc_mm: Float64Array = field(init=False, repr=False, compare=False)
+    _stroke_rows: Int64Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -114,6 +115,11 @@ class TrajectoryPath(DrawnPath):
                 # Rows closer in time than this to the focus before are no foci: a screen gives 60 positions a second.
                 earliest_s = time_s[row] + 0.01
         object.__setattr__(self, "focus_rows", np.array(foci, dtype=np.int64))
+        begins = np.append(0, np.flatnonzero(silent & np.diff(points_mm, axis=0).any(axis=1)) + 1)
+        ends = np.append(begins[1:], rows) - 1
+        sounds = np.add.reduceat(amplitude != 0, begins) > 0
+        sounding = np.stack([begins, ends], axis=1)[sounds] if sounds.any() else np.zeros((1, 2), dtype=np.int64)
+        object.__setattr__(self, "_stroke_rows", sounding)
         object.__setattr__(self, "time_s", tuple(time_s.tolist()))
         object.__setattr__(self, "points_mm", tuple(map(tuple, points_mm.tolist())))
         object.__setattr__(self, "amplitude", None if self.amplitude is None else tuple(amplitude.tolist()))
@@ -131,16 +137,13 @@ class TrajectoryPath(DrawnPath):
 
     def strokes(self) -> list[tuple[int, int, Strokes]]:
         """First and last row, and course, of each stroke between jumps on which the source sounds; at least one."""
-        points_mm, silent = np.asarray(self.points_mm, dtype=np.float64), self._amplitudes() == 0
-        jumps = silent[:-1] & silent[1:] & np.diff(points_mm, axis=0).any(axis=1)
-        rows = np.split(np.arange(len(silent)), np.flatnonzero(jumps) + 1)
-        sounding = [(int(own[0]), int(own[-1]), Strokes([points_mm[own]])) for own in rows if not silent[own].all()]
-        return sounding or [(0, 0, Strokes([points_mm[:1]]))]
+        points_mm = np.asarray(self.points_mm, dtype=np.float64)
+        return [(first, last, Strokes([points_mm[first : last + 1]])) for first, last in self._stroke_rows.tolist()]
 
     def on_stroke(self, sample: Int64Array, start_s: float, sample_rate_hz: float) -> tuple[Int64Array, Int64Array]:
         """Number of the stroke at samples, the last that has begun, or the first; and the nearest sample on it."""
-        ends = np.array([self.time_s[row] for first, last, _ in self.strokes() for row in (first, last)]).reshape(-1, 2)
-        begin, end = np.rint((start_s + ends) * sample_rate_hz).astype(np.int64).T
+        ends_s = np.array([[self.time_s[row] for row in rows] for rows in self._stroke_rows.tolist()])
+        begin, end = np.rint((start_s + ends_s) * sample_rate_hz).astype(np.int64).T
         number = np.maximum(np.searchsorted(begin, sample, side="right") - 1, 0)
         return number, np.clip(sample, begin[number], end[number])
 
