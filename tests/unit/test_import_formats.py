@@ -251,14 +251,23 @@ def test_a_sound_file_that_is_not_read_then_is_refused_by_name(imported, one_sou
         imported(one_sound[0], **one_sound[1])
 
 
-@pytest.mark.parametrize("kind", ["PCM_24", "ULAW", "IMA_ADPCM"])
-def test_a_sound_file_that_is_read_then_says_how_its_samples_are_stored(imported, one_sound, kind):
-    soundfile.write(one_sound[0] / "a.wav", 0.5 * np.sin(np.arange(600) / 9), 8000, subtype=kind)
+@pytest.mark.parametrize(
+    ("kind", "held_in", "at", "unknown"),  # sizes that programs write which do not know it
+    [
+        *((kind, "WAV", 4, (bytes(4), b"\xff" * 4)) for kind in ("PCM_24", "ULAW", "IMA_ADPCM")),
+        ("PCM_24", "RF64", 20, (bytes(8), b"\xff" * 8)), ("FLOAT", "W64", 16, (bytes(8), b"\xff" * 8)),
+        ("PCM_24", "AIFF", 4, (bytes(4), b"\x7f\0\0\x2e")), ("PCM_16", "AU", 8, (b"\xff" * 4,)),
+    ],
+)  # fmt: skip
+def test_a_sound_file_that_is_read_then_says_how_its_samples_are_stored(
+    imported, one_sound, kind, held_in, at, unknown
+):
+    soundfile.write(one_sound[0] / "a.wav", 0.5 * np.sin(np.arange(600) / 9), 8000, kind, format=held_in)
     _, bank = imported(one_sound[0], **one_sound[1])
-    assert soundfile.available_subtypes("WAV")[kind] in bank.import_facts["read"][0]
+    assert soundfile.available_subtypes(held_in)[kind] in bank.import_facts["read"][0]
     whole = (one_sound[0] / "a.wav").read_bytes()
-    for size in (b"\0\0\0\0", b"\xff\xff\xff\xff"):  # of a program that did not know it
-        (one_sound[0] / "a.wav").write_bytes(whole[:4] + size + whole[8:])
+    for file in (*(whole[:at] + size + whole[at + len(size) :] for size in unknown), whole[:-1], whole + b"TAG"):
+        (one_sound[0] / "a.wav").write_bytes(file)
         imported(one_sound[0], **one_sound[1])
     (one_sound[0] / "a.wav").write_bytes(whole[:300])
     with pytest.raises(InputError, match=rf"a\.wav is truncated: it holds 300 of {len(whole)} bytes"):

@@ -80,18 +80,31 @@ def read_regular(path: Path) -> bytes:
 
 
 def require_whole_sound(path: Path) -> None:
-    """Refuse a WAV file that is shorter than it says, which libraries read as far as it goes.
+    """Refuse a sound file that is shorter than its header says, which libraries read as far as it goes.
 
-    The size stands in bytes 4 to 7 (RIFF WAVE, 1991). Programs that do not know it beforehand write 0 or about the
-    largest one, and some leave out the byte that makes it even.
+    WAV (RIFF WAVE, 1991), RF64 (EBU Tech 3306), Wave64, AIFF (1.3, and AIFF-C) and AU state a size. Programs that do
+    not know it beforehand write 0 or about the largest one; some leave out padding, or count the first 8 bytes twice.
 
     Raises InputError: it was cut off, is missing, cannot be read or is not a regular file.
     """
     try:
         with open_regular(path) as file:
-            head, held = file.read(8), os.fstat(file.fileno()).st_size
+            head, held = file.read(28), os.fstat(file.fileno()).st_size
     except OSError as error:
         raise InputError(f"{path} cannot be read as a sound file: {error.strerror or error}") from None
-    declared = int.from_bytes(head[4:], "little") + 8
-    if head.startswith(b"RIFF") and held + 1 < declared < 0x7FFF0000:
+    allowed, unknown = 8, 1 << 62  # bytes that may be missing; sizes from here on mean nothing
+    match head[:4]:
+        case b"RIFF":
+            declared, allowed, unknown = int.from_bytes(head[4:8], "little") + 8, 1, 0x7FFF0000
+        case b"RIFX" | b"FORM":  # SoX writes 0x7F000000, in whole frames, where it does not know the size of an AIFF
+            declared, unknown = int.from_bytes(head[4:8], "big") + 8, 0x7EFF0000
+        case b"RF64" if head[4:8] == b"\xff\xff\xff\xff" and head[12:16] == b"ds64":
+            declared = int.from_bytes(head[20:28], "little") + 8
+        case b"riff":  # Wave64: the size of the whole file
+            declared = int.from_bytes(head[16:24], "little")
+        case b".snd":
+            declared, unknown = int.from_bytes(head[4:8], "big") + int.from_bytes(head[8:12], "big"), 0x7FFF0000
+        case _:
+            return
+    if held + allowed < declared < unknown:
         raise InputError(f"{path} is truncated: it holds {held} of {declared} bytes; restore a copy")
