@@ -117,6 +117,19 @@ def test_log_of_another_bank_of_this_name_then_none_of_its_rows_is_unvouched(tmp
             assert unvouched_rows(bank, 8) == ((4,) if fault else ())
 
 
+@pytest.mark.parametrize("torn", [b'{"at": "2026-11-30T08:5', b"\0" * 700])
+def test_log_torn_by_power_cut_then_next_event_of_each_writer_has_its_own_line(tmp_path, torn):
+    log, events = log_path(bank := tmp_path / "plate.h5"), [PositionStarted(0.0, row, 1, 0.0, 0.0) for row in range(3)]
+    with EventLog(log) as first:
+        first(events[0])
+    log.write_bytes(log.read_bytes() + torn)
+    with EventLog(log) as one, EventLog(log) as other:
+        assert log.read_bytes().endswith(torn)  # until one of them writes
+        one(events[1])
+        other(events[2])
+    assert [logged.event for logged in last_events(bank)] == events[::-1]
+
+
 @pytest.mark.parametrize(
     ("name", "read", "nothing"),
     [

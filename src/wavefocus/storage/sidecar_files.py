@@ -50,6 +50,8 @@ def create(path: Path) -> io.FileIO:
 class Log:
     """A log of lines that are appended, unbuffered; made where missing.
 
+    What a power cut left of a last line is ended by the first line that is written after it.
+
     A name that is a link, no regular file, or a file that holds something else is left alone: each write fails then.
 
     Raises OSError: it cannot be opened.
@@ -57,6 +59,7 @@ class Log:
 
     def __init__(self, path: Path) -> None:
         self._file: io.FileIO | None = None
+        self._torn = False
         flags = os.O_CREAT | os.O_APPEND | os.O_WRONLY | _NOT_THROUGH_LINKS | _NOT_WAITING | _BINARY
         try:
             file = io.FileIO(os.open(path, flags, 0o666), "a")
@@ -66,6 +69,7 @@ class Log:
             return
         if stat.S_ISREG(os.fstat(file.fileno()).st_mode) and _begins_as_ours(path):
             self._file = file
+            self._torn = _ends_within_line(path)
         else:
             file.close()
 
@@ -76,7 +80,9 @@ class Log:
         """
         if self._file is None:
             raise OSError(errno.EEXIST, "it is a link or a file of another program")
-        self._file.write(line.encode())
+        # As one write, for another process may append, too; a blank line from both of them does no harm.
+        content, self._torn = b"\n" * self._torn + line.encode(), False
+        self._file.write(content)
 
     def close(self) -> None:
         """Close it."""
@@ -97,6 +103,13 @@ def _begins_as_ours(path: Path) -> bool:
         return False
     except UnicodeDecodeError:
         return len(begin) <= _SECTOR_BYTES
+    return False
+
+
+def _ends_within_line(path: Path) -> bool:
+    with contextlib.suppress(OSError), open_regular(path) as file:  # OSError: it is empty
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) != b"\n"
     return False
 
 
