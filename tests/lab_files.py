@@ -1,10 +1,12 @@
 """Files of a small campaign, written and changed."""
 
 import hashlib
+from contextlib import contextmanager
 from dataclasses import replace
 
 import h5py
 import numpy as np
+import pytest
 
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
@@ -161,6 +163,18 @@ def flip(path, offset, bit=4):
     content = bytearray(path.read_bytes())
     content[offset] ^= bit
     path.write_bytes(content)
+
+
+@contextmanager
+def no_room_beyond(size):
+    """Let no file grow beyond so many bytes, as on a full disk; where a system has no such limit, the test skips."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def raw_header(positions=3, records=2, samples=300):

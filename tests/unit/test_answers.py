@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.lab_files import no_room_beyond
 from wavefocus.config.messages import tag
 from wavefocus.config.messages.trials import EVENTS, ORDERS
 from wavefocus.storage.errors import BankBusyError, InputError
@@ -138,6 +139,14 @@ def test_given_a_link_or_a_second_process_then_nothing_is_written(tmp_path):
         AnswersFile(tmp_path)
     with AnswersFile(tmp_path / "folder"), pytest.raises(BankBusyError, match=str(os.getpid())):
         AnswersFile(tmp_path / "folder")
+
+
+@pytest.mark.may_skip("limits of files are POSIX")
+def test_given_a_full_disk_then_the_file_that_cannot_be_begun_is_named(tmp_path):
+    with no_room_beyond(100), pytest.raises(InputError, match=r"trials\.csv cannot be written: "):
+        AnswersFile(tmp_path)
+    stored(tmp_path, ROW)
+    assert read_answers(tmp_path) == (ROW,)
 
 
 @settings(max_examples=8)

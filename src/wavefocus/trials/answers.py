@@ -122,8 +122,8 @@ class AnswersFile(Closing):
 
     folder: Of the experiment; it and its ``trials.csv`` are made where missing.
 
-    Raises InputError: the file is a link, or holds something that was not written here. BankBusyError: another process
-    stores answers in the folder.
+    Raises InputError: the file is a link, holds something that was not written here, or cannot be written.
+    BankBusyError: another process stores answers in the folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -174,12 +174,18 @@ class AnswersFile(Closing):
         """Write what the file shall begin with where it does not yet, and drop what follows."""
         self._end = len(whole)
         held = self._file.size()
-        if held < self._end:
-            self._file.write(0, whole)
-        if held > self._end:
-            self._file.truncate(self._end)
-        if held != self._end:
-            self._file.sync()
+        try:
+            if held < self._end:
+                self._file.write(0, whole)
+            if held > self._end:
+                self._file.truncate(self._end)
+            if held != self._end:
+                self._file.sync()
+        except OSError as error:
+            raise InputError(
+                f"{self.path} cannot be written: {error.strerror or error}; free some space and give the same command"
+                " again"
+            ) from error
 
 
 def read_answers(folder: Path) -> tuple[Row, ...]:
