@@ -53,9 +53,10 @@ def test_given_answers_then_they_are_read_as_they_were_and_by_any_csv_reader(tmp
 def test_a_power_cut_at_every_byte_of_header_or_answer_keeps_the_answers_before_it(tmp_path):
     header = stored(tmp_path)
     for length in (*range(0, len(header), 9), len(header) - 1):
-        (tmp_path / ANSWERS).write_bytes(header[:length])
-        assert read_answers(tmp_path) == ()
-        assert stored(tmp_path) == header
+        for rest in (b"", b"\0" * (len(header) - length)):
+            (tmp_path / ANSWERS).write_bytes(header[:length] + rest)
+            assert read_answers(tmp_path) == ()
+            assert stored(tmp_path) == header
     before = stored(tmp_path, ROW)
     whole = stored(tmp_path, NEXT)
     for length in range(len(before), len(whole)):

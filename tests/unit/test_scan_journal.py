@@ -45,6 +45,10 @@ def test_given_a_kill_at_any_byte_then_whole_entries_count_and_the_next_one_is_k
         with ScanJournal(path, "one", SAMPLES) as journal:
             journal.append(scanned(9))
         assert rows(path) == [*there, 9]
+    for head in (bytes(4096), bytes(512) + whole[512:4096], whole[:512] + bytes(3584)):  # by a power cut
+        path.write_bytes(head)
+        assert rows(path) == []
+        assert path.read_bytes() == whole[:4096]
 
 
 def test_given_a_flipped_bit_then_what_follows_is_scanned_again(path):

@@ -106,10 +106,12 @@ class ScanJournal(Closing):
                 f"{self.path}: another process scans into this folder; name another, or wait for its end"
             )
         self._entries = 0
-        if self._file.size() < PAGE:  # new, or killed while it was made
+        size = self._file.size()
+        head = self._file.read(0, min(size, PAGE))
+        # New, or killed or without power while it was made: sectors that were not yet written may be zeros.
+        if size < PAGE or (size == PAGE and all(held in (0, own) for held, own in zip(head, self._head, strict=True))):
             self._begin()
             return
-        head = self._file.read(0, PAGE)
         if not head.startswith(b'{"format": "' + FORMAT.encode()):
             raise InputError(f"{self.path} is not what a scan left; remove it, or name another folder")
         if head != self._head:

@@ -140,7 +140,7 @@ class AnswersFile(Closing):
             take_ownership(self.path, self._file, "answers file")
             content = bytes(self._file.read(0, self._file.size()))
             self.rows, self._columns, whole = _rows_of(content, self.path)
-            self._cut_off(whole)
+            self._cut_off(content, whole)
             write_owner(self.path)
         except BaseException:
             self._file.close()
@@ -170,16 +170,15 @@ class AnswersFile(Closing):
         remove_owner(self.path)
         self._file.close()
 
-    def _cut_off(self, whole: bytes) -> None:
+    def _cut_off(self, held: bytes, whole: bytes) -> None:
         """Write what the file shall begin with where it does not yet, and drop what follows."""
         self._end = len(whole)
-        held = self._file.size()
         try:
-            if held < self._end:
+            if not held.startswith(whole):
                 self._file.write(0, whole)
-            if held > self._end:
+            if len(held) > self._end:
                 self._file.truncate(self._end)
-            if held != self._end:
+            if held != whole:
                 self._file.sync()
         except OSError as error:
             raise InputError(
@@ -233,7 +232,8 @@ def read_facts(folder: Path) -> dict[str, Any]:
 def _rows_of(content: bytes, path: Path) -> tuple[tuple[Row, ...], tuple[str, ...], bytes]:
     """The rows of a file, its columns, and the part of it that is whole, its header completed."""
     header = _HEADER.encode()
-    if header.startswith(content):  # new, or a power cut while it was made
+    # New, or a power cut while it was made; the file system may have made room and written nothing.
+    if len(content) <= len(header) and header.startswith(content.rstrip(b"\0")):
         return (), tuple(COLUMNS), header
     first, _, body = content.partition(b"\n")
     columns = _columns_of(first.removeprefix(_BYTE_ORDER_MARK), path)
