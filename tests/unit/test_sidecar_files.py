@@ -130,6 +130,15 @@ def test_log_torn_by_power_cut_then_next_event_of_each_writer_has_its_own_line(t
     assert [logged.event for logged in last_events(bank)] == events[::-1]
 
 
+@pytest.mark.parametrize("pairs", [1, 256])
+def test_log_that_is_sector_of_garbage_after_power_cut_then_each_session_is_logged(tmp_path, pairs):
+    log_path(bank := tmp_path / "plate.h5").write_bytes(b"\xff\xa5" * pairs)
+    for row in range(12):
+        with EventLog(log_path(bank)) as log:
+            log(PositionStarted(0.0, row, 1, 0.0, 0.0))
+    assert [logged.event.position for logged in last_events(bank)] == list(range(11, -1, -1))
+
+
 @pytest.mark.parametrize(
     ("name", "read", "nothing"),
     [

@@ -25,6 +25,7 @@ _NOT_THROUGH_LINKS = getattr(os, "O_NOFOLLOW", 0)
 _NOT_WAITING = getattr(os, "O_NONBLOCK", 0)
 _BINARY = getattr(os, "O_BINARY", 0)
 _SECTOR_BYTES = 512
+_SECOND_LINE = b'\n{"at": "'
 
 
 def is_replaceable(path: Path) -> bool:
@@ -93,7 +94,7 @@ class Log:
 def _begins_as_ours(path: Path) -> bool:
     try:
         with open_regular(path) as file:
-            begin = file.read(_SECTOR_BYTES + 1)
+            begin = file.read(_SECTOR_BYTES + len(_SECOND_LINE))
         if begin[:1] in (b"", b"{", b"\0"):
             return True
         begin.decode()
@@ -102,7 +103,7 @@ def _begins_as_ours(path: Path) -> bool:
     except PermissionError:  # another user's
         return False
     except UnicodeDecodeError:
-        return len(begin) <= _SECTOR_BYTES
+        return len(begin) <= _SECTOR_BYTES or _SECOND_LINE in begin  # a log goes on after its sector of garbage
     return False
 
 
@@ -165,6 +166,7 @@ class StagingDir:
         folder, made = self._path.parent, {file.name for file in self.temporary.iterdir()}
         names = sorted(made.union(owned), key=lambda name: (name != last, name))
         (self._previous.parent / _RECORD).write_text(last, encoding="utf-8")
+        durable.sync_path(self._previous.parent / _RECORD)
         durable.sync_folder(self._previous.parent)
         self._previous.mkdir()
         self._note(_UNPACKED)
@@ -274,7 +276,7 @@ def _finish(folder: Path, path: Path, owner: PositionedFile) -> None:
         return
     noted = owner.read(0, len(_COMPLETE))
     if noted == _UNPACKED:
-        _unpack(folder / path.name, path.parent, (folder / _RECORD).read_text(encoding="utf-8"))
+        _unpack(folder / path.name, path.parent, (folder / _RECORD).read_text(encoding="utf-8", errors="replace"))
         return
     claimed = path.is_file() and path.stat().st_size == 0
     taken = (folder / _PREVIOUS).is_dir() and not os.path.lexists(path)
