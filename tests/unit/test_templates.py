@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.lab_files import change_text
+from tests.lab_files import change_text, no_room_beyond
 from tools import key_tables
 from wavefocus import GreenArray, InputError, load_scene
 from wavefocus.benchmarks.rig_bank import true_bank
@@ -30,6 +30,13 @@ def test_virtual_templates_are_the_defaults(tmp_path):
     assert written.run.model_copy(update={"rig": "virtual", "virtual": None}) == RunConfig()
     defaults = Configuration(RunConfig(), default_rig(), written.position_mm)
     assert written.plan_sha256 == defaults.plan_sha256
+
+
+@pytest.mark.may_skip("limits of files are POSIX")
+def test_given_a_full_disk_then_no_empty_folder_of_templates_is_left(tmp_path):
+    with no_room_beyond(100), pytest.raises(InputError, match="cannot be written"):
+        write_templates(tmp_path / "lab", "virtual")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", ["template", "emulated"])

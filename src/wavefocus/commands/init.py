@@ -1,6 +1,7 @@
 """``wavefocus init``: commented configuration files to start from."""
 
 import os
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
@@ -43,6 +44,7 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
         if os.path.lexists(folder / name):
             there = printable(str(folder / name))
             raise InputError(f"{there}: is there already and is not overwritten; choose another folder")
+    made = not folder.is_dir()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, template in named.items():
@@ -52,4 +54,8 @@ def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
                 temporary.write_bytes((text if rig == "virtual" else text.partition("\n[virtual]")[0]).encode())
     except OSError as error:
         raise InputError(printable(f"{error.filename or folder}: cannot be written: {error.strerror}")) from None
+    finally:
+        with suppress(OSError):  # it holds files
+            if made:
+                folder.rmdir()
     return tuple(folder / name for name in named)
