@@ -10,17 +10,20 @@ import pyuff
 import wavefocus as wf
 from tests.lab_files import point_scene, write_arrays
 from tests.system.captures import refused, wavefocus
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.wav import Interface
 from wavefocus.storage.units import drive_of
 
 POSITIONS, ACTUATORS, TAPS = 4, 2, 16
 GREEN = (
     np.random.default_rng(3).standard_normal((POSITIONS, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 1.5)
 ).astype(np.float32)
+PLACES_MM = [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]]
 RIG = "[actuators]\nposition_mm = [[0, 0], [9, 0]]\n"
 
 
 def foreign(path, **attributes):
-    return write_arrays(path, GREEN, [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]], **attributes)
+    return write_arrays(path, GREEN, PLACES_MM, **attributes)
 
 
 @pytest.mark.parametrize(
@@ -65,6 +68,20 @@ def test_drives_that_are_not_in_volts_then_are_not_played(tmp_path, capsys, unit
         assert f"in {drive_of(unit)}" in refused(capsys, *command)
     array = wf.GreenArray(GREEN, np.zeros((POSITIONS, 2)), 2000.0, response_unit=unit)
     assert wf.render(scene, array).drive_unit == drive_of(unit)
+
+
+@pytest.mark.parametrize("key", ["limit_v", "limit_rms_v"])
+@pytest.mark.parametrize(("unit", "size", "said"), [("m/s per mV", 1e-3, "V"), ("m/s/N", 1.0, "N")])
+def test_a_limit_of_volts_then_is_one_also_for_drives_in_millivolt(tmp_path, key, unit, size, said):
+    def limited(unit, most):
+        scene = tmp_path / "scene.toml"
+        scene.write_text(point_scene([0, 0], 'kind = "impulse"', "amplitude = 1e6", f"[output]\n{key} = {most}"))
+        bank, outputs = wf.GreenArray(GREEN, PLACES_MM, 2000.0, response_unit=unit), Interface(4000, np.full(2, most))
+        return render_with_report(wf.load_scene(scene), bank, interface=outputs)
+
+    (drive, report), (volts, _) = limited(unit, 0.5), limited("m/s/V", 0.5 / size)
+    np.testing.assert_allclose(drive.drive_v, volts.drive_v, rtol=1e-9)
+    assert f" = 0.5 {said};" in str(report.limiting)
 
 
 @pytest.mark.parametrize(

@@ -79,13 +79,22 @@ def quantity(number: str, unit: str) -> str:
     return number if unit in _ONE else f"{number} {unit}"
 
 
+def limited_unit(drive_unit: str) -> tuple[str, float]:
+    """Unit in which a drive is held against its limits: volts where its own is one of voltage, and its own in volts.
+
+    A drive in another unit, as N or A, is held against the limits' numbers in that unit, with a factor of 1.
+    """
+    unit = "V" if drive_unit in PLAYED_UNITS else _text(_factors(drive_unit))
+    return next((("V", size) for prefix, size in _PREFIXES.items() if unit == f"{prefix}V"), (unit, 1.0))
+
+
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "in": 0.0254, "ft": 0.3048}
 MOTIONS = {
     **{f"{name}{per}": (order, m) for order, per in enumerate(("", "/s", "/s^2")) for name, m in _LENGTHS.items()},
     "g": (2, 9.80665),
 }
 """Units of motion: derivatives of a displacement (1: velocity), and their size in m, m/s or m/s^2."""
-_PREFIXES = ("", "n", "u", "m", "k", "M")
+_PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 _OTHER_RESPONSES = ("Pa", "V", "A", "N", "W", "rad", "rad/s", "1")
 _DRIVES = ("V", "A", "N", "Pa", "W", "lbf", "1")
 

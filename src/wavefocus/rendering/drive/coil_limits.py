@@ -22,6 +22,7 @@ class Limiting:
 
     decided_by: Key of the limit that asked for the smallest factor; None where nothing was scaled.
     reached_v: Peak or rms, as the key says, that `actuator` (from 0) would have reached without limits.
+    unit: Of `reached_v` and `limit_v`; another than volts where the drive is in no voltage.
     """
 
     scale: float = 1.0
@@ -29,13 +30,15 @@ class Limiting:
     actuator: int | None = None
     reached_v: float = math.nan
     limit_v: float = math.nan
+    unit: str = "V"
 
     def __str__(self) -> str:
         if self.decided_by is None:
             return "within all limits"
         return (
             f"scaled by {self.scale:.4g} ({20 * math.log10(self.scale):.2f} dB) to stay within {self.decided_by} ="
-            f" {self.limit_v:g} V; actuator {self.actuator} decides, it would reach {self.reached_v:.4g} V"
+            f" {self.limit_v:g} {self.unit}; actuator {self.actuator} decides, it would reach {self.reached_v:.4g}"
+            f" {self.unit}"
         )
 
 
@@ -103,13 +106,13 @@ class RunningLevels:
         self._largest = np.maximum(self._largest, sums.max(axis=1))
         self._squares = np.concatenate([self._squares[:, count:], fresh], axis=1)
 
-    def against(self, limits: DriveLimits) -> list[Reached]:
-        """Levels reached so far, one for each limit."""
+    def against(self, limits: DriveLimits, unit_v: float = 1.0) -> list[Reached]:
+        """Levels reached so far, one for each limit. unit_v: Unit of the drives in volts."""
         reached = []
         if limits.peak_v is not None:
-            reached.append(Reached(limits.peak_key, limits.peak_v, self.peaks_v))
+            reached.append(Reached(limits.peak_key, limits.peak_v, self.peaks_v * unit_v))
         if limits.rms_v is not None:
-            reached.append(Reached(limits.rms_key, limits.rms_v, self.rms_v, summed=True))
+            reached.append(Reached(limits.rms_key, limits.rms_v, self.rms_v * unit_v, summed=True))
         return reached
 
 

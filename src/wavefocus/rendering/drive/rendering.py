@@ -24,6 +24,7 @@ from wavefocus.rendering.scene.quiet_places import places_of
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
 from wavefocus.storage.drive_file import Drive, drive_in_blocks
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.units import limited_unit
 
 if TYPE_CHECKING:
     from wavefocus.rendering.drive.quiet_scene import QuietRows
@@ -149,12 +150,14 @@ class SceneRenderer:
             self._single = False
             self._accumulator = self._new_accumulator()
             between = self._made(on_progress, put)
-        limiting = strictest(self._levels.against(self._limits))
+        unit, unit_v = limited_unit(drive_unit(self._bank))
+        levels = self._levels.against(self._limits, unit_v)
+        limiting = strictest(levels)
         if self._interface is not None and between is not None:
-            limiting = self._interface.strictest(self._levels.against(self._limits), self._levels.peaks_v, between)
+            limiting = self._interface.strictest(levels, self._levels.peaks_v * unit_v, between * unit_v)
         self.report = report_render(
             self._scene, self._rows, self.sampled.sources, self._accumulator.statistics, self._levels.norms,
-            limiting=limiting, omitted_bound=self._bound(), errors=errors, remarks=remarks,
+            limiting=replace(limiting, unit=unit), omitted_bound=self._bound(), errors=errors, remarks=remarks,
             quiet=None if self._quiet is None else self._quiet.figures(None if whole is None else self._drive(whole())),
         )  # fmt: skip
         return self.report
