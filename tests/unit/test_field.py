@@ -1,5 +1,7 @@
 """Predicted fields against plain convolution, eqs. (4) and (17), on any device; and the figures of a drive's foci."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -139,3 +141,5 @@ def test_given_a_stroke_then_each_focus_is_on_its_path_point_and_a_wavelength_wi
     assert (found.artefact_db < 0).all()
     with pytest.raises(InputError, match="1000 Hz"):
         focus_figures(drive, bank, predict(drive, bank, rate_hz=1000.0))
+    bare = replace(drive, focus_sample=NONE, focus_position=NONE, focus_source=NONE, focus_mm=None)
+    assert len(focus_figures(bare, bank)) == len(focus_figures(bare, bank, field)) == 0

@@ -276,7 +276,7 @@ def predicted_at(drive: Drive, bank: GreenSource, rows: Int64Array, sample: Int6
     index = sample[:, None] - round(drive.start_s * drive.sample_rate_hz) - np.arange(bank.taps)
     inside = (index >= 0) & (index < samples)
     played = drive.drive_v[:, np.where(inside, index, 0)].transpose(1, 0, 2) * inside[:, None]
-    played = played.reshape(len(sample), -1)
+    played = played.reshape(len(sample), bank.actuators * bank.taps)
     values = np.empty((len(sample), len(rows)))
     for first in range(0, len(rows), ROWS_AT_ONCE):
         part = rows[first : first + ROWS_AT_ONCE].tolist()
