@@ -174,8 +174,8 @@ def focus_figures(
     -------
     FocusResults
         An array for each figure, a row per focus: ``source``, ``position``, ``time_s``, ``intended_mm``, ``at_mm``,
-        ``peak``, ``off_mm``, ``width_mm`` and ``artefact_db``; NaN where a focus has none. Foci quieter than a quarter
-        of the loudest are left out.
+        ``peak``, ``off_mm``, ``width_mm`` and ``artefact_db``; NaN where a focus has none, or `field` lacks more than a
+        tenth of the measured positions within 15 mm. Foci quieter than a quarter of the loudest are left out.
 
     Raises
     ------

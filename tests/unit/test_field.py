@@ -139,6 +139,9 @@ def test_given_a_stroke_then_each_focus_is_on_its_path_point_and_a_wavelength_wi
     assert found.peak == pytest.approx(np.ones(5), rel=0.1)
     assert np.nanmedian(found.width_mm) == pytest.approx(9.0, abs=3.0)
     assert (found.artefact_db < 0).all()
+    np.testing.assert_allclose(focus_figures(drive, bank, field).at_mm, found.at_mm, rtol=1e-9)
+    part = focus_figures(drive, bank, predict(drive, bank, bank.position_mm[:, 0] <= 4.0))
+    assert np.isnan(part.peak).tolist() == [False, True, True, True, True]
     with pytest.raises(InputError, match="1000 Hz"):
         focus_figures(drive, bank, predict(drive, bank, rate_hz=1000.0))
     bare = replace(drive, focus_sample=NONE, focus_position=NONE, focus_source=NONE, focus_mm=None)

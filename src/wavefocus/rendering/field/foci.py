@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavefocus.calibration.numerics import evenly_spread, one_blas_thread
-from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions
 from wavefocus.rendering.greens.interpolation.base import OffGridError, bank_grid
-from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.greens.source import GreenSource, is_check, usable
 from wavefocus.rendering.scene.quiet_places import PlaceRows
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
@@ -142,17 +142,22 @@ def focus_table(
     spacing_mm: Its spacing; None when it has but one position.
     """
     there = position_mm[rows]
-    possible, compared = (
-        np.array([np.count_nonzero(np.hypot(*(at_mm - point).T) <= FOCUS_RADIUS_MM) for point in intended])
-        for at_mm in (position_mm, there)
-    )
-    # This part of the bank's positions around a focus must be compared before it is judged.
-    is_judged = (compared >= 0.9 * possible) & (spacing_mm is not None)
+    is_judged = _are_surrounded(intended, there, position_mm) & (spacing_mm is not None)
     (predicted_mm, of_predicted), (scanned_mm, of_scanned) = (
         _spots(there, np.where(is_judged[:, None], field, np.nan), intended, spacing_mm)
         for field in (predicted, scanned)
     )
     return FocusTable(intended, predicted_mm, scanned_mm, of_predicted[2], of_scanned[2], of_scanned[3])
+
+
+def _are_surrounded(points_mm: Float64Array, there_mm: Float64Array, possible_mm: Float64Array) -> BoolArray:
+    """Whether the positions of a field around points (K, 2) are nearly all that are possible, bool (K,)."""
+    possible, compared = (
+        np.array([np.count_nonzero(np.hypot(*(at_mm - point).T) <= FOCUS_RADIUS_MM) for point in points_mm])
+        for at_mm in (possible_mm, there_mm)
+    )
+    # This part of the bank's positions around a focus must be compared before it is judged.
+    return np.asarray(compared >= 0.9 * possible)
 
 
 def _spots(
@@ -201,7 +206,7 @@ def _loudest_instants(drive: Drive, bank: GreenSource) -> tuple[FocusInstant, ..
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FocusResults:
-    """Figures of K foci, in the order of the drive's; NaN where a focus has none.
+    """Figures of K foci, in the order of the drive's; NaN where a focus has none or the field lacks positions near it.
 
     source, position, int64 (K,): Index of the scene's source, bank row of the path point.
     time_s, float64 (K,): Scene time at which the predicted response at the path point is largest.
@@ -257,6 +262,9 @@ def focus_figures(
         values = np.where(within, field.field[:, np.where(within, column, 0)], np.nan).T.astype(np.float64)
     position_mm = np.asarray(bank.position_mm, np.float64)
     intended = intended_mm(drive, instants, position_mm)
+    if field is not None:
+        possible_mm = position_mm[usable(bank) & ~is_check(bank)]
+        values[~_are_surrounded(intended, position_mm[np.unique(rows)], possible_mm)] = np.nan
     on_grid_mm = bank_grid(bank).position_mm[rows]  # a check position counts as the one beside it
     spacing_mm = (metrics.grid_spacing_mm(on_grid_mm) or None) if len(rows) > 1 else None
     at_mm, figures = _spots(position_mm[rows], values, intended, spacing_mm, on_progress)
