@@ -83,6 +83,14 @@ def test_a_bank_with_only_what_is_needed_then_gets_the_documented_defaults(tmp_p
                 bank.green(position)
 
 
+@pytest.mark.parametrize("make", [measured, lambda path: foreign(path, np.ones((3, 2, 4)))], ids=["own", "foreign"])
+def test_a_bank_that_is_closed_then_says_so_and_is_not_called_damaged(tmp_path, make):
+    with open_bank(make(tmp_path / "bank.h5")) as bank:
+        pass
+    with pytest.raises(InputError, match=r"bank\.h5: .*position 0 is not readable: the file is closed; open it again"):
+        bank.green(0)
+
+
 def test_a_bank_after_contract_section_2_by_another_program_then_is_read_as_it_says(tmp_path):
     path = foreign(tmp_path / "foreign.h5", np.ones((2, 3, 4), ">f4"))
     with h5py.File(path, "r+") as file:

@@ -221,7 +221,8 @@ def read_part(dataset: h5py.Dataset, selection: Any, words: str) -> NDArray[Any]
     try:
         return np.asarray(dataset[selection])
     except (OSError, RuntimeError, ValueError) as error:
-        raise InputError(f"{words} {hdf5_complaint(error)}") from error
+        complaint = hdf5_complaint(error) if dataset else "is not readable: the file is closed; open it again"
+        raise InputError(f"{words} {complaint}") from error
 
 
 def has(file: h5py.File, name: str) -> bool:

@@ -1,5 +1,6 @@
 """Reading the rows of a ledger file straight from their offsets, without locks, also while it is written."""
 
+import errno
 import time
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,8 @@ class LedgerReader:
                 if found is not None:
                     return found or None
         except OSError as error:
-            raise InputError(f"{self._path}: position {position} is not readable: {error.strerror}") from error
+            cause = "the file is closed; open it again" if error.errno == errno.EBADF else error.strerror
+            raise InputError(f"{self._path}: position {position} is not readable: {cause}") from error
         raise DamagedError(damage_of(self._path, self._shape.format, position))
 
     def damaged(self) -> tuple[int, ...]:
