@@ -101,7 +101,7 @@ def import_bank(
     """Make a bank of responses that were measured elsewhere, as ``wavefocus import``.
 
     Frequency responses become causal impulse responses. A fact that the file lacks is asked for by an error, never
-    guessed.
+    guessed; errors and warnings spell parameters as the command line does: ``--swap-roles`` is ``swap_roles``.
 
     Parameters
     ----------
@@ -221,13 +221,13 @@ def export_by_options(
 
     missing_as_nan, form, publication = options.missing == "nan", EXPORTS[to], options.publication
     if missing_as_nan and not form.holds_nan:
-        raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
+        raise InputError(f"missing nan: {to} files hold no NaN; missing positions are left out there")
     if options.binary and to != "uff":
         raise InputError(f"binary: is for uff; {to} files are always the same")
     if options.convention != "GeneralFIR-E" and to != "sofa":
         raise InputError(f"convention: is for sofa; {to} files have none")
     if out.exists() and out.is_dir() != form.folder:
-        raise InputError(f"{out} is a {'folder' if out.is_dir() else 'file'}; --to {to} writes a "
+        raise InputError(f"{out} is a {'folder' if out.is_dir() else 'file'}; {to} writes a "
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
     with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
         inputs = [view.path, *([publication] if publication else [])]
