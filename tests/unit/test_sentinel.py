@@ -5,13 +5,16 @@ docs/reference/point-quality.md.
 """
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.unit import analytic_plates
 from tests.unit.analytic_plates import Medium
+from wavefocus.acquisition.drift_watch import DriftWatch
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
+from wavefocus.calibration.estimator.noise_error import noise_share
 from wavefocus.config.run import DriftLimits
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rendering.verify.mirror_error import sentinel_shift_mm
@@ -88,10 +91,35 @@ def test_known_noise_is_no_drift_and_a_gain_is_still_seen(snr_db):
     def measured(gain):
         return (gain * response + scale * chance.standard_normal(response.shape)).astype(np.float32)
 
-    steady = [compare_sentinel(measured(1.0), measured(1.0), ratios_db, ratios_db) for _ in range(60)]
+    noise = ratios_db, (noise_share(-ratios_db),) * 2
+    steady = [compare_sentinel(measured(1.0), measured(1.0), *noise) for _ in range(60)]
     assert {(one.verdict(LIMITS), one.speaks_against(LIMITS)) for one in steady} == {("steady", False)}
-    louder = [compare_sentinel(measured(1.0), measured(10 ** (2.2 / 20)), ratios_db, ratios_db) for _ in range(20)]
+    louder = [compare_sentinel(measured(1.0), measured(10 ** (2.2 / 20)), *noise) for _ in range(20)]
     assert all(one.speaks_against(LIMITS) for one in louder)
+
+
+@pytest.mark.parametrize(
+    ("heard_before", "gain", "noisier", "found", "change"),
+    [(False, 10 ** (1 / 20), 1, True, 0.122), (False, 1.0, 3, False, 0.0), (True, 1.0, 1, True, 0.5)],
+    ids=["all louder", "noisier", "one has gone"],
+)
+def test_a_row_of_nothing_but_noise_hides_no_step_and_is_none(heard_before, gain, noisier, found, change):
+    chance, rows = np.random.default_rng(5), responses() / np.linalg.norm(responses(), axis=1, keepdims=True)
+
+    def look(heard, gain, noisier):  # with records of 20 dB the rows have 35 dB: the fit keeps 3 % of the noise
+        noise = np.where(heard, 1, noisier)[:, None] * chance.standard_normal(rows.shape) * 10 ** (-35 / 20) / 20
+        return (gain * heard[:, None] * rows + noise).astype(np.float32), np.where(heard, 20.0, -225.5)
+
+    heard = np.array([True, True, True, heard_before])
+    (green, snr_db), now = look(heard, 1.0, 1), look(np.array([True, True, True, False]), gain, noisier)
+    sweep = SimpleNamespace(sample_rate_hz=1e4, band_hz=(0.0, 5e3), period_samples=13_000)
+    places = {"actuator_mm": np.outer((60.0, 20.0, 40.0, 80.0), (1.0, 0.0)), "position_mm": np.zeros((1, 2))}
+    plan = SimpleNamespace(excitation=sweep, staggered=None, taps=400, drift=LIMITS, **places)
+    bank = SimpleNamespace(green=lambda row: green, record=lambda row: SimpleNamespace(snr_db=snr_db))
+    station = SimpleNamespace(session=SimpleNamespace(time_s=float), plan=plan)
+    figures, _ = DriftWatch(station, bank, None, None)._compared(0, *now)
+    assert (figures.step > 1.0) == found
+    assert figures.change == pytest.approx(change, abs=0.02)
 
 
 RATE_HZ, TAPS, BAND_HZ = 10_000.0, 1000, (20.0, 500.0)
@@ -118,7 +146,7 @@ def step_in(then, now, actuators_mm, chance, noise_share, rate_hz, band_hz):
         noise = np.fft.irfft(white * ((hertz >= band_hz[0]) & (hertz <= band_hz[1])), taps)
         norm = np.linalg.norm(green, axis=1, keepdims=True) / np.linalg.norm(noise, axis=1, keepdims=True)
         rows.append((green + np.sqrt(noise_share) * norm * noise).astype(np.float32))
-    share = np.full(len(then), 2 * noise_share)
+    share = np.full((2, len(then)), noise_share)
     return step_of(*rows, share, np.hypot(*actuators_mm.T), band_hz=band_hz, sample_rate_hz=rate_hz)
 
 

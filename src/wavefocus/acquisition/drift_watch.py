@@ -12,7 +12,7 @@ from wavefocus.acquisition.judgement import REFERENCE_LEVEL
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
 from wavefocus.acquisition.plan import sentinel_of
 from wavefocus.calibration import Float32Array, Float64Array
-from wavefocus.calibration.estimator.noise_error import noise_error_db
+from wavefocus.calibration.estimator.noise_error import noise_error_db, noise_share
 from wavefocus.config.messages.campaign import Drift, Fault
 from wavefocus.storage.bank.ledger import row_ranges
 from wavefocus.storage.bank.writer import BankWriter
@@ -186,16 +186,17 @@ class DriftWatch:
         rate_hz, band_hz = sweep.sample_rate_hz, sweep.band_hz
         period_s = (sweep.period_samples if signal is None else signal.period_samples) / rate_hz
 
-        def noise_share(ratio_db: Float32Array) -> Float64Array:
+        def share(ratio_db: Float32Array) -> Float64Array:
             known_db = np.nan_to_num(ratio_db, nan=200.0)
             error_db = noise_error_db(known_db, band_hz=band_hz, response_s=plan.taps / rate_hz, period_s=period_s)
-            return np.asarray(10 ** (error_db / 10))
+            return noise_share(error_db)
 
         first = self._bank.green(position)
         good, good_db = self._good.get(position, (first, held.snr_db))
         distance_mm = np.hypot(*(plan.actuator_mm - plan.position_mm[position]).T)
-        noise = noise_share(good_db) + noise_share(snr_db)
-        figures = compare_sentinel(first, green, held.snr_db, snr_db, band_hz=band_hz, sample_rate_hz=rate_hz)
+        noise = share(held.snr_db), share(snr_db)
+        figures = compare_sentinel(first, green, held.snr_db, noise, band_hz=band_hz, sample_rate_hz=rate_hz)
+        noise = share(good_db), share(snr_db)
         step = step_of(good, green, noise, distance_mm, band_hz=band_hz, sample_rate_hz=rate_hz)
         return replace(figures, step=step), (green, snr_db)
 

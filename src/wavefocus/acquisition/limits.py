@@ -92,7 +92,7 @@ class DriftFigures:
 def step_of(
     then: Float32Array,
     now: Float32Array,
-    noise_share: Float64Array,
+    noise_share: tuple[Float64Array, Float64Array],
     distance_mm: Float64Array,
     *,
     band_hz: tuple[float, float],
@@ -107,7 +107,7 @@ def step_of(
     with half of itself.
 
     then, now, float32 (actuators, taps): Green's functions at the two looks.
-    noise_share, float64 (actuators,): Energy of both looks' noise over that of each row.
+    noise_share, float64 (actuators,): Share that noise has in the energy of each row, of either look.
     distance_mm, float64 (actuators,): From the actuators to the position; where one is NaN no drift is taken out.
     """
     taps = then.shape[1]
@@ -121,10 +121,10 @@ def step_of(
     steps = (_left(first, factor * first, weights) for factor in (10 ** (STEP_DB / 20), late))
     smallest = SEEN_SHARE**2 * min(float(step.sum()) for step in steps)
     left, energy = _left(first, second, weights), np.sum(np.abs(first) ** 2, axis=1)
-    noise = float(noise_share @ energy)
+    noise = noise_share[0] * energy + noise_share[1] * np.sum(np.abs(second) ** 2, axis=1)
     # A step has its noise once. Noise that is not white is known within some 3 dB: twice of it must be exceeded.
-    together = left.sum() / max(smallest + noise, 2 * noise, 1e-300)
-    single = left / np.maximum((ROW_CHANGE**2 + 2 * noise_share) * energy, 1e-300)
+    together = left.sum() / max(smallest + noise.sum(), 2 * noise.sum(), 1e-300)
+    single = left / np.maximum(ROW_CHANGE**2 * energy + 2 * noise, 1e-300)
     return float(np.sqrt(max(together, single.max())))
 
 
@@ -147,8 +147,8 @@ def _left(first: Complex128Array, second: Complex128Array, weights: Float64Array
 def compare_sentinel(
     then: Float32Array,
     now: Float32Array,
-    snr_then_db: Float32Array | None = None,
-    snr_now_db: Float32Array | None = None,
+    snr_db: Float32Array | None = None,
+    noise_share: tuple[Float64Array, Float64Array] | None = None,
     *,
     band_hz: tuple[float, float] | None = None,
     sample_rate_hz: float = 1.0,
@@ -156,20 +156,19 @@ def compare_sentinel(
     """Compare two measurements of one position.
 
     then, now, float32 (actuators, taps): Green's functions of the first and of the new measurement.
-    snr_then_db, snr_now_db, float32 (actuators,): Their signal-to-noise ratios, NaN where unknown; by default, and
-        where unknown, without noise. The share that noise has in energies and correlation is taken out of them.
+    snr_db, float32 (actuators,): Signal-to-noise ratios of the first, NaN where unknown; by default all are clear.
+    noise_share, float64 (actuators,): Share that noise has in the energy of each row, of either; by default none. It is
+        taken out of energies and correlation.
     band_hz: Measured band; what a fit leaves outside of it says nothing of the plate.
     sample_rate_hz: Of the Green's functions.
 
     Returns figures pooled over the clear responses, so that the strong ones, which carry the information, decide.
     """
     first, second = then.astype(np.float64), now.astype(np.float64)
-    snr_db = [
-        np.full(len(first), np.inf) if snr_db is None else np.nan_to_num(snr_db.astype(np.float64), nan=np.inf)
-        for snr_db in (snr_then_db, snr_now_db)
-    ]
+    ratio_db = np.full(len(first), np.inf) if snr_db is None else np.nan_to_num(snr_db.astype(np.float64), nan=np.inf)
+    shares = (np.zeros(len(first)),) * 2 if noise_share is None else noise_share
     # Noisy responses say nothing of a drift, unless none is clear; one that has vanished since is no noise.
-    clear = snr_db[0] >= min(CLEAR_DB, float(np.max(snr_db[0], initial=-np.inf)))
+    clear = ratio_db >= min(CLEAR_DB, float(np.max(ratio_db, initial=-np.inf)))
     first, second = first[clear], second[clear]
     length = 2 * first.shape[1]
     cycles = np.arange(length // 2 + 1) / length
@@ -177,10 +176,10 @@ def compare_sentinel(
     within = (cycles >= low) & (cycles <= high)
     spectra = [np.fft.rfft(green, length, axis=1) * within for green in (first, second)]
     energies, noise = [], []
-    for part, ratio_db in zip(spectra, snr_db, strict=True):
+    for part, share in zip(spectra, shares, strict=True):
         each = np.sum(np.fft.irfft(part, length, axis=1) ** 2, axis=1)
         energies.append(float(each.sum()))
-        noise.append(float(np.sum(each / (1.0 + 10.0 ** (0.1 * ratio_db[clear])))) / max(energies[-1], 1e-300))
+        noise.append(float(each @ share[clear]) / max(energies[-1], 1e-300))
     energy_then, energy_now = energies
     apart = float(np.sum(np.fft.irfft(spectra[1] - spectra[0], length, axis=1) ** 2))
     change = np.sqrt(max(apart - noise[0] * energies[0] - noise[1] * energies[1], 0.0) / max(energies[0], 1e-300))

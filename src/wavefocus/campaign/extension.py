@@ -11,6 +11,7 @@ import numpy as np
 from wavefocus.acquisition.attempt import scale_differences
 from wavefocus.acquisition.limits import compare_sentinel
 from wavefocus.calibration import Float32Array, Float64Array
+from wavefocus.calibration.estimator.noise_error import bank_noise_error_db, noise_share
 from wavefocus.campaign.blueprint import (
     Blueprint,
     bank_configuration,
@@ -153,10 +154,15 @@ def _taken(views: Sequence[Bank], grid_mm: Float64Array) -> tuple[Taken, Float64
     return dict(sorted(taken.items())), position_mm, sorted(checks - on_grid)
 
 
+def _noise_share(bank: Bank, row: int) -> Float64Array:
+    error_db = bank_noise_error_db(bank, row)
+    return np.zeros(bank.actuators) if error_db is None else np.nan_to_num(noise_share(error_db))
+
+
 def _require_alike(first: Bank, row: int, second: Bank, other: int) -> None:
     figures = compare_sentinel(
         np.asarray(first.green(row), np.float32), np.asarray(second.green(other), np.float32),
-        first.quality["snr_db"][row], second.quality["snr_db"][other],
+        first.quality["snr_db"][row], (_noise_share(first, row), _noise_share(second, other)),
         band_hz=first.band_hz, sample_rate_hz=first.sample_rate_hz,
     )  # fmt: skip
     limits = bank_configuration(first).run.drift

@@ -35,8 +35,16 @@ def noise_error_db(
     return np.asarray(10 * math.log10(share) - np.asarray(snr_db, np.float64))
 
 
-def bank_noise_error_db(bank: Bank) -> Float64Array | None:
-    """The same of every row of a bank, (positions, actuators).
+def noise_share(error_db: NDArray[np.floating]) -> Float64Array:
+    """Share that noise has in the energy of measured rows, 0 to 1, by their `noise_error_db`; NaN where unknown.
+
+    Of a row that holds nothing but noise the ratio falls without end (to -225 dB), and noise is all that it holds.
+    """
+    return np.asarray(np.minimum(10.0 ** (0.1 * np.asarray(error_db, np.float64)), 1.0))
+
+
+def bank_noise_error_db(bank: Bank, rows: int | slice = slice(None)) -> Float64Array | None:
+    """The same of every row of a bank, (positions, actuators), or of some positions.
 
     NaN where a ratio is unknown; None where the bank does not state its band and how it was measured.
     """
@@ -44,7 +52,7 @@ def bank_noise_error_db(bank: Bank) -> Float64Array | None:
     if ratios_db is None or period_s is None or bank.band_hz is None:
         return None
     response_s = bank.taps / bank.sample_rate_hz
-    return noise_error_db(ratios_db, band_hz=bank.band_hz, response_s=response_s, period_s=period_s)
+    return noise_error_db(ratios_db[rows], band_hz=bank.band_hz, response_s=response_s, period_s=period_s)
 
 
 def median_noise_error_db(bank: Bank) -> float | None:
