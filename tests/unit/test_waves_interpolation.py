@@ -1,5 +1,6 @@
 """Interpolation "waves" and "auto" on a coarse bank of a disk with a free rim, and the model kept next to it."""
 
+from dataclasses import replace
 from functools import cache
 
 import h5py
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 import wavefocus as wf
+from tests.lab_files import write_bank
 from tests.unit.independent_plates import free_disk, lattice
 from wavefocus import Circle, GreenArray, InputError, Noise, Point, QuietPlace, Scene, Source, predict
 from wavefocus.config.scene import Output
@@ -15,6 +17,7 @@ from wavefocus.rendering.field.foci import predicted_focus_peak
 from wavefocus.rendering.greens.interpolation import waves as waves_module
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.interpolation.errors import choose_interpolation
+from wavefocus.rendering.greens.source import RowReader
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import finer_rows
 from wavefocus.storage.wave_file import wave_file, write_wave_file
@@ -178,6 +181,15 @@ def test_a_bank_that_waves_cannot_be_fitted_to_is_refused():
         bank = GreenArray(green, position_mm, RATE_HZ, actuator_mm=actuator_mm, band_hz=BAND_HZ)
         with pytest.raises(InputError, match=message):
             interpolation_method("waves").over(bank, POINTS_MM)
+
+
+def test_a_check_row_of_nothing_but_noise_has_no_more_noise_than_energy(tmp_path):
+    run = '{"sweep": {"duration_s": 1.0}, "capture": {"excitation": "sequential", "decay_s": 0.3}}'
+    with wf.open_bank(write_bank(tmp_path / "a.h5", np.ones((1, 2, TAPS)))) as written:
+        bank = replace(written, run_json=run, quality={"snr_db": np.array([[-225.5, 40.0]])})
+        silent, heard = waves_module._spectral_noise(bank, RowReader(bank), np.array([0]))[0] ** 2
+    assert silent == pytest.approx(TAPS * 1e4 / (2 * 480))  # white in a band of 480 Hz at 10 kHz
+    assert heard < 1e-4 * silent
 
 
 def test_check_positions_are_not_on_the_grid_of_any_method(coarse):

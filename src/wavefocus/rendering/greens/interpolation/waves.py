@@ -16,7 +16,7 @@ from scipy import fft as scipy_fft
 
 from wavefocus.calibration.coarse_grid.bounds import MIN_CHECKS
 from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves
-from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
+from wavefocus.calibration.estimator.noise_error import bank_noise_error_db, noise_share
 from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import on_a_line, one_blas_thread
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
@@ -35,7 +35,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
 
 LOG = logging.getLogger("wavefocus")
-_RECIPE = 6
+_RECIPE = 7
 """Raised when the same bank gives another model, so that no older file is used."""
 EDGE = 1.2
 """The band is modelled to this factor beyond its ends, where a bank still holds a little: a quarter octave."""
@@ -221,7 +221,7 @@ def _spectral_noise(bank: GreenSource, reader: RowReader, rows: Int64Array) -> F
     energy = np.stack([np.square(reader.read(row)).sum(axis=1) for row in rows.tolist()])
     # White within the band, its energy is spread over that much of the spectrum.
     share = float(bank.sample_rate_hz) / (2.0 * max(high_hz - low_hz, 1e-9))
-    return np.asarray(np.sqrt(energy * 10.0 ** (0.1 * noise_db[rows]) * share))
+    return np.asarray(np.sqrt(energy * noise_share(noise_db[rows]) * share))
 
 
 def _spectra(reader: RowReader, rows: Int64Array, samples: int, bins: Int64Array) -> Complex128Array:
