@@ -37,14 +37,21 @@ def test_given_a_measured_bank_then_scan_and_prediction_agree_and_the_report_say
         assert scan.attrs["start_s"] == field.attrs["start_s"]
 
 
-def test_given_a_bank_of_one_position_then_its_field_is_compared_and_no_focus(lab, capsys):
+def test_one_position_and_another_loopback_then_its_field_but_no_focus_nor_drift(lab, capsys):
     write_positions(lab, [(0, 0)])
     line = '{ kind = "line", start_mm = [0, 0], end_mm = [8, 0] }'
     change_text(lab / "scene.toml", line, '{ kind = "point", at_mm = [0, 0] }')
     assert wavefocus("capture", lab / "run.toml", "--bank", lab / "one.h5") == 0
-    figures = {one["name"]: one["value"] for one in answered(capsys, *_command(lab, lab / "one.h5"))["figures"]}
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write("[recorder]\nreference_gain = 0.9\n")
+    capsys.readouterr()
+    assert wavefocus(*_command(lab, lab / "one.h5"), "--json") == 0
+    printed = capsys.readouterr()
+    figures = {one["name"]: one["value"] for one in json.loads(printed.out)["figures"]}
     assert figures["normalised error"] < 2.0
     assert figures["focus to path point"] is None
+    assert "sentinel level" not in figures
+    assert "usable record: the reference is 0.92 dB above its calibration" in printed.err
 
 
 def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(lab, bank, capsys):

@@ -305,8 +305,10 @@ class _Work:
         with self._step("sentinel", 1) as report:
             sentinel = measure_sentinel(plan, setup, self.bank, self._publisher(report))
             report(1, 1)
-        if sentinel is None:
-            say("warning: the bank has no sentinel position that gives a usable record; drift is not stated")
+        if isinstance(sentinel, str):
+            because = f": {sentinel}" if sentinel else ""
+            say(f"warning: the bank has no sentinel position that gives a usable record{because}; drift is not stated")
+            return None
         return sentinel
 
     def _publisher(self, report: Report) -> Subscriber:

@@ -35,24 +35,24 @@ if TYPE_CHECKING:
 
 def measure_sentinel(
     plan: Plan, setup: Setup, bank: GreenSource, publish: Subscriber = lambda event: None
-) -> Sentinel | None:
+) -> Sentinel | str:
     """Measure the bank's sentinel position again, as a campaign does.
 
     plan: What was played when the bank was measured.
     publish: Receives the events of faults and of waiting for a lost instrument.
 
-    Returns None where the bank has no valid position, or where it gives no usable record any more.
+    Returns why in words where it gives no usable record any more, empty where the bank has no valid position.
     Raises InstrumentError: an instrument failed for good.
     """
     position = sentinel_of(plan, np.asarray(bank.status))
     if position is None:
-        return None
+        return ""
     session = Session(setup.instruments.clock, publish, StopRequest())
     session.enter(State.RUNNING, f"sentinel position {position} to measure")
     with one_blas_thread():
         result = Station(plan, setup, session).measure(Attempt(position, 1, 1), "sentinel", says_nothing)
-    if result.estimate is None:
-        return None
+    if result.estimate is None or says_nothing(result):
+        return result.judgement.reason
     return Sentinel(position, result.estimate.green, result.estimate.snr_db)
 
 
