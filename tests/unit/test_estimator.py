@@ -176,7 +176,10 @@ def test_noise_ratios_and_samples_at_the_end_of_the_range_are_told_as_they_are()
     assert (estimate.clip_count == 0).all()
     records.reference[0, 10] = -RANGE[0]
     records.response[0, 20:23] = 0.9995 * RANGE[1]
-    assert records.estimate().clip_count.tolist() == [4] + [0] * 11
+    records.response[1] = 1e-3 * np.random.default_rng(2).standard_normal(records.response.shape[1])
+    changed = records.estimate()
+    assert changed.clip_count.tolist() == [4] + [0] * 11
+    assert changed.coherence[1] == pytest.approx(1 / SMALL.averages, abs=0.03)
 
 
 def test_the_same_record_gives_the_same_bytes_whatever_came_before():
