@@ -59,12 +59,17 @@ def test_bilinear_weights_are_exact_for_a_bilinear_field(seed):
     assert ((np.abs(nodes.weights[50:]) > 1e-12).sum(axis=1) == 1).all()
 
 
-def test_bilinear_is_refused_in_a_cell_that_lacks_a_corner():
-    kind = interpolation_method("bilinear")(PositionGrid(np.delete(LATTICE, 8, axis=0)))
-    assert kind.nodes(np.array([[2.0, 2.0]])).weights.tolist() == [[0.25] * 4]
+@pytest.mark.parametrize("long", [1.0, 2.5, 4.0])
+def test_bilinear_is_refused_in_a_cell_that_lacks_a_corner(long):
+    kind = interpolation_method("bilinear")(PositionGrid(np.delete(LATTICE, 8, axis=0) * (1.0, long)))
+    assert kind.nodes(np.array([[2.0, 2.0 * long]])).weights.tolist() == [[0.25] * 4]
     for point_mm in ([6.0, 2.0], [-1.0, 2.0]):
         with pytest.raises(OffGridError, match="lacks a corner"):
             kind.nodes(np.array([point_mm]))
+    # On the rim, and beside the hole, of positions that are rounded to float32.
+    true_mm = np.delete(LATTICE, 8, axis=0) * (0.635, 0.635 * long) + (0.1, 7.3)
+    nodes = interpolation_method("bilinear")(PositionGrid(true_mm.astype(np.float32))).nodes(true_mm)
+    np.testing.assert_allclose(np.einsum("pn,pna->pa", nodes.weights, true_mm[nodes.rows]), true_mm, atol=1e-4)
 
 
 def test_positions_that_are_no_lattice_or_none_at_all_are_refused():
@@ -152,12 +157,13 @@ def test_what_the_kernel_cannot_interpolate_is_refused_where_it_is():
         (SQUARE_MM[[0, 1, 2, 13, 14, 15]], None, (-24.0, -24.0), "6 measured positions are too few"),
         (arm_mm, None, (130.0, 0.0), r"lies at \(130, 0\) mm, but position .* spread in two directions"),
         (SQUARE_MM, None, (40.0, 0.0), r"\(40, 0\) mm, 16 mm from"),
+        (SQUARE_MM * (1.0, 4.0), None, (2.0, 105.0), r"at most half the diagonal of a grid cell, 8\.25 mm"),
     ):
         bank = plate_bank(position_mm)
         if zeros is not None:
             bank.values[zeros] = 0.0
         with pytest.raises(InputError, match=message) as told:
-            KernelInterpolation(bank, np.array([[1.0, 1.0]])).nodes(np.array([[2.0, 2.0], point_mm]))
+            KernelInterpolation(bank, np.array([[1.0, 1.0]])).nodes(np.array([[2.0, 8.0], point_mm]))
         assert getattr(told.value, "point", 1) == 1
 
 

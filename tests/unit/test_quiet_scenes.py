@@ -325,6 +325,9 @@ def test_banks_of_one_actuator_on_one_line_or_without_a_band():
     for some in (on_a_line, GreenArray(plate_bank().values, plate_bank().position_mm, RATE_HZ)):
         drive, _ = render_with_report(scene_of(place), some)
         assert level_db(drive, some, place) == pytest.approx(-30, abs=0.5)
+    apart_mm = np.concatenate([line_mm, np.add(line_mm, (0.0, 40.0))])
+    with pytest.raises(InputError, match=r"quiet\[0\] lies at \(16, 20\) mm, 20 mm"):
+        render_with_report(scene_of((16.0, 20.0)), GreenArray(plate_greens(apart_mm), apart_mm, RATE_HZ))
 
 
 WRONG = {

@@ -116,6 +116,10 @@ def test_the_kernel_needs_neighbours_too_and_checks_all_near_the_path():
     assert len(rows.path) == 2
     assert len(rows.all) < len(GRID_MM) / 2
     assert list(scene_rows(scene_of(moving(Point((0.0, 0.0)))), np.zeros((1, 2))).path) == [0]
+    long_mm, amid = GRID_MM * (1.0, 5.0), moving(Point((2.0, 10.0)))
+    assert len(scene_rows(scene_of(amid, interpolation="bilinear"), long_mm).path) == 4
+    with pytest.raises(InputError, match="at most one grid spacing, 4 mm"):
+        scene_rows(scene_of(amid), long_mm)
 
 
 # --- trajectories

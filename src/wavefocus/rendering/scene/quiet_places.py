@@ -144,6 +144,7 @@ class PlaceRows:
             self.rows = self._method.rows_of(self._bank)
             self._between_mm.append(points_mm[between])
             return rows
+        near(self._reach, points_mm, amid_cells=False)
         for point, row in enumerate(rows.tolist()):
             if reason := refusal(int(self._status[row])):
                 raise OffGridError(point, f"needs position {row} at {show_mm(points_mm[point])} mm, which is {reason}")

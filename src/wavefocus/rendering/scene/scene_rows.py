@@ -58,7 +58,8 @@ def scene_rows(
     checks: set[int] = set()
     for source in scene.sources:
         points_mm, step_mm = _along(source.path, grid.spacing_mm)
-        rows = _nearby_rows(tree, points_mm, near(grid, points_mm)[1] + step_mm)
+        _, away_mm = near(grid, points_mm, amid_cells=method != "nearest")
+        rows = _nearby_rows(tree, points_mm, away_mm + step_mm)
         path |= rows | _more_rows(method, grid, tree, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
     for place in places_of(scene):

@@ -28,6 +28,8 @@ from wavefocus.storage.errors import InputError
 
 _SLACK = 1e-9
 """Rounding that is forgiven, relative to the grid spacing."""
+_OFF_LINE = 1e-5
+"""Distance from a lattice's line, in its pitches, up to which a place is on it: positions may be rounded to float32."""
 
 
 Key = TypeVar("Key")
@@ -178,15 +180,24 @@ def grid_of(position_mm: ArrayLike, check: BoolArray) -> PositionGrid:
     return PositionGrid(grid_mm)
 
 
-def near(grid: PositionGrid, points_mm: Float64Array, spacings: float = 1.0) -> tuple[Int64Array, Float64Array]:
-    """Nearest rows and distances. Raises OffGridError for a point further than some grid spacings from all."""
+def near(
+    grid: PositionGrid, points_mm: Float64Array, spacings: float = 1.0, *, amid_cells: bool = True
+) -> tuple[Int64Array, Float64Array]:
+    """Nearest rows and distances. Raises OffGridError for a point further than some grid spacings from all.
+
+    amid_cells: Whether the centre of a long cell of a rectangular grid is near in any case.
+    """
     rows, distance_mm = grid.nearest(points_mm)
-    allowed_mm = spacings * grid.spacing_mm
+    allowed_mm, half_mm = spacings * grid.spacing_mm, 0.0
+    if amid_cells and grid.lattice is not None:
+        half_mm = 0.5 * float(np.hypot(*grid.lattice.pitch_mm)) * (1.0 + _OFF_LINE)
+    allowed = "one grid spacing" if spacings == 1.0 else f"{spacings:g} grid spacings"
+    if half_mm > allowed_mm:
+        allowed, allowed_mm = "half the diagonal of a grid cell", half_mm
     far = distance_mm > allowed_mm * (1.0 + _SLACK) + 1e-9
     if far.any():
         point = int(np.argmax(far))
         row = int(rows[point])
-        allowed = "one grid spacing" if spacings == 1.0 else f"{spacings:g} grid spacings"
         raise OffGridError(
             point,
             f"lies at {show_mm(points_mm[point])} mm, {distance_mm[point]:.3g} mm from the nearest position"
@@ -348,7 +359,7 @@ class Nearest(GridInterpolation):
     name = "nearest"
 
     def nodes(self, points_mm: Float64Array) -> Nodes:
-        rows, _ = near(self.grid, points_mm)
+        rows, _ = near(self.grid, points_mm, amid_cells=False)
         return Nodes(rows[:, None], np.ones((len(rows), 1)), rows)
 
 
@@ -379,9 +390,14 @@ class Bilinear(GridInterpolation):
     def nodes(self, points_mm: Float64Array) -> Nodes:
         nearest, _ = near(self.grid, points_mm)
         cell, part, outside = self._cells(points_mm)
-        (x, y), (column, line) = part, cell
-        weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T
+        column, line = cell
         rows = np.stack([self._row_at[column + right, line + up] for up in (0, 1) for right in (0, 1)]).T
+        lacking = (rows < 0).any(axis=1)
+        if lacking.any():  # a place on a line of the lattice needs no corner off it
+            on_line = lacking & (np.abs(part - np.rint(part)) < _OFF_LINE)
+            part[on_line] = np.rint(part[on_line])
+        x, y = part
+        weights = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T
         wrong = outside | ((rows < 0) & (weights > 0)).any(axis=1)
         if wrong.any():
             point = int(np.argmax(wrong))
@@ -401,7 +417,7 @@ class Bilinear(GridInterpolation):
             site = (points_mm[:, axis] - self._lattice.origin_mm[axis]) / self._lattice.pitch_mm[axis]
             cell[axis] = np.clip(np.floor(site).astype(np.int64), 0, self._row_at.shape[axis] - 2)
             beyond = site - cell[axis]
-            outside |= (beyond < -_SLACK) | (beyond > 1.0 + _SLACK)
+            outside |= (beyond < -_OFF_LINE) | (beyond > 1.0 + _OFF_LINE)
             within = np.clip(beyond, 0.0, 1.0, out=part[axis])
             within[within < _SLACK] = 0.0
             within[within > 1.0 - _SLACK] = 1.0
