@@ -22,9 +22,9 @@ from wavefocus.rendering.scene.trajectory import Trajectory, TrajectoryPath
 NAN, INF = float("nan"), float("inf")
 RATE_HZ = 1000.0
 #: Off the samples, resting for a while, and along y = 2 mm, where two rows of positions are equally near.
-TIME_S = (0.0104, 0.05, 0.1, 0.1022, 0.2, 0.31)
-PLACES_MM = ((-14.0, -10.0), (0.0, 3.3), (6.0, 2.0), (6.0, 2.0), (15.0, 2.0), (3.1, -9.0))
-AMPLITUDE = (0.0, 1.0, 2.0, 2.0, -1.0, 0.5)
+TIME_S = (0.0104, 0.05, 0.1, 0.1022, 0.1998, 0.2, 0.31)  # two rows within one sample
+PLACES_MM = ((-14.0, -10.0), (0.0, 3.3), (6.0, 2.0), (6.0, 2.0), (6.0, 2.0), (15.0, 2.0), (3.1, -9.0))
+AMPLITUDE = (0.0, 1.0, 2.0, 2.0, 0.0, -1.0, 0.5)
 NOISE = Noise((50.0, 400.0), 0.07, 3)
 FINGER = Source(TrajectoryPath(TIME_S, PLACES_MM, AMPLITUDE), NOISE, 0.02, amplitude=3.0, repeat=True)
 

@@ -125,11 +125,15 @@ class TrajectoryPath(DrawnPath):
         object.__setattr__(self, "amplitude", None if self.amplitude is None else tuple(amplitude.tolist()))
 
     def trajectory(self, start_s: float, sample_rate_hz: float) -> Trajectory:
-        """The course of a source that starts at `start_s`; of rows within one sample the last one counts."""
+        """The course of a source that starts at `start_s`; of rows within one sample the last one counts.
+
+        Until the sample before, it goes to the first of them.
+        """
         sample = np.rint((start_s + np.asarray(self.time_s)) * sample_rate_hz).astype(np.int64)
-        kept = np.append(np.diff(sample) > 0, True)
-        points_mm = np.asarray(self.points_mm, dtype=np.float64)
-        return Trajectory(sample[kept], points_mm[kept], self._amplitudes()[kept])
+        knots = np.union1d(sample, np.maximum(sample[1:][np.diff(sample) == 0] - 1, sample[0]))
+        values = *np.asarray(self.points_mm, dtype=np.float64).T, self._amplitudes()
+        x_mm, y_mm, amplitude = (np.interp(knots, sample, value) for value in values)
+        return Trajectory(knots, np.stack([x_mm, y_mm], axis=1), amplitude)
 
     def arc_length_mm(self, time_s: ArrayLike) -> Float64Array:
         """Arc lengths at instants."""
