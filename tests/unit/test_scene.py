@@ -181,6 +181,9 @@ def test_rows_close_in_time_or_silent_are_no_foci_and_a_resting_finger_is_a_poin
     resting = Source(TrajectoryPath((0.0, 0.07), ((4.0, 4.0), (4.0, 4.0))), NOISE)
     there, at_rest = (drive_v(scene_of(one)) for one in (Source(Point((4.0, 4.0)), NOISE), resting))
     np.testing.assert_allclose(at_rest, there, rtol=0, atol=1e-13 * np.abs(there).max())
+    (a, b), sounds = ((4.0, 4.0), (0.0, -8.0)), (1, 0, 0, 0, 1, 0)
+    jumps = [TrajectoryPath(0.02 * np.arange(6), (a, a, silent, b, b, b), sounds) for silent in (a, (500.0, 0.0))]
+    np.testing.assert_array_equal(*(drive_v(scene_of(Source(jump, NOISE, repeat=True))) for jump in jumps))
 
 
 @pytest.mark.parametrize("stroke", [False, True])

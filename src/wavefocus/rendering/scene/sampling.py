@@ -224,10 +224,11 @@ def _sample_trajectory(
             follow = _follow_strokes(path, interpolation, source.start_s, sample_rate_hz)
 
     def nodes_at(sample: Int64Array) -> Nodes:
-        # Ties between positions fall as while it sounded only at the same places to the bit.
-        if follow is None:
-            return interpolation.nodes(course.at(sample)[0])
-        return follow(sample)
+        if follow is not None:
+            return follow(sample)
+        # Ties between positions fall as while it sounded only at the same places to the bit. On the way of a jump there
+        # need be no grid.
+        return interpolation.nodes(course.at(path.on_stroke(sample, source.start_s, sample_rate_hz)[1])[0])
 
     def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         sample = first + np.arange(start, stop)

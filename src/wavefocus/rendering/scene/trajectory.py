@@ -84,6 +84,7 @@ class TrajectoryPath(DrawnPath):
     focus_rows: Int64Array = field(init=False, repr=False, compare=False)
     _arc_mm: Float64Array = field(init=False, repr=False, compare=False)
     _stroke_rows: Int64Array = field(init=False, repr=False, compare=False)
+    _stroke_s: Float64Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -120,6 +121,7 @@ class TrajectoryPath(DrawnPath):
         sounds = np.add.reduceat(amplitude != 0, begins) > 0
         sounding = np.stack([begins, ends], axis=1)[sounds] if sounds.any() else np.zeros((1, 2), dtype=np.int64)
         object.__setattr__(self, "_stroke_rows", sounding)
+        object.__setattr__(self, "_stroke_s", time_s[sounding])
         object.__setattr__(self, "time_s", tuple(time_s.tolist()))
         object.__setattr__(self, "points_mm", tuple(map(tuple, points_mm.tolist())))
         object.__setattr__(self, "amplitude", None if self.amplitude is None else tuple(amplitude.tolist()))
@@ -146,8 +148,7 @@ class TrajectoryPath(DrawnPath):
 
     def on_stroke(self, sample: Int64Array, start_s: float, sample_rate_hz: float) -> tuple[Int64Array, Int64Array]:
         """Number of the stroke at samples, the last that has begun, or the first; and the nearest sample on it."""
-        ends_s = np.array([[self.time_s[row] for row in rows] for rows in self._stroke_rows.tolist()])
-        begin, end = np.rint((start_s + ends_s) * sample_rate_hz).astype(np.int64).T
+        begin, end = np.rint((start_s + self._stroke_s) * sample_rate_hz).astype(np.int64).T
         number = np.maximum(np.searchsorted(begin, sample, side="right") - 1, 0)
         return number, np.clip(sample, begin[number], end[number])
 
