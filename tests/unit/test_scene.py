@@ -8,7 +8,7 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.plate_banks import NOISE_MM, noise_bank, plate_bank
+from tests.unit.plate_banks import NOISE_MM, SQUARE_MM, noise_bank, plate_bank
 from wavefocus import Circle, InputError, Line, Point, Polyline, Scene, Source, load_scene
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
@@ -201,6 +201,17 @@ def test_kernel_interpolation_then_rests_between_jumps_sound_at_their_own_places
     found_mm = np.einsum("ij,ijk->ik", events.weights, sampled.interpolation.rows_of(bank).position_mm[events.rows])
     np.testing.assert_allclose(found_mm[heard != 0], at_mm[heard != 0], atol=1e-5)
     assert np.isin(PositionGrid(NOISE_MM).nearest(np.array(taps))[0], scene_rows(scene, NOISE_MM).path).all()
+
+
+@pytest.mark.parametrize(
+    ("x_mm", "where"), [(500.0, r"the path of source 0 lies at \(500, -15\)"), (2.3, r"source 0, 0\.448\d* s after")]
+)
+def test_a_stroke_off_the_grid_or_across_a_hole_is_refused_where_it_is(x_mm, where):
+    ends_mm = [(x_mm, -15.0)] * 2 + [(x_mm, 20.0 if x_mm < 10 else -15.0)]
+    path = TrajectoryPath(0.1 * np.arange(6), [(-9.0, 1.0)] * 3 + ends_mm, [0, 1, 0] * 2)
+    bank = plate_bank(SQUARE_MM[~np.isin(SQUARE_MM, (0.0, 4.0)).all(axis=1)])
+    with pytest.raises(InputError, match=f"^{where}"):
+        sample_scene(scene_of(Source(path, NOISE), interpolation="kernel"), bank).sources[0].emission.events(0, 1000)
 
 
 HEADER = "time_s,x_mm,y_mm,amplitude\n"

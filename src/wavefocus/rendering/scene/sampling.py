@@ -253,20 +253,22 @@ def _follow_strokes(
 ) -> Callable[[Int64Array], Nodes]:
     """Nodes at samples, along each stroke by itself: at a joint, arc length does not tell one from the next."""
     strokes = path.strokes()
-    follows = [interpolation.follow(stroke) for _, _, stroke in strokes]
+    follows = {one: interpolation.follow(stroke) for one, (_, _, stroke) in enumerate(strokes) if stroke.length_mm > 0}
+    rests = interpolation.nodes(np.array([stroke.strokes_mm[0][0] for _, _, stroke in strokes]))
     begin_mm = path.arc_length_mm(np.asarray(path.time_s)[[first for first, _, _ in strokes]])
 
     def nodes_at(sample: Int64Array) -> Nodes:
         number = path.on_stroke(sample, start_s, sample_rate_hz)[0]
         own_mm = path.arc_length_mm(sample / sample_rate_hz - start_s) - begin_mm[number]
-        rows, weights = np.zeros((len(sample), STENCIL), dtype=np.int64), np.zeros((len(sample), STENCIL))
-        nearest = np.zeros(len(sample), dtype=np.int64)
-        for one in np.unique(number).tolist():
-            chosen = number == one
-            found = follows[one](np.clip(own_mm[chosen], 0.0, strokes[one][2].length_mm))
-            width = found.rows.shape[1]
-            rows[chosen] = found.rows[:, :1]
-            rows[chosen, :width], weights[chosen, :width], nearest[chosen] = found.rows, found.weights, found.nearest
+        rows, weights = np.repeat(rests.rows[number], STENCIL, axis=1), np.tile([1.0, 0.0, 0.0, 0.0], (len(sample), 1))
+        nearest = rests.nearest[number]
+        for one in sorted(follows.keys() & set(number.tolist())):
+            chosen = np.flatnonzero(number == one)
+            try:
+                found = follows[one](np.clip(own_mm[chosen], 0.0, strokes[one][2].length_mm))
+            except OffGridError as error:
+                raise OffGridError(int(chosen[error.point]), str(error)) from error
+            rows[chosen], weights[chosen], nearest[chosen] = found.rows, found.weights, found.nearest
         return Nodes(rows, weights, nearest)
 
     return nodes_at
