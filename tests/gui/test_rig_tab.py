@@ -185,6 +185,10 @@ def test_examination_or_calibration_then_its_rig_stays_and_a_close_ends_it_first
     tab.open_file(tmp_path / "other.toml")
     assert window.messages.sentence == "rig.toml is being examined; wait for its end, or cancel it"
     assert tab.rig_field.path == tab.rig == rig
+    (tmp_path / "other.toml").write_text(RIG, encoding="utf-8")
+    for path in (tmp_path / "other.toml", rig):  # the one opened last reaches the other tabs
+        tab.open_file(path)
+        assert (tab.context.shared[FileKind.RIG], tab.rig) == (path, rig)
     window.close()
     assert ended == ["examined", "calibrated"]
 

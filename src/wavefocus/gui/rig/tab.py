@@ -152,7 +152,7 @@ class RigTab(Tab):
         if self.rig is not None and (busy := self._busy()):
             if path.absolute() != self.rig.absolute():
                 self._refuse(self.rig, busy)
-                self.context.share(self, FileKind.RIG, path)
+            self.context.share(self, FileKind.RIG, path)
             self.rig_field.show_path(self.rig)
             return
         self.session.release()
