@@ -241,8 +241,13 @@ def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tm
             pass
         wanted_v = felt_v(tmp_path, 400)
     np.testing.assert_allclose(drive_v[:, :400], wanted_v, rtol=0, atol=SINGLE * np.abs(wanted_v).max())
-    with pytest.raises(InputError, match=r"scene\.toml"):
-        SessionRecording(tmp_path, **felt)
+    for name in ("scene.toml", "source-0.csv", "scene-2.toml", "signal-3.wav"):  # a lab's own, or of a renamed scene
+        (lab := tmp_path / f"with {name}").mkdir()
+        (lab / "source-01.csv").touch()
+        SessionRecording(lab, **felt).close()
+        (lab / name).touch()
+        with pytest.raises(InputError, match=f"{name} exists; name a new folder"):
+            SessionRecording(lab, **felt)
     with SessionRecording(tmp_path / "none", **felt) as recording:
         pass
     assert recording.scene is None

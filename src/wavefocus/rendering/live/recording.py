@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -32,6 +33,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, write_whole
 
 SCENE_NAME = "scene.toml"
+_FILES = re.compile(r"scene(-([2-9]|[1-9]\d+))?\.toml|source-(0|[1-9]\d*)\.csv|signal-(0|[1-9]\d*)\.wav")
 
 
 class SessionRecording(Closing):
@@ -41,11 +43,11 @@ class SessionRecording(Closing):
     leaves is a scene up to then. Sound files and signals of other kinds are kept as WAV files of float64 at the bank's
     rate. The session's limits are no part of it: the scene renders to the drives before the limiter.
 
-    folder: Made where missing; it must not hold a scene.
+    folder: Made where missing; it must not hold files of a record, which would be written over.
     rate_hz: The bank's.
     about: One line that the scene file begins with.
 
-    Raises InputError: the folder holds a scene, or cannot be written.
+    Raises InputError: the folder holds files of a record, or cannot be written.
     """
 
     def __init__(
@@ -60,12 +62,14 @@ class SessionRecording(Closing):
                 toml_table("[output]", Output(interpolation=interpolation)),
             ]
         )
-        if os.path.lexists(folder / SCENE_NAME):
-            raise InputError(f"{folder / SCENE_NAME} exists; name a new folder for the record")
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            names = sorted(path.name.lower() for path in folder.iterdir())  # file systems may not tell cases apart
         except OSError as error:
             raise InputError(f"{folder}: cannot be made: {error.strerror or error}") from error
+        for name in filter(_FILES.fullmatch, names):
+            if os.path.lexists(folder / name):
+                raise InputError(f"{folder / name} exists; name a new folder for the record")
         self._lives: dict[int, _Written] = {}
         self._named = 0
         self._waiting: queue.SimpleQueue[tuple[RecordedLife, ...] | None] = queue.SimpleQueue()
