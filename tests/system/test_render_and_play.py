@@ -170,6 +170,7 @@ def test_given_a_drive_then_it_is_played_and_told(playing, capsys):
     figures = json.loads(told.out)
     assert (figures["seconds"], figures["loops"]) == (4.5, 3)
     assert figures["peak_v"] == pytest.approx(0.25, rel=1e-5)
+    assert "4.5 s on 3 actuators" in told.err
     assert "muted" in told.err
 
 

@@ -56,7 +56,8 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
     try:
         with ending_at_once(), ended_by_input() if watched else nullcontext(), open_player(rig) as player:
             times = f"{loop} times, " if loop > 1 else ""
-            say(f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V")
+            lasts = f"{seconds:.3g} s" if seconds < 10 else hours(seconds)
+            say(f"{player.identify()}: {times}{lasts} on {actuators} actuators, at most {peak_v:.3g} V")
             if watched:
                 print_line(to_line(DrivePlaying(seconds)))
             at_once = max(1, min(4096, round(AHEAD_S * drive.sample_rate_hz / 8)))
