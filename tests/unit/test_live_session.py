@@ -129,7 +129,16 @@ def test_with_sufficient_look_ahead_the_recorded_scene_renders_to_what_was_playe
     np.testing.assert_allclose(played_v, drive_v, rtol=0, atol=1e-4 * np.abs(drive_v).max())
     assert bench.tape.ended
     assert bench.session.ended().positions == 31
+    assert not bench.session.unrecorded
     assert bench.notices() == []
+    # Stopped before a second knot is final, it leaves no file: another session may be recorded there.
+    silent = SessionRecording(
+        tmp_path / "none", rate_hz=RATE_HZ, regularisation=Regularisation(), interpolation="nearest"
+    )
+    with silent:
+        bench = Bench({3: move("a", 0.0), 4: LiveSession.stop}, recording=silent)
+    assert bench.session.unrecorded
+    assert list((tmp_path / "none").iterdir()) == []
 
 
 SINE = Sine(120.0, 0.3)

@@ -52,6 +52,8 @@ def live(bank: Path, rig_file: Path, options: LiveOptions, *, osc: str | None, a
             if receiver is not None:
                 receiver.close()
             if session is not None:
+                if session.unrecorded:
+                    messages(LiveNotice("recording", "nothing is recorded: no source has sounded long enough"))
                 messages(session.ended())
             elif code is Exit.STOPPED:
                 say("stopped by the user; nothing was played")

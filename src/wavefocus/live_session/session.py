@@ -135,6 +135,11 @@ class LiveSession:
             round(self._limited_s, 3), str(recorded or ""),
         )  # fmt: skip
 
+    @property
+    def unrecorded(self) -> bool:
+        """Whether the record, now closed, holds nothing because no source has sounded long enough."""
+        return self._recording is not None and not (self._recording.scene or self._recording.failure)
+
     def _begin(self) -> None:
         self._player.begin_pieces(self._channels, self._limiter.rate_hz, self._ahead_s)
 

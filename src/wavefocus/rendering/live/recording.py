@@ -110,12 +110,14 @@ class SessionRecording(Closing):
         written = self._lives.get(life.number)
         if written is None:
             written = self._lives[life.number] = _Written(int(life.knots.sample[0]))
-            file.write_text("time_s,x_mm,y_mm,amplitude\n", encoding="utf-8", newline="\n")
-        with file.open("a", encoding="utf-8", newline="\n") as table:
-            table.write(_rows(life.knots, written.first_sample, self._rate_hz))
+        written.waiting += _rows(life.knots, written.first_sample, self._rate_hz)
         written.rows += len(life.knots.sample)
-        # A trajectory has two rows or more.
-        if written.rows > 1 and not written.named:
+        if written.rows < 2:  # a trajectory has two rows or more
+            return
+        with file.open("a", encoding="utf-8", newline="\n") as table:
+            table.write(written.waiting)
+        written.waiting = ""
+        if not written.named:
             self._name(life, written, file)
         if life.over:
             durable.sync_path(file)
@@ -169,6 +171,7 @@ class _Written:
 
     def __init__(self, first_sample: int) -> None:
         self.first_sample = first_sample
+        self.waiting = "time_s,x_mm,y_mm,amplitude\n"
         self.rows = 0
         self.named = False
 
