@@ -11,9 +11,10 @@ from wavefocus.config.scene import WITHOUT_SPEED, Output, PathTable, QuietTable,
 
 Count = Annotated[Whole, Field(ge=1, le=10_000)]
 Pause = Annotated[NonNegative, Field(le=600)]
+CONTROL = r"\x00-\x1f\x7f-\x9f\u2028\u2029"  # in a pattern's [...]; line ends too; other spaces and joiners are text
 Words = Annotated[
     Text, Field(max_length=60),
-    like(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]+", "must be one line of text without tabs or other control characters"),
+    like(f"[^{CONTROL}]+", "must be one line of text without tabs or other control characters"),
 ]  # fmt: skip
 Name = Annotated[str, like(r"[A-Za-z0-9_-]{1,40}", "must be 1 to 40 letters, digits, - and _; files are named by it")]
 Key = Annotated[

@@ -16,6 +16,7 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from wavefocus.config.trials import CONTROL
 from wavefocus.storage import durable
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
@@ -30,7 +31,6 @@ FORMAT_VERSION = 1
 _LINE_END = "\r\n"  # RFC 4180
 _CODE = re.compile(r"[A-Za-z0-9-]{1,20}")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # line ends too; other spaces and joiners are text
 
 
 def _column(
@@ -324,7 +324,7 @@ def _cells(line: bytes) -> list[str]:
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
     body = text.removesuffix("\n").removesuffix("\r")
-    if body == text or _CONTROL.search(body):
+    if body == text or re.search(f"[{CONTROL}]", body):
         raise ValueError("not a line that `wavefocus trials` writes")
     try:
         return next(csv.reader([body], strict=True))
