@@ -97,6 +97,7 @@ def test_stimuli_begun_by_an_earlier_version_go_on_with_their_interpolation(tmp_
         named = prepared(design_of(tmp_path, between + 'interpolation = "nearest"\n'), bank)
         design = design_of(tmp_path, between)
         auto = prepared(design, bank, out="now")
+        assert [text.partition(":")[0] for text in named.warnings] == [f"stimuli {NAMES[1]}, {LOUDEST}"]  # no silence
         assert named.sha256[LOUDEST] != auto.sha256[LOUDEST]
         manifest = json.loads((named.folder / "manifest.json").read_text(encoding="utf-8"))
         manifest["trials_sha256"] = design.sha256

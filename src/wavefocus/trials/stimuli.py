@@ -17,6 +17,7 @@ from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.coil_limits import DriveLimits, levels_of, peaks, strictest
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.drive.wav import Interface
+from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
@@ -129,7 +130,7 @@ class _Renderer:
         self._earlier = earlier
         self._of_warning: dict[str, list[str]] = {}
         self._bank = bank
-        self._last: tuple[Scene, Drive] | None = None
+        self._last: tuple[Scene, Drive, RenderReport] | None = None
 
     def warnings(self) -> tuple[str, ...]:
         """Each warning once, with the stimuli that it is about."""
@@ -145,11 +146,10 @@ class _Renderer:
         output = Output(interpolation=wanted.interpolation, most_energy=wanted.most_energy)
         scene = replace(stimulus.scene, name="", sources=(replace(source, amplitude=1.0),), output=output)
         if self._last is None or self._last[0] != scene:
-            drive, report = render_with_report(scene, self._bank)
-            for text in report.warnings:
-                self._of_warning.setdefault(text, []).append(stimulus.name)
-            self._last = scene, drive
-        drive = self._last[1]
+            self._last = scene, *render_with_report(scene, self._bank)
+        _, drive, report = self._last
+        for text in report.warnings if stimulus.amplitude else ():
+            self._of_warning.setdefault(text, []).append(stimulus.name)
         with np.errstate(over="ignore"):
             return replace(drive, drive_v=drive.drive_v * stimulus.amplitude)
 
