@@ -141,6 +141,11 @@ def test_with_sufficient_look_ahead_the_recorded_scene_renders_to_what_was_playe
     assert list((tmp_path / "none").iterdir()) == []
 
 
+def test_given_positions_that_go_on_after_the_end_then_the_session_ends_all_the_same():
+    script: dict[int, Callable] = {piece: move("a", 0.0) for piece in range(80)}
+    assert len(Bench({**script, 10: end}).tape.pieces) < 40
+
+
 SINE = Sine(120.0, 0.3)
 VALUES = SINE.samples(RATE_HZ)
 

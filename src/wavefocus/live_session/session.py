@@ -66,7 +66,7 @@ class LiveSession:
         self._gives_up_s, self._duration_s = gives_up_s, duration_s
         self._block_s = engine.block_samples / engine.rate_hz
         self._inbox, self._pace = Inbox(), Pace(self._block_s, ahead_s)
-        self._stop, self._ending = threading.Event(), threading.Event()
+        self._stop, self._ending, self._over = threading.Event(), threading.Event(), False
         self._latency = LatencyHistogram()
         # Since the last state: blocks, largest load, least gain of the limiter.
         self._blocks, self._load, self._limited_db = 0, 0.0, 0.0
@@ -162,6 +162,9 @@ class LiveSession:
         """Apply what waits; returns when the positions among it arrived."""
         arrived_s: list[float] = []
         for waiting in self._inbox.take():
+            if self._over and isinstance(waiting.order, MoveSource):  # it would begin to sound anew
+                waiting.end(InputError("the live session is over"))
+                continue
             try:
                 self._apply(waiting.order)
             except InputError as wrong:
@@ -170,11 +173,13 @@ class LiveSession:
                     self._publish(Refused(one_line(str(wrong), 300)))
                 continue
             waiting.end()
+            self._over |= isinstance(waiting.order, EndLive)
             if isinstance(waiting.order, MoveSource):
                 arrived_s.append(waiting.arrived_s)
         if self._duration_s is not None and self.played_s >= self._duration_s and not self._ending.is_set():
             self._ending.set()
             self._apply(EndLive())
+            self._over = True
         return arrived_s
 
     def _apply(self, order: Order) -> None:
