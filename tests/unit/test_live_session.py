@@ -146,6 +146,11 @@ def test_given_positions_that_go_on_after_the_end_then_the_session_ends_all_the_
     assert len(Bench({**script, 10: end}).tape.pieces) < 40
 
 
+def test_given_orders_just_before_the_end_then_they_are_answered_before_it():
+    bench = Bench({3: lambda session: (move("a", 500.0)(session), end(session))})
+    assert [type(one) for one in bench.messages] == [Refused]
+
+
 SINE = Sine(120.0, 0.3)
 VALUES = SINE.samples(RATE_HZ)
 

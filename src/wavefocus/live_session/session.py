@@ -121,7 +121,7 @@ class LiveSession:
                             self._begin_anew(dry)
                     except InstrumentLostError as lost:
                         self._bring_back(lost)
-                    if self._ending.is_set() and not self.engine.state():
+                    if self._over and not self.engine.state():
                         self._play_out()
                         return
         finally:
