@@ -66,6 +66,13 @@ def test_faults_are_named_tried_again_in_the_right_way_and_what_stays_is_not_val
         assert bank.read_bytes() == before
 
 
+def test_given_a_dark_spot_at_the_sentinel_then_it_is_looked_at_aside_and_is_steady(lab, capsys):
+    with_faults(lab, f'{READ}kind = "dark"\nposition = 0\ncount = 99\nspot_mm = [0.0, 0.0, 0.05]')
+    told = captured(capsys, lab)
+    assert held(lab / "plate.h5", "quality/moved_mm")[:2] == pytest.approx([0.1, 0.0])
+    assert {one["verdict"] for one in told.of("drift")} == {"steady"}
+
+
 def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid(lab, capsys):
     bank = lab / "plate.h5"
     captured(capsys, lab)

@@ -346,10 +346,24 @@ def next_attempt(attempt: Attempt, judgement: Judgement, earlier: Status, setup:
         defect.cure in (Cure.MOVE, Cure.REPEAT) and not defect.over_range for defect in judgement.defects
     )
     if dark or again:
-        x_mm, y_mm = plan.position_mm[attempt.position]
-        x, y = (plan.quality.speckle_step_mm * steps for steps in STEPS[(following.number - 2) % len(STEPS)])
-        following = replace(following, moved_mm=(-math.copysign(x, x_mm), -math.copysign(y, y_mm)))
+        following = replace(following, moved_mm=_aside_mm(following, plan))
     return following
+
+
+def where_measured(position: int, held: PointRecord, plan: Plan) -> Attempt:
+    """A try where the row in the bank was measured, which holds how far aside that was: as of the latest such try."""
+    for number in range(held.attempts, 1, -1):
+        moved_mm = _aside_mm(Attempt(position, number, 1), plan)
+        if math.isclose(math.hypot(*moved_mm), held.moved_mm, rel_tol=1e-6):
+            return Attempt(position, 1, 1, moved_mm)
+    return Attempt(position, 1, 1)
+
+
+def _aside_mm(attempt: Attempt, plan: Plan) -> tuple[float, float]:
+    """The step aside of a try."""
+    x_mm, y_mm = plan.position_mm[attempt.position]
+    x, y = (plan.quality.speckle_step_mm * steps for steps in STEPS[(attempt.number - 2) % len(STEPS)])
+    return -math.copysign(x, x_mm), -math.copysign(y, y_mm)
 
 
 def is_final(attempt: Attempt, judgement: Judgement, limits: QualityLimits) -> bool:

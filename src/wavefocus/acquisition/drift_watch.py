@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import Attempt, AttemptResult
+from wavefocus.acquisition.attempt import Attempt, AttemptResult, where_measured
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.judgement import REFERENCE_LEVEL
@@ -138,10 +138,12 @@ class DriftWatch:
 
     def _look(self, position: int, occasion: str, found: str, then: str = "; ", otherwise: str = "") -> None:
         """Measure the sentinel, and once more before a change is believed that makes rows suspect, or ends a run."""
-        (figures, rows), suspects = self._measured(Attempt(position, 1, 1)), self._suspects(position)
+        # Where speckle leaves no light at the position itself, its row is of a place aside, and is compared with that.
+        attempt = where_measured(position, self._bank.record(position), self._station.plan)
+        (figures, rows), suspects = self._measured(attempt), self._suspects(position)
         if self._changed(figures) and (suspects or occasion == "run"):
             self._publish(position, figures, occasion)
-            (figures, rows), occasion = self._measured(Attempt(position, 2, 1)), "repeat"
+            (figures, rows), occasion = self._measured(replace(attempt, number=2)), "repeat"
         suspects = suspects if self._changed(figures) else ()
         self._publish(position, figures, occasion, suspects)
         self._off = figures if figures.speaks_against(self._limits) else None
