@@ -349,7 +349,8 @@ def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_o
 
 def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspended(watched, capsys):
     dark = 'role = "recorder"\noperation = "read"\nkind = "dark"\nposition = 2\npurpose = "capture"\ncount = 99'
-    with_faults(watched, dark)
+    # The position before is good aside of another dark spot, and is probed there.
+    with_faults(watched, dark, dark.replace('= 2\npurpose = "capture"', "= 1\nspot_mm = [4.0, 0.0, 0.05]"))
     assert "suspended" not in captured(capsys, watched).states
     status = held(watched / "plate.h5")
     assert status[2] & 1 == 0

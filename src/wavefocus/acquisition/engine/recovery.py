@@ -248,7 +248,7 @@ class Suspension:
     ) -> None:
         self._setup, self._session, self._stop = setup, session, session.stop
         self._conditions, self._plays, self._probed = conditions, plays, probe
-        self._last_good: int | None = None
+        self._last_good: Attempt | None = None
 
     def pause(self) -> None:
         """Stand still until a person says to go on, or to stop: StoppedWhileWaitingError."""
@@ -284,9 +284,10 @@ class Suspension:
             return ""
         plays = self._plays * (len(recordings) // len(self._plays))
         reason = self._conditions.left(self._values(attempt, plays, recordings))
+        good = self._last_good
         if not reason:
-            self._last_good = attempt.position
-        elif self._last_good not in (None, attempt.position) and not self._conditions.left(self._probe(attempt)):
+            self._last_good = attempt
+        elif good and good.position != attempt.position and not self._conditions.left(self._probe(attempt)):
             return ""
         return reason
 
@@ -322,8 +323,8 @@ class Suspension:
 
     def _probe(self, attempt: Attempt) -> Mapping[str, float]:
         """The conditions now, from one record at the last good position; where there is none, at the present one."""
-        position = attempt.position if self._last_good is None else self._last_good
-        probing = Attempt(position, attempt.number, attempt.of_session)
+        place = self._last_good or attempt
+        probing = Attempt(place.position, attempt.number, attempt.of_session, place.moved_mm)
         try:
             recording = self._probed(probing)
         except InstrumentError as failure:
