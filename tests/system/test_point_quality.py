@@ -8,6 +8,10 @@ from tests.lab_files import change_text
 from tests.system.captures import answered, captured, held, wavefocus
 from tests.system.conftest import with_faults
 from tests.system.lines import Lines
+from wavefocus.campaign.blueprint import blueprint_from_bank
+from wavefocus.rendering.verify.extra_measurements import drift_of, measure_sentinel
+from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.reading import open_bank
 
 READ = 'role = "recorder"\noperation = "read"\n'
 
@@ -71,6 +75,10 @@ def test_given_a_dark_spot_at_the_sentinel_then_it_is_looked_at_aside_and_is_ste
     told = captured(capsys, lab)
     assert held(lab / "plate.h5", "quality/moved_mm")[:2] == pytest.approx([0.1, 0.0])
     assert {one["verdict"] for one in told.of("drift")} == {"steady"}
+    made = blueprint_from_bank(lab / "plate.h5")
+    with open_bank(lab / "plate.h5") as bank, open_setup(made.configuration.rig, made.configuration.run) as setup:
+        sentinel = measure_sentinel(made.plan, setup, bank)  # as `wavefocus verify` does
+        assert drift_of(sentinel, bank, made.plan.drift).level_db == pytest.approx(0.0, abs=0.1)
 
 
 def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid(lab, capsys):

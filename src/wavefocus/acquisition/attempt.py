@@ -350,12 +350,12 @@ def next_attempt(attempt: Attempt, judgement: Judgement, earlier: Status, setup:
     return following
 
 
-def where_measured(position: int, held: PointRecord, plan: Plan) -> Attempt:
-    """A try where the row in the bank was measured, which holds how far aside that was: as of the latest such try."""
-    for number in range(held.attempts, 1, -1):
-        moved_mm = _aside_mm(Attempt(position, number, 1), plan)
-        if math.isclose(math.hypot(*moved_mm), held.moved_mm, rel_tol=1e-6):
-            return Attempt(position, 1, 1, moved_mm)
+def where_measured(position: int, attempts: int, moved_mm: float, plan: Plan) -> Attempt:
+    """A try where a bank's row was measured, which holds how far aside that was: the way is the latest such try's."""
+    for number in range(attempts, 1, -1):
+        aside_mm = _aside_mm(Attempt(position, number, 1), plan)
+        if math.isclose(math.hypot(*aside_mm), moved_mm, rel_tol=1e-6):
+            return Attempt(position, 1, 1, aside_mm)
     return Attempt(position, 1, 1)
 
 

@@ -139,7 +139,8 @@ class DriftWatch:
     def _look(self, position: int, occasion: str, found: str, then: str = "; ", otherwise: str = "") -> None:
         """Measure the sentinel, and once more before a change is believed that makes rows suspect, or ends a run."""
         # Where speckle leaves no light at the position itself, its row is of a place aside, and is compared with that.
-        attempt = where_measured(position, self._bank.record(position), self._station.plan)
+        held = self._bank.record(position)
+        attempt = where_measured(position, held.attempts, held.moved_mm, self._station.plan)
         (figures, rows), suspects = self._measured(attempt), self._suspects(position)
         if self._changed(figures) and (suspects or occasion == "run"):
             self._publish(position, figures, occasion)

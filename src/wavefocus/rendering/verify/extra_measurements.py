@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import Attempt
+from wavefocus.acquisition.attempt import where_measured
 from wavefocus.acquisition.drift_watch import says_nothing
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.engine.station import Station
@@ -29,13 +29,12 @@ from wavefocus.storage.bank.ledger import Status
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.storage.bank.reading import Bank
     from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
 
 
-def measure_sentinel(
-    plan: Plan, setup: Setup, bank: GreenSource, publish: Subscriber = lambda event: None
-) -> Sentinel | str:
+def measure_sentinel(plan: Plan, setup: Setup, bank: Bank, publish: Subscriber = lambda event: None) -> Sentinel | str:
     """Measure the bank's sentinel position again, as a campaign does.
 
     plan: What was played when the bank was measured.
@@ -47,10 +46,12 @@ def measure_sentinel(
     position = sentinel_of(plan, np.asarray(bank.status))
     if position is None:
         return ""
+    attempts, moved_mm = (float(bank.quality[name][position]) for name in ("attempts", "moved_mm"))
+    attempt = where_measured(position, int(attempts), moved_mm, plan)
     session = Session(setup.instruments.clock, publish, StopRequest())
     session.enter(State.RUNNING, f"sentinel position {position} to measure")
     with one_blas_thread():
-        result = Station(plan, setup, session).measure(Attempt(position, 1, 1), "sentinel", says_nothing)
+        result = Station(plan, setup, session).measure(attempt, "sentinel", says_nothing)
     if result.estimate is None or says_nothing(result):
         return result.judgement.reason
     return Sentinel(position, result.estimate.green, result.estimate.snr_db)
