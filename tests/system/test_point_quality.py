@@ -81,6 +81,14 @@ def test_given_a_dark_spot_at_the_sentinel_then_it_is_looked_at_aside_and_is_ste
         assert drift_of(sentinel, bank, made.plan.drift).level_db == pytest.approx(0.0, abs=0.1)
 
 
+def test_given_a_sentinel_that_needs_a_larger_range_then_it_is_looked_at_with_it(lab, bank, capsys):
+    low_v = 0.4 * max(held(bank, "quality/peak_v")[0])
+    bank.unlink()
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write(f"\n[recorder]\nresponse_range_v = {low_v}\nresponse_ranges_v = [{low_v}, 10.0]\n")
+    assert {one["verdict"] for one in captured(capsys, lab).of("drift")} == {"steady"}
+
+
 def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid(lab, capsys):
     bank = lab / "plate.h5"
     captured(capsys, lab)

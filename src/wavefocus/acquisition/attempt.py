@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.judgement import Cure, Judgement
 from wavefocus.acquisition.plan import Plan, lead_samples
 from wavefocus.acquisition.setup import RecordMargins, Setup, record_samples, take_record
-from wavefocus.calibration import Float64Array, Int64Array
+from wavefocus.calibration import Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records, bank_figures
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
@@ -350,13 +350,21 @@ def next_attempt(attempt: Attempt, judgement: Judgement, earlier: Status, setup:
     return following
 
 
-def where_measured(position: int, attempts: int, moved_mm: float, plan: Plan) -> Attempt:
-    """A try where a bank's row was measured, which holds how far aside that was: the way is the latest such try's."""
+def as_measured(
+    position: int, attempts: int, moved_mm: float, peak_v: Float32Array, setup: Setup, plan: Plan
+) -> Attempt:
+    """A try where a bank's row was measured, and with an input range that holds it.
+
+    The bank knows how far aside that was: the way is that of the latest such try. peak_v, (N,): Of the row.
+    """
+    largest_v = np.nanmax(peak_v, initial=0.0)
+    larger_v = [range_v for range_v in setup.response_ranges_v if range_v > largest_v >= setup.range_v[1]]
+    attempt = Attempt(position, 1, 1, response_range_v=min(larger_v, default=None))
     for number in range(attempts, 1, -1):
-        aside_mm = _aside_mm(Attempt(position, number, 1), plan)
+        aside_mm = _aside_mm(replace(attempt, number=number), plan)
         if math.isclose(math.hypot(*aside_mm), moved_mm, rel_tol=1e-6):
-            return Attempt(position, 1, 1, aside_mm)
-    return Attempt(position, 1, 1)
+            return replace(attempt, moved_mm=aside_mm)
+    return attempt
 
 
 def _aside_mm(attempt: Attempt, plan: Plan) -> tuple[float, float]:

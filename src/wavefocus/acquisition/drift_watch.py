@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import Attempt, AttemptResult, where_measured
+from wavefocus.acquisition.attempt import Attempt, AttemptResult, as_measured
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.judgement import REFERENCE_LEVEL
@@ -138,9 +138,9 @@ class DriftWatch:
 
     def _look(self, position: int, occasion: str, found: str, then: str = "; ", otherwise: str = "") -> None:
         """Measure the sentinel, and once more before a change is believed that makes rows suspect, or ends a run."""
-        # Where speckle leaves no light at the position itself, its row is of a place aside, and is compared with that.
-        held = self._bank.record(position)
-        attempt = where_measured(position, held.attempts, held.moved_mm, self._station.plan)
+        # A row that was measured aside of a dark spot, or with a larger range, is compared with what is measured so.
+        held, setup, plan = self._bank.record(position), self._station.setup, self._station.plan
+        attempt = as_measured(position, held.attempts, held.moved_mm, held.peak_v, setup, plan)
         (figures, rows), suspects = self._measured(attempt), self._suspects(position)
         if self._changed(figures) and (suspects or occasion == "run"):
             self._publish(position, figures, occasion)

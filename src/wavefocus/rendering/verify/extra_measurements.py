@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import where_measured
+from wavefocus.acquisition.attempt import as_measured
 from wavefocus.acquisition.drift_watch import says_nothing
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.engine.station import Station
@@ -46,8 +46,8 @@ def measure_sentinel(plan: Plan, setup: Setup, bank: Bank, publish: Subscriber =
     position = sentinel_of(plan, np.asarray(bank.status))
     if position is None:
         return ""
-    attempts, moved_mm = (float(bank.quality[name][position]) for name in ("attempts", "moved_mm"))
-    attempt = where_measured(position, int(attempts), moved_mm, plan)
+    attempts, moved_mm, peak_v = (bank.quality[name][position] for name in ("attempts", "moved_mm", "peak_v"))
+    attempt = as_measured(position, int(attempts), float(moved_mm), peak_v, setup, plan)
     session = Session(setup.instruments.clock, publish, StopRequest())
     session.enter(State.RUNNING, f"sentinel position {position} to measure")
     with one_blas_thread():
