@@ -71,9 +71,10 @@ def test_faults_are_named_tried_again_in_the_right_way_and_what_stays_is_not_val
 
 
 def test_given_a_dark_spot_at_the_sentinel_then_it_is_looked_at_aside_and_is_steady(lab, capsys):
+    change_text(lab / "run.toml", "[quality]", "[quality]\nspeckle_step_mm = 0.1234")
     with_faults(lab, f'{READ}kind = "dark"\nposition = 0\ncount = 99\nspot_mm = [0.0, 0.0, 0.05]')
     told = captured(capsys, lab)
-    assert held(lab / "plate.h5", "quality/moved_mm")[:2] == pytest.approx([0.1, 0.0])
+    assert held(lab / "plate.h5", "quality/moved_mm")[:2] == pytest.approx([0.123, 0.0])  # in whole micrometres
     assert {one["verdict"] for one in told.of("drift")} == {"steady"}
     made = blueprint_from_bank(lab / "plate.h5")
     with open_bank(lab / "plate.h5") as bank, open_setup(made.configuration.rig, made.configuration.run) as setup:

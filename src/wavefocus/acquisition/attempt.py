@@ -362,7 +362,7 @@ def as_measured(
     attempt = Attempt(position, 1, 1, response_range_v=min(larger_v, default=None))
     for number in range(attempts, 1, -1):
         aside_mm = _aside_mm(replace(attempt, number=number), plan)
-        if math.isclose(math.hypot(*aside_mm), moved_mm, rel_tol=1e-6):
+        if math.isclose(math.hypot(*aside_mm), moved_mm, abs_tol=1e-3):  # held in whole micrometres
             return replace(attempt, moved_mm=aside_mm)
     return attempt
 

@@ -260,7 +260,7 @@ def _follow_strokes(
     def nodes_at(sample: Int64Array) -> Nodes:
         number = path.on_stroke(sample, start_s, sample_rate_hz)[0]
         own_mm = path.arc_length_mm(sample / sample_rate_hz - start_s) - begin_mm[number]
-        rows, weights = np.repeat(rests.rows[number], STENCIL, axis=1), np.tile([1.0, 0.0, 0.0, 0.0], (len(sample), 1))
+        rows, weights = np.repeat(rests.rows[number], STENCIL, axis=1), np.tile(np.eye(1, STENCIL), (len(sample), 1))
         nearest = rests.nearest[number]
         for one in sorted(follows.keys() & set(number.tolist())):
             chosen = np.flatnonzero(number == one)
