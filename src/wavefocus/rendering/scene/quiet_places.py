@@ -62,7 +62,7 @@ def place_at(path: Path, speed_mm_s: float, start_s: float, sample: Int64Array, 
     """Points of a path that is followed from `start_s` on at samples of scene time; before and after it, its ends."""
     if isinstance(path, TrajectoryPath):
         # Between two strokes it is where the former one ended.
-        return path.trajectory(start_s, rate_hz).at(path.on_stroke(sample, start_s, rate_hz)[1])[0]
+        return path.trajectory(start_s, rate_hz, of_strokes=True).at(path.on_stroke(sample, start_s, rate_hz)[1])[0]
     moves = path.length_mm > 0 and speed_mm_s > 0
     along_mm = np.clip(speed_mm_s * (sample / rate_hz - start_s), 0.0, path.length_mm) if moves else 0.0 * sample
     return path.point_at(along_mm)

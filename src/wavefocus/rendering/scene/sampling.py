@@ -209,7 +209,9 @@ def _sample_trajectory(
     signal: Float64Array,
     sample_rate_hz: float,
 ) -> SampledSource:
-    course = path.trajectory(source.start_s, sample_rate_hz)
+    course, on_strokes = (
+        path.trajectory(source.start_s, sample_rate_hz, of_strokes=of_strokes) for of_strokes in (False, True)
+    )
     first, stop = int(course.sample[0]), int(course.sample[-1])
     if first == stop:
         raise InputError(f"the trajectory of source {index} ends within one sample of its start and emits nothing")
@@ -228,7 +230,7 @@ def _sample_trajectory(
             return follow(sample)
         # Ties between positions fall as while it sounded only at the same places to the bit. On the way of a jump there
         # need be no grid.
-        return interpolation.nodes(course.at(path.on_stroke(sample, source.start_s, sample_rate_hz)[1])[0])
+        return interpolation.nodes(on_strokes.at(path.on_stroke(sample, source.start_s, sample_rate_hz)[1])[0])
 
     def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
         sample = first + np.arange(start, stop)

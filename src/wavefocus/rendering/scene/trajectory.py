@@ -126,14 +126,21 @@ class TrajectoryPath(DrawnPath):
         object.__setattr__(self, "points_mm", tuple(map(tuple, points_mm.tolist())))
         object.__setattr__(self, "amplitude", None if self.amplitude is None else tuple(amplitude.tolist()))
 
-    def trajectory(self, start_s: float, sample_rate_hz: float) -> Trajectory:
+    def trajectory(self, start_s: float, sample_rate_hz: float, *, of_strokes: bool = False) -> Trajectory:
         """The course of a source that starts at `start_s`; of rows within one sample the last one counts.
 
         Until the sample before, it goes to the first of them.
+
+        of_strokes: Leave out the rows between strokes, so that it is on each stroke to its last sample.
         """
-        sample = np.rint((start_s + np.asarray(self.time_s)) * sample_rate_hz).astype(np.int64)
+        rows = np.arange(len(self.time_s))
+        if of_strokes:
+            begin, end = self._stroke_rows.T
+            number = np.searchsorted(begin, rows, side="right") - 1
+            rows = rows[(number >= 0) & (rows <= end[number])]
+        sample = np.rint((start_s + np.asarray(self.time_s)[rows]) * sample_rate_hz).astype(np.int64)
         knots = np.union1d(sample, np.maximum(sample[1:][np.diff(sample) == 0] - 1, sample[0]))
-        values = *np.asarray(self.points_mm, dtype=np.float64).T, self._amplitudes()
+        values = *np.asarray(self.points_mm, dtype=np.float64)[rows].T, self._amplitudes()[rows]
         x_mm, y_mm, amplitude = (np.interp(knots, sample, value) for value in values)
         return Trajectory(knots, np.stack([x_mm, y_mm], axis=1), amplitude)
 
@@ -163,8 +170,12 @@ class TrajectoryPath(DrawnPath):
 
 def rests_mm(path: PathOnSurface, longest_mm: float = 0.0) -> Float64Array:
     """First points, float64 (n, 2), of a trajectory's strokes of no more than a length: places along it miss them."""
-    strokes = path.strokes() if isinstance(path, TrajectoryPath) else []
-    return np.reshape([stroke.strokes_mm[0][0] for _, _, stroke in strokes if stroke.length_mm <= longest_mm], (-1, 2))
+    if not isinstance(path, TrajectoryPath):
+        return np.empty((0, 2))
+    first, last = path._stroke_rows.T
+    short = path._arc_mm[last] - path._arc_mm[first] <= longest_mm
+    points_mm: Float64Array = np.asarray(path.points_mm, dtype=np.float64)[first[short]]
+    return points_mm
 
 
 def read_trajectory(file: Path) -> TrajectoryPath:
