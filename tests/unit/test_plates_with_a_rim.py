@@ -22,6 +22,8 @@ DISK_MM = 40.0
 SOURCE_MM = np.array([[30.0, 0.0], [5.0, -8.0]])
 PLACE_MM = np.array([[-20.0, 11.0], [0.0, 24.0], [12.0, -3.0], [-33.0, -2.0]])
 STADIUM = Outline.stadium(70.0, 40.0)
+SKEW = Outline.polygon([(40.0, -5.0), (25.0, 20.0), (-35.0, 20.0), (-32.0, -18.0), (30.0, -20.0)])
+"""Mirrors itself in no axis."""
 ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0], [-24.0, -5.0]])
 
 
@@ -57,24 +59,34 @@ def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form():
     for admittance, frequency_hz in ((0.0, 450.0), (1.0, 250.0), (1.0, 450.0)):
         k = complex(SOFT_PLATE.wavenumber(frequency_hz))
         rim = 2j * np.pi * frequency_hz * admittance / SOFT_PLATE.speed_m_s
-        solved = disk.values_at(PLACE_MM, disk.solve(SOFT_PLATE, admittance, frequency_hz, disk.forces(SOURCE_MM)))
+        solved = disk.values_at(PLACE_MM, disk.inverse(SOFT_PLATE, admittance, frequency_hz)(disk.forces(SOURCE_MM)))
         exact = np.array([[_disk_response(k, place, source, rim) for source in SOURCE_MM] for place in PLACE_MM])
         assert np.linalg.norm(solved - exact) < 5e-3 * np.linalg.norm(exact)
 
 
-def test_given_a_stadium_then_its_responses_are_those_of_all_elements():
-    elements = Elements(triangulate(STADIUM, SPACING_MM))
-    for admittance in (0.0, 0.7):
-        plate = StadiumPlate(ACTUATOR_MM, STADIUM, np.ones_like, rim_admittance=admittance)
-        response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
-        assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
-        for place in (1, 5, 10):
-            solved = elements.solve(SOFT_PLATE, admittance, 50.0 * place, elements.forces(ACTUATOR_MM))
-            velocity = 2j * np.pi * 50.0 * place * elements.values_at(np.array([[-8.0, 3.0]]), solved)[0]
-            assert np.linalg.norm(response[:, place] - velocity) < 3e-3 * np.linalg.norm(velocity)
-        single = plate.response((-8.0, 3.0), 50.0, 11, single=True)
-        assert single.dtype == np.complex64
-        assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
+@pytest.mark.parametrize(
+    ("outline", "admittance"), [(STADIUM, 0.0), (STADIUM, 0.7), (Outline.rectangle(70.0, 40.0), 0.7), (SKEW, 0.0)]
+)
+def test_given_a_plate_with_a_rim_then_its_responses_are_those_of_all_elements(outline, admittance):
+    elements = Elements(triangulate(outline, 0.7 * SPACING_MM))
+    plate = StadiumPlate(ACTUATOR_MM, outline, np.ones_like, rim_admittance=admittance)
+    response = plate.response((-8.0, 3.0), 50.0, 11, single=False)
+    assert np.abs(response[:, 0]).max() < 1e-5 * np.abs(response).max()
+    for place in (1, 5, 10):
+        solved = elements.inverse(SOFT_PLATE, admittance, 50.0 * place)(elements.forces(ACTUATOR_MM))
+        velocity = 2j * np.pi * 50.0 * place * elements.values_at(np.array([[-8.0, 3.0]]), solved)[0]
+        assert np.linalg.norm(response[:, place] - velocity) < 3e-3 * np.linalg.norm(velocity)
+    single = plate.response((-8.0, 3.0), 50.0, 11, single=True)
+    assert single.dtype == np.complex64
+    assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
+
+
+def test_an_actuator_in_the_middle_then_the_plate_moves_alike_in_all_its_quarters():
+    plate = StadiumPlate(np.array([[0.0, 0.0]]), STADIUM, np.ones_like)
+    first, *others = (plate.response((x, y), 50.0, 11, single=False) for x in (-9.0, 9.0) for y in (-4.0, 4.0))
+    assert np.abs(first).max() > 0
+    for other in others:
+        np.testing.assert_array_equal(other, first)
 
 
 def test_given_taps_then_the_spectra_are_those_of_the_cut_responses():

@@ -311,7 +311,7 @@ def _with_a_rim(repeats: int, *, quick: bool) -> list[Entry]:
 
     def solved(size_mm: float) -> Float64Array:
         elements = Elements(triangulate(outline, size_mm))
-        found = elements.solve(SOFT_PLATE, 0.0, HERTZ, elements.forces(actuator_mm))
+        found = elements.inverse(SOFT_PLATE, 0.0, HERTZ)(elements.forces(actuator_mm))
         return np.stack([elements.values_at(place_mm, part) for part in (found.real, found.imag)])
 
     timing = measure({"finest": partial(solved, FINEST_MM)}, 1)["finest"]

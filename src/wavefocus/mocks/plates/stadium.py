@@ -8,10 +8,12 @@ admittance a is 0 for a free edge and 1 for one that takes up what arrives at a 
 Elements are of fourth order and half a wavelength across, those at the rim curved: at 450 Hz the error is 2e-3
 (measured against elements of 3.5 mm). Time as exp(+j w t).
 
-The response to the actuators is a smooth curve over frequency. It is solved for at some frequencies; real and imaginary
-parts of the solutions span a space into which the whole system is projected (Galerkin; rational Krylov method, A. Ruhe,
-Linear Algebra Appl. 58, 1984). What comes of it is a small plate of the same kind, symmetric and damped, with some
-hundred modes: causal and passive at every frequency, and within 2e-3 of all elements in the band.
+The response to the actuators is a smooth curve over frequency. It is solved for at some frequencies, with its slope;
+real and imaginary parts of the solutions span a space into which the whole system is projected (Galerkin; rational
+Krylov method, A. Ruhe, Linear Algebra Appl. 58, 1984). What comes of it is a small plate of the same kind, symmetric
+and damped, with some hundred modes: causal and passive at every frequency, and within 2e-3 of all elements in the band.
+
+Where the outline mirrors itself in both axes, elements cover a quarter of the plate: modes are even or odd in x and y.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -32,7 +35,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.config.outline import Outline
+from wavefocus.config.outline import EDGE_TOLERANCE_MM, Outline, Segment
 from wavefocus.mocks.plates import (
     MAGNET_RADIUS_MM,
     PLATES,
@@ -48,10 +51,13 @@ from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 _HIGHEST_HZ = 500.0
 """Upper end of the band in which the plate is accurate to 1 %; above, it is a causal plate with fewer modes."""
-_RECIPE = 3
+_RECIPE = 4
 """Raised when the same plate is computed in another way, so that no older file is used."""
-_SOLVED_STEP_HZ = 26.0
-"""Distance of the frequencies that are solved for; they go on to a quarter beyond the band."""
+_SOLVED_STEP_HZ = 50.0
+"""Distance of the frequencies that are solved for; they go on to a fifth beyond the band."""
+_EVEN = np.zeros((1, 2), dtype=np.bool_)
+_PARITIES = np.array([[False, False], [True, False], [False, True], [True, True]])
+"""Whether a function changes its sign with that of x and of y."""
 
 
 @PLATES.register
@@ -84,7 +90,7 @@ class StadiumPlate(ModalPlate):
             self._pairs = _DampedPairs(*(kept[item.name] for item in fields(_DampedPairs)))
 
     def coefficients(self, place_mm: Float64Array) -> Float64Array:
-        shapes = self._elements.values_at(place_mm, self._modes.shapes)
+        shapes = self._elements.values_at(place_mm, self._modes.shapes, self._modes.is_odd)
         if self._pairs is None:
             return np.asarray(shapes[:, None, :] * self._modes.force.T)
         part = (shapes @ self._pairs.shapes)[:, None, :] * self._pairs.force.T
@@ -93,14 +99,16 @@ class StadiumPlate(ModalPlate):
     def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
         angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         if self._pairs is None:
-            # j w / (k_mode^2 - k^2); at 0 Hz nothing moves.
+            # j w / (k_mode^2 - k^2)
             gap = self._modes.stiffness[:, None] - np.square(self._wave.wavenumber(frequency_hz))
             velocity = np.divide(1j * angular, gap, out=gap, where=angular > 0)
-            velocity[:, angular <= 0] = 0
-            return np.asarray(velocity)
-        first = 1 / (1j * angular - self._pairs.rate_per_s[:, None])
-        second = 1 / (1j * angular - self._pairs.rate_per_s[:, None].conj())
-        return np.concatenate([first + second, 1j * (first - second)])
+        else:
+            first = 1 / (1j * angular - self._pairs.rate_per_s[:, None])
+            second = 1 / (1j * angular - self._pairs.rate_per_s[:, None].conj())
+            velocity = np.concatenate([first + second, 1j * (first - second)])
+        # At 0 Hz nothing moves.
+        velocity[:, angular <= 0] = 0
+        return np.asarray(velocity)
 
     @property
     def smoothness(self) -> Smoothness:
@@ -143,7 +151,9 @@ def _elements_and_modes(
     facts = (SOFT_PLATE, _HIGHEST_HZ, outline, admittance, np.asarray(actuator_mm, dtype=np.float64).tolist())
 
     def compute() -> dict[str, NDArray[Any]]:
-        triangles = triangulate(outline, spacing_mm(SOFT_PLATE, _HIGHEST_HZ))
+        part = quarter_of(outline)
+        triangles = triangulate(part or outline, spacing_mm(SOFT_PLATE, _HIGHEST_HZ))
+        triangles = replace(triangles, is_quarter=np.array(part is not None))
         modes = _ritz_modes(Elements(triangles), actuator_mm, SOFT_PLATE, admittance, _HIGHEST_HZ)
         return _arrays(triangles) | _arrays(replace(modes, shapes=modes.shapes.astype(np.float32)))
 
@@ -189,12 +199,14 @@ class _RitzModes:
     """A plate of few modes: q'' + (b + c a R) q' + c^2 diag(stiffness) q = c^2 force f, y = shapes q.
 
     shapes, float64 (nodes, modes): Of every mode at the nodes of the elements.
+    is_odd, bool (modes, 2): Whether it changes its sign with that of x and of y, where elements cover a quarter.
     stiffness, float64 (modes,): Squares of wave numbers, in 1/m^2, >= 0.
     force, float64 (modes, actuators): What a unit force of each actuator does to each mode.
     rim, float64 (modes, modes): R: products of the shapes along the rim.
     """
 
     shapes: Float64Array
+    is_odd: NDArray[np.bool_]
     stiffness: Float64Array
     force: Float64Array
     rim: Float64Array
@@ -207,11 +219,13 @@ class _Triangles:
     node_mm, float64 (nodes, 2): Corners, those of the outline first and in its order.
     corners, int64 (triangles, 3): Which nodes each triangle joins.
     half_mm, float64 (outline nodes, 2): Points of the outline half-way between each of its nodes and the next.
+    is_quarter, bool (): Whether they cover the quarter at x, y >= 0 of a plate that mirrors itself in both axes.
     """
 
     node_mm: Float64Array
     corners: NDArray[np.int64]
     half_mm: Float64Array
+    is_quarter: NDArray[np.bool_] = field(default_factory=lambda: np.array(False))
 
 
 class Elements:
@@ -233,6 +247,7 @@ class Elements:
         node[:, self._straight.p.shape[1] + rim] = triangles.half_mm[first].T / 1e3
         order = skfem.ElementTriP4()
         self._find_cell = self._straight.element_finder()
+        self._is_quarter = bool(triangles.is_quarter)
         self.basis = skfem.Basis(type(mesh)(node, mesh.t), order, intorder=2 * order.maxdeg + 2)
         self._is_curved = np.isin(np.arange(mesh.t.shape[1]), mesh.f2t[0, rim])
         self._weight_of_power = np.linalg.inv(_powers(order.doflocs.T, order.maxdeg))
@@ -253,12 +268,17 @@ class Elements:
     def rim(self) -> Any:
         """B, sparse (nodes, nodes), in m."""
         skfem = _scikit_fem()
-        edge = skfem.FacetBasis(self.basis.mesh, self.basis.elem, intorder=2 * self.basis.elem.maxdeg + 2)
+        mesh = self.basis.mesh
+        # The straight sides of a quarter lie within the plate.
+        facets = mesh.boundary_facets()
+        if self._is_quarter:
+            facets = mesh.facets_satisfying(lambda x: x.min(axis=0) > 1e-9, boundaries_only=True)
+        edge = skfem.FacetBasis(mesh, self.basis.elem, facets=facets, intorder=2 * self.basis.elem.maxdeg + 2)
         return skfem.BilinearForm(lambda u, v, _: u * v).assemble(edge).tocsc()
 
     def basis_at(self, point_mm: Float64Array) -> tuple[NDArray[np.int64], Float64Array]:
         """Nodes whose values make up the value at points (n, 2) of the plate, and their weights; (n, 15) each."""
-        point = np.ascontiguousarray(point_mm.T / 1e3)
+        point = np.ascontiguousarray((np.abs(point_mm) if self._is_quarter else point_mm).T / 1e3)
         cell = self._find_cell(*point)
         # What lies in a curved triangle takes a search; elsewhere the map is affine.
         mapping = self.basis.mapping if self._is_curved[cell].any() else self._straight.mapping()
@@ -266,35 +286,67 @@ class Elements:
         weight = _powers(inside, self.basis.elem.maxdeg) @ self._weight_of_power
         return np.asarray(self.basis.element_dofs[:, cell].T), weight
 
-    def values_at(self, point_mm: Float64Array, nodal: NDArray[Any]) -> Float64Array:
+    @property
+    def parities(self) -> NDArray[np.bool_]:
+        """Parities (n, 1, 2) of functions on the plate: on all of it they are not told apart."""
+        return _PARITIES[:, None] if self._is_quarter else _EVEN[None]
+
+    def sign_at(self, point_mm: Float64Array, is_odd: NDArray[np.bool_]) -> Float64Array:
+        """Signs (n, functions) at points (n, 2) of functions that are even or odd, (functions, 2)."""
+        return np.asarray(np.where(is_odd, np.sign(point_mm)[:, None], 1.0).prod(axis=-1))
+
+    def values_at(self, point_mm: Float64Array, nodal: NDArray[Any], is_odd: NDArray[np.bool_] = _EVEN) -> Float64Array:
         """Values at points (n, 2) of functions given at the nodes, (nodes, functions): (n, functions)."""
         node, weight = self.basis_at(point_mm)
-        return np.asarray(np.einsum("nk,nkf->nf", weight, nodal[node], optimize=True))
+        return np.asarray(np.einsum("nk,nkf->nf", weight, nodal[node], optimize=True)) * self.sign_at(point_mm, is_odd)
 
-    def forces(self, actuator_mm: Float64Array, radius_mm: float = MAGNET_RADIUS_MM) -> Float64Array:
-        """Loads (nodes, actuators) of disks that push with unit force."""
+    def forces(
+        self, actuator_mm: Float64Array, radius_mm: float = MAGNET_RADIUS_MM, is_odd: NDArray[np.bool_] = _EVEN
+    ) -> Float64Array:
+        """Loads (nodes, actuators) of disks that push with unit force; on a quarter, of their part of one parity."""
         node, weight = np.polynomial.legendre.leggauss(6)
         angle = 2 * np.pi * (np.arange(16) + 0.5) / 16
         ring_mm = radius_mm * np.sqrt((node + 1) / 2)
         disk_mm = (ring_mm[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
         share = np.repeat(weight / 2, len(angle)) / len(angle)
+        if self._is_quarter:
+            share = share / 4
         loads = np.zeros((self.basis.N, len(actuator_mm)))
         for actuator, centre_mm in enumerate(actuator_mm):
             nodes, weights = self.basis_at(centre_mm + disk_mm)
-            np.add.at(loads[:, actuator], nodes, weights * share[:, None])
+            sign = self.sign_at(centre_mm + disk_mm, is_odd)
+            np.add.at(loads[:, actuator], nodes, weights * share[:, None] * sign)
         return loads
 
-    def solve(self, wave: DampedWave, admittance: float, frequency_hz: float, force: Float64Array) -> Complex128Array:
-        """Displacement (nodes, actuators) at one frequency, by a sparse factorisation."""
+    def is_free(self, is_odd: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which nodes (nodes,) move in functions of one parity (1, 2): odd ones rest on an axis of the plate."""
+        return np.asarray(((self.basis.doflocs.T > 1e-9) | ~is_odd).all(axis=1))
+
+    def inverse(
+        self, wave: DampedWave, admittance: float, frequency_hz: float, is_odd: NDArray[np.bool_] = _EVEN
+    ) -> Callable[[NDArray[Any]], Complex128Array]:
+        """What makes of loads (nodes, n) the displacements at one frequency, by a sparse factorisation."""
         from scipy.sparse.linalg import splu
 
+        # What is odd rests on an axis of the plate.
+        free = ((self.basis.doflocs.T > 1e-9) | ~is_odd).all(axis=1)
         system = self.stiffness - complex(wave.wavenumber(frequency_hz)) ** 2 * self.mass
         if admittance:
             system = system + 2j * np.pi * frequency_hz * admittance / wave.speed_m_s * self.rim
         factors = splu(
-            system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            system[free][:, free].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            relax=2,
+            options={"SymmetricMode": True},
         )
-        return np.asarray(factors.solve(force.astype(np.complex128)))
+
+        def displacement(load: NDArray[Any]) -> Complex128Array:
+            moved = np.zeros(load.shape, dtype=np.complex128)
+            moved[free] = factors.solve(load[free].astype(np.complex128))
+            return moved
+
+        return displacement
 
 
 def _powers(place: Float64Array, degree: int) -> Float64Array:
@@ -304,8 +356,8 @@ def _powers(place: Float64Array, degree: int) -> Float64Array:
 
 
 def spacing_mm(wave: DampedWave, highest_hz: float) -> float:
-    """Length of elements for waves up to a frequency: 1.9 of them to a wavelength."""
-    return 2e3 * np.pi / abs(complex(wave.wavenumber(highest_hz)).real) / 1.9
+    """Length of elements for waves up to a frequency: 2.1 of them to a wavelength."""
+    return 2e3 * np.pi / abs(complex(wave.wavenumber(highest_hz)).real) / 2.1
 
 
 def _ritz_modes(
@@ -319,32 +371,71 @@ def _ritz_modes(
     admittance: Of the rim, >= 0.
     highest_hz: Upper end of the band.
     """
-    from scipy.linalg import eigh
+    from scipy.linalg import block_diag
     from threadpoolctl import threadpool_limits
 
-    force = elements.forces(actuator_mm)
-    solved_hz = np.linspace(0.6 * _SOLVED_STEP_HZ, 1.25 * highest_hz, int(np.ceil(1.25 * highest_hz / _SOLVED_STEP_HZ)))
+    solved_hz = np.linspace(0.6 * _SOLVED_STEP_HZ, 1.2 * highest_hz, int(np.ceil(1.2 * highest_hz / _SOLVED_STEP_HZ)))
+
+    def solved(load: Float64Array, is_odd: NDArray[np.bool_], frequency_hz: float) -> Complex128Array:
+        displacement = elements.inverse(wave, admittance, frequency_hz, is_odd)
+        response = displacement(load)
+        return np.concatenate([response, displacement(elements.mass @ response)], axis=1)
+
     # Made before the threads share them.
-    stiffness_of_nodes, mass, rim_of_nodes = elements.stiffness, elements.mass, elements.rim
-
-    def solved(frequency_hz: float) -> Complex128Array:
-        return elements.solve(wave, admittance, frequency_hz, force)
-
+    _ = elements.stiffness, elements.mass, elements.rim
+    parts = []
     # SciPy factorises outside Python's lock, with some hundred megabytes each. Threads of BLAS would only spin.
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-        found = np.concatenate(list(pool.map(solved, solved_hz.tolist())), axis=1)
+        for is_odd in elements.parities:
+            force = elements.forces(actuator_mm, is_odd=is_odd)
+            # Actuators that mirror each other load a parity alike, and one on an axis does not load what is odd there.
+            load, size, _ = np.linalg.svd(force, full_matrices=False)
+            solve = partial(solved, load[:, size > 1e-9], is_odd)
+            found = np.concatenate(list(pool.map(solve, solved_hz.tolist())), axis=1)
+            if found.size:
+                parts.append(_projected(elements, found, force, is_odd))
+    return _RitzModes(
+        np.concatenate([part.shapes for part in parts], axis=1),
+        np.concatenate([part.is_odd for part in parts]),
+        np.concatenate([part.stiffness for part in parts]),
+        np.concatenate([part.force for part in parts]),
+        block_diag(*(part.rim for part in parts)),
+    )
+
+
+def _projected(
+    elements: Elements, found: Complex128Array, force: Float64Array, is_odd: NDArray[np.bool_]
+) -> _RitzModes:
+    """Project a plate of one parity into the space of the solutions found, (nodes, solutions)."""
+    from scipy.linalg import eigh
+
     space = np.concatenate([found.real, found.imag], axis=1)
-    gram = space.T @ (mass @ space)
+    gram = space.T @ (elements.mass @ space)
     size = np.sqrt(np.diag(gram))
     norm, turn = eigh(gram / np.outer(size, size))
     # Directions of the projected space below this share of the strongest are dropped.
     kept = norm > 1e-10 * norm[-1]
     turn = turn[:, kept] / np.sqrt(norm[kept]) / size[:, None]
-    stiffness, mode = eigh(turn.T @ (space.T @ (stiffness_of_nodes @ space)) @ turn)
+    stiffness, mode = eigh(turn.T @ (space.T @ (elements.stiffness @ space)) @ turn)
     shapes = space @ (turn @ mode)
-    edge = np.unique(rim_of_nodes.indices)
-    rim = shapes[edge].T @ (rim_of_nodes[edge][:, edge] @ shapes[edge])
-    return _RitzModes(shapes, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
+    edge = np.unique(elements.rim.indices)
+    rim = shapes[edge].T @ (elements.rim[edge][:, edge] @ shapes[edge])
+    parity = np.repeat(is_odd, len(stiffness), axis=0)
+    return _RitzModes(shapes, parity, np.maximum(stiffness, 0.0), shapes.T @ force, np.asarray(rim))
+
+
+def quarter_of(outline: Outline) -> Outline | None:
+    """The part of an outline at x, y >= 0, closed along the axes; None of one that does not mirror itself in both."""
+    point = outline.nodes(outline.perimeter_mm / 400)[0]
+    begin = outline.segments[0].start
+    mirrored = (np.abs(outline.depth_mm(point * flip)).max() <= EDGE_TOLERANCE_MM for flip in ((-1, 1), (1, -1)))
+    if begin[0] <= 0 or begin[1] != 0 or not all(mirrored):
+        return None
+    part = list(takewhile(lambda segment: segment.end[0] > EDGE_TOLERANCE_MM, outline.segments))
+    # The next ends on the y axis, or crosses it at a right angle.
+    last = outline.segments[len(part)]
+    top = (0.0, last.end[1])
+    return Outline((*part, replace(last, end=top), Segment(top, (0.0, 0.0)), Segment((0.0, 0.0), begin)))
 
 
 def triangulate(outline: Outline, spacing: float) -> _Triangles:
