@@ -10,6 +10,7 @@ import pytest
 
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.emulation import RigFault, WireFault
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
@@ -73,6 +74,16 @@ def setup_of(rig, **changes):
         (10.0, 10.0), settings.sensitivity_m_s_per_v,
     )  # fmt: skip
     return replace(setup, **changes)
+
+
+def rig_fault(role, operation, kind, **more):
+    """A fault of a virtual instrument."""
+    return RigFault(role=role, operation=operation, kind=kind, **more)
+
+
+def wire_fault(role, kind, operation, **more):
+    """A fault of an emulated instrument."""
+    return WireFault(role=role, kind=kind, operation=operation, **more)
 
 
 def write_positions(folder, positions_mm):

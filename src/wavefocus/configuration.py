@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +18,6 @@ from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import load_calibration
 from wavefocus.config.emulation import FINGER_MM, PlateKeys, plate_of
-from wavefocus.config.fields import Table
 from wavefocus.config.loading import named_file, parse_toml, printable, read_toml, shown, validated
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import FaultFile, Publication, PublicationFile, RunConfig, Virtual
@@ -63,10 +62,6 @@ def load_run(path: Path, text: str | None = None) -> Configuration:
         data["virtual"] = {**virtual, "fault_plan": faults.model_dump()["fault"]}
     run = validated(RunConfig, data, str(path))
     rig = default_rig() if run.rig_file(path) is None else load_rig(named_file(path, "rig", run.rig))
-    if run.virtual is not None and run.virtual.fault_plan:
-        from wavefocus.mocks.virtual.faults import RigFault
-
-        _check_faults(RigFault, run.virtual.fault_plan, f"{path}: virtual.fault_plan")
     position_mm = None
     if run.grid.positions_file is not None:
         positions_file = named_file(path, "grid.positions_file", run.grid.positions_file)
@@ -151,12 +146,7 @@ def load_rig(path: Path, text: str | None = None) -> RigConfig:
     messages = data.get("messages")
     if isinstance(messages, dict) and isinstance(messages.get("alive_file"), str):
         messages["alive_file"] = str((path.parent / messages["alive_file"]).absolute())
-    rig = validated(RigConfig, data, str(path))
-    if rig.emulation.fault_plan:
-        from wavefocus.mocks.wire import WireFault
-
-        _check_faults(WireFault, rig.emulation.fault_plan, f"{path}: emulation.fault_plan")
-    return rig
+    return validated(RigConfig, data, str(path))
 
 
 def publication_of(bank: Bank, file: Path | None = None) -> Publication:
@@ -250,16 +240,6 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
     ):
         if amplitude_v > largest_v:
             raise InputError(f"{source}: sweep.amplitude_v = {amplitude_v:g}: must be at most {allowed}")
-
-
-def _check_faults(made: Callable[..., object], plan: Sequence[Table], key: str) -> None:
-    """Refuse a fault that the instruments which are to show it do not support."""
-    for index, fault in enumerate(plan):
-        try:
-            made(**fault.model_dump())
-        except ValueError as error:
-            given = fault.model_dump(exclude_defaults=True)
-            raise InputError(printable(f"{key}[{index}] = {shown(given)}: {error}")) from None
 
 
 def _from_json(text: str, source: str) -> object:

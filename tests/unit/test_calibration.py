@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.lab_files import setup_of
+from tests.lab_files import rig_fault, setup_of
 from wavefocus.acquisition.calibrate_channels import (
     NotMeasuredError,
     Probe,
@@ -21,7 +21,7 @@ from wavefocus.acquisition.calibrate_mirror import read_fiducials, suspect_mark
 from wavefocus.calibration.mirror_map import MirrorMap, fit_mirror_map
 from wavefocus.config.messages.rig_checks import Answer
 from wavefocus.config.outline import Outline, default_marks_mm
-from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.storage.errors import InputError
 
 RATE_HZ = 10_000.0
@@ -86,7 +86,7 @@ def test_the_loopback_in_place_of_the_summing_box_then_nothing_is_measured_by_it
 
 
 def test_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused():
-    rig, _, probe = bench(fault_plan=(RigFault("recorder", "read", "drift", at_call=1, count=3, level_db=-3.0),))
+    rig, _, probe = bench(fault_plan=(rig_fault("recorder", "read", "drift", at_call=1, count=3, level_db=-3.0),))
     with pytest.raises(NotMeasuredError, match=r"the same cable -29\.\d % apart: check cables and terminal"):
         measure_inputs(probe, Hands(rig))
 
@@ -111,13 +111,16 @@ def test_given_an_output_given_up_then_the_others_are_measured():
 
 
 def test_given_a_passing_fault_then_the_record_is_taken_again():
-    faults = (RigFault("player", "wait", "underflow", at_call=2), RigFault("recorder", "read", "short_read", at_call=4))
+    faults = (
+        rig_fault("player", "wait", "underflow", at_call=2),
+        rig_fault("recorder", "read", "short_read", at_call=4),
+    )
     rig, _, probe = bench(fault_plan=faults)
     assert measure_inputs(probe, Hands(rig)).late_s == pytest.approx(5e-6, abs=1e-7)
 
 
 def test_an_actuator_is_heard_again_after_speckle_and_named_where_it_is_too_loud():
-    fault = RigFault("recorder", "read", "dropout", position=1, attempt=1)
+    fault = rig_fault("recorder", "read", "dropout", position=1, attempt=1)
     _, setup, _ = bench(fault_plan=(fault,))
     places = listening_places(np.array(ACTUATORS), 30.0)
     found = measure_actuators(places, 1.0, RATE_HZ, setup)

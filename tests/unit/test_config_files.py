@@ -338,6 +338,9 @@ def test_configuration_and_its_fault_plan_survive_the_bank_and_keep_their_hash(t
     )
     assert (back.run, back.rig) == (there.run, there.rig)
     assert back.plan_sha256 == there.plan_sha256
+    older = there.run.model_dump_json().replace("short_read", "a kind of earlier versions")
+    opened = configuration_from_json(there.rig.model_dump_json(), older, there.position_mm, "bank.h5")
+    assert opened.plan_sha256 == there.plan_sha256
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"grid": {"spacing_mm": NaN}}', "[" * 50_000])

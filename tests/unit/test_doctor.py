@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.lab_files import rig_fault
 from tests.unit.test_config_calibration import AT, measured
 from wavefocus import InputError, open_bank
 from wavefocus.acquisition.doctor import RigFindings, examine
@@ -17,7 +18,7 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import CallThread
-from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rig.setup import setup_in_use
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.writer import BankWriter, create_bank
@@ -133,7 +134,7 @@ def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing)
     ],
 )
 def test_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(role, operation, kind, call, failing):
-    findings = examined(VirtualRig(replace(SOUND, fault_plan=(RigFault(role, operation, kind, at_call=call),))))
+    findings = examined(VirtualRig(replace(SOUND, fault_plan=(rig_fault(role, operation, kind, at_call=call),))))
     at_rest = {key for key in failed(findings) if key[1] == "putting it to rest"}
     assert failed(findings) - at_rest == failing
     assert {name for name, _ in failed(findings)} == {role if kind == "lost" else "player"}
@@ -141,7 +142,7 @@ def test_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed
 
 
 def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told():
-    fault = RigFault("recorder", "read", "short_read", at_call=1)
+    fault = rig_fault("recorder", "read", "short_read", at_call=1)
     findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
     told = [one for one in findings if one.verdict != "ok"]
     assert [(one.instrument, one.check, one.verdict) for one in told] == [("recorder", "record", "warn")]

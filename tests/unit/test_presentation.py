@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from tests.lab_files import setup_of
+from tests.lab_files import rig_fault, setup_of
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual import label_share
 from wavefocus.mocks.virtual.player import VirtualPlayer
-from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
 
 RATE_HZ = 10_000.0
@@ -102,13 +102,13 @@ def test_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_al
 
 
 def test_a_fault_that_passes_is_repeated_and_one_that_stays_raised_with_its_cable():
-    underflow = RigFault("player", "wait", "underflow", position=2, purpose="presentation")
+    underflow = rig_fault("player", "wait", "underflow", position=2, purpose="presentation")
     rig = presenter(underflow)  # tests/system/test_trials.py has others that pass
     assert [rig.present("any", trial, lambda note: None).attempts for trial in (1, 2, 3)] == [1, 2, 1]
     for kind, raised, said in (
         ("missing_reference", InstrumentError, "loopback cable, from output 3"),
         ("short_read", TransientInstrumentError, "."),
     ):
-        fault = RigFault("recorder", "read", kind, position=1, count=9, purpose="presentation")
+        fault = rig_fault("recorder", "read", kind, position=1, count=9, purpose="presentation")
         with pytest.raises(raised, match=said):
             presenter(fault).present("any", 1, lambda note: None)

@@ -16,11 +16,11 @@ from wavefocus.config.rig import BandSection, default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
 from wavefocus.drivers.protocols import Instruments, Recording
-from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.setup import open_rig, room_c
 
-LOST = RigFault("mirror", "move_to", "lost", at_call=1)
+LOST = lab_files.rig_fault("mirror", "move_to", "lost", at_call=1)
 
 
 def setup_of(*faults, recovery_s=600.0):
@@ -104,8 +104,8 @@ def test_an_unknown_failure_is_tried_once_more_and_final_when_it_recurs():
 
 
 def test_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end():
-    mute = RigFault("player", "mute", "timeout", at_call=1, count=10**6)
-    setup = setup_of(RigFault("mirror", "move_to", "unplugged", at_call=1, tries=0), mute, recovery_s=60.0)
+    mute = lab_files.rig_fault("player", "mute", "timeout", at_call=1, count=10**6)
+    setup = setup_of(lab_files.rig_fault("mirror", "move_to", "unplugged", at_call=1, tries=0), mute, recovery_s=60.0)
     watched = Watched(setup)
     with pytest.raises(InstrumentLostError, match=r"player: muting: .*not cured within"):
         watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))

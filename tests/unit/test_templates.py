@@ -10,13 +10,13 @@ from tools import key_tables
 from wavefocus import GreenArray, InputError, load_scene
 from wavefocus.benchmarks.rig_bank import true_bank
 from wavefocus.commands.init import write_templates
+from wavefocus.config.emulation import ANYWHERE, CORRUPTING
 from wavefocus.config.fields import fields_of, tables_of
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import RunConfig, Virtual
 from wavefocus.config.scene import SceneConfig
 from wavefocus.config.trials import TrialsConfig
 from wavefocus.configuration import Configuration, load_rig, load_run
-from wavefocus.mocks.virtual.faults import ANYWHERE, CORRUPTING
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.trials.design import load_trials

@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.lab_files import setup_of
+from tests.lab_files import rig_fault, setup_of
 from tests.unit.line_verification import scan_of
 from wavefocus import Drive, GreenArray, InputError, predict
 from wavefocus.calibration.known_signal import ReferenceMissingError
-from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rendering.verify.extra_measurements import linearity as linearity_of
 from wavefocus.rendering.verify.extra_measurements import linearity_rows, quieter
 from wavefocus.rendering.verify.scan import Scan, scan
@@ -85,12 +85,12 @@ def test_an_honest_rig_then_the_scan_agrees_with_the_prediction_but_for_its_nois
 @pytest.mark.parametrize(
     ("fault", "status", "attempts", "reason"),
     [
-        (RigFault("player", "wait", "underflow", position=49, count=2), 1, 3, None),
-        (RigFault("recorder", "read", "missing_reference", position=49), 1, 2, None),
-        (RigFault("recorder", "read", "dropout", position=49, purpose="scan"), 1, 2, None),
-        (RigFault("recorder", "read", "short_read", position=49, count=9), 8, 3, "the scan failed"),
-        (RigFault("recorder", "read", "over_range", position=49, count=9), 2, 2, "end of the input range"),
-        (RigFault("recorder", "read", "dropout", position=49, count=9), 4, 3, "the vibrometer lost the signal"),
+        (rig_fault("player", "wait", "underflow", position=49, count=2), 1, 3, None),
+        (rig_fault("recorder", "read", "missing_reference", position=49), 1, 2, None),
+        (rig_fault("recorder", "read", "dropout", position=49, purpose="scan"), 1, 2, None),
+        (rig_fault("recorder", "read", "short_read", position=49, count=9), 8, 3, "the scan failed"),
+        (rig_fault("recorder", "read", "over_range", position=49, count=9), 2, 2, "end of the input range"),
+        (rig_fault("recorder", "read", "dropout", position=49, count=9), 4, 3, "the vibrometer lost the signal"),
     ],
 )
 def test_a_fault_that_passes_is_repeated_and_one_that_stays_left_out(fault, status, attempts, reason):
@@ -112,13 +112,13 @@ def test_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_the_same
     # As banks measured with noise give: their Green's functions, reversed, are the drives.
     drive_v = impulse_drive().drive_v
     drive_v = drive_v + 0.02 * np.random.default_rng(2).standard_normal(drive_v.shape)
-    fault = RigFault("recorder", "read", "dropout", position=49, purpose="scan")
+    fault = rig_fault("recorder", "read", "dropout", position=49, purpose="scan")
     found = scanned((48, 49, 50), fault, drive=dataclasses.replace(impulse_drive(), drive_v=drive_v))
     assert found.attempts.tolist() == [1, 2, 1]
 
 
 def test_a_reference_that_never_comes_then_the_scan_gives_up():
-    faults = [RigFault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
+    faults = [rig_fault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
     with pytest.raises(ReferenceMissingError):
         scanned(range(9), *faults, attempts=1)
 

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from tests.lab_files import change_text
+from tests.lab_files import change_text, wire_fault
 from tests.system.lines import wait_until
 from tests.wire.daq_bench import Tone, check_tone, take_one
 from tests.wire.emulated import analog_rig
@@ -26,7 +26,6 @@ from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
 from wavefocus.drivers.timeouts import bounded
 from wavefocus.mocks.virtual.mirror import MirrorMotion, VirtualShutter
 from wavefocus.mocks.virtual.rig import VirtualRig
-from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.emulated_rig import analog_scanner
 from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import openers_of
@@ -226,7 +225,7 @@ def test_given_another_instrument_fails_then_silence_closes_the_shutter(box):
 
 # The third write to the line, the one that closes it, and the one after it are refused.
 @pytest.mark.parametrize(
-    "box", [[WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=2)]], indirect=True
+    "box", [[wire_fault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=2)]], indirect=True
 )
 def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(box):
     virtual = VirtualRig().instruments

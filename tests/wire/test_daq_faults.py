@@ -10,10 +10,10 @@ import pytest
 from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.errors import DaqError, DaqWarning, RpcError
 
+from tests.lab_files import wire_fault
 from tests.wire.daq_bench import RANGE_V, TAKE, Tone, ask, check_tone, daq_bench, take_one
 from wavefocus.drivers.daq.ni import MEANINGS, explain
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError, UnknownFaultError
-from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
 
 # Only where an answer does not come: as long as a busy machine may take for one that does.
@@ -23,7 +23,7 @@ UNKNOWN = UnknownFaultError
 
 
 def fault(kind, operation, at_call=2, **more):
-    return (WireFault("recorder", kind, operation, at_call=at_call, **more),)
+    return (wire_fault("recorder", kind, operation, at_call=at_call, **more),)
 
 
 def until_reconnected(recorder):

@@ -12,6 +12,7 @@ import pytest
 from asitiger.errors import Errors
 from asitiger.tigercontroller import TigerController as AsiTigerClient
 
+from tests.lab_files import wire_fault
 from tests.system.captures import refused
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
@@ -20,7 +21,7 @@ from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire import WireFault, WireFaultPlan
+from wavefocus.mocks.wire import WireFaultPlan
 from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, TcpWire
 from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
@@ -105,7 +106,7 @@ def test_given_the_reference_page_then_the_device_holds_the_conversation_in_it()
             answer = ask(said).strip()
             # Its mirror jumps, so it is never busy.
             assert answer == ("0*30" if said.startswith("BUSY?") else heard)
-    with terminal(GenericMirrorDevice(motion()), WireFault("mirror", "refused", "busy", at_s=0.0)) as ask:
+    with terminal(GenericMirrorDevice(motion()), wire_fault("mirror", "refused", "busy", at_s=0.0)) as ask:
         assert [ask("BUSY?")[:5], ask("BUSY?")] == ["ERR 5", "0\r\n"]
 
 

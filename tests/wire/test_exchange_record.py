@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import wire_fault
 from tests.wire.daq_bench import daq_bench, take_one
 from tests.wire.serial_bench import LOCAL, mirror_bench
 from wavefocus.__main__ import run
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
-from wavefocus.mocks.wire import WireFault
 
 
 def exchanges(record):
@@ -20,7 +20,7 @@ def exchanges(record):
 
 
 def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came(tmp_path):
-    faults = [WireFault("mirror", kind, "move", at_call=at) for kind, at in (("garbled", 1), ("truncated", 3))]
+    faults = [wire_fault("mirror", kind, "move", at_call=at) for kind, at in (("garbled", 1), ("truncated", 3))]
     with mirror_bench("asi-tiger", LOCAL, tmp_path, *faults) as bench, recording(tmp_path / "r.jsonl", {}):
         mirror = bench.mirror(answer_s=0.1)
         for x_mrad in (10.0, 20.0):
@@ -43,7 +43,7 @@ def test_given_no_folder_for_the_record_then_exit_2_before_any_instrument_is_ope
 
 
 def test_given_a_recorder_that_fails_then_the_record_has_nis_own_error(tmp_path):
-    with daq_bench(faults=(WireFault("recorder", "overwritten", "ReadAnalogF64", at_call=1),)) as bench:
+    with daq_bench(faults=(wire_fault("recorder", "overwritten", "ReadAnalogF64", at_call=1),)) as bench:
         with recording(tmp_path / "r.jsonl", {}):
             recorder = noting_calls(bench.recorder(), "recorder")
             with pytest.raises(InstrumentError):

@@ -8,10 +8,10 @@ from importlib import resources
 
 import pytest
 
+from tests.lab_files import wire_fault
 from tests.wire.serial_bench import DIALECTS, LIMIT_MRAD, LOCAL, answering, mirror_bench
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.registry import MIRRORS
-from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
 from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorcleDevice, OptotuneDevice
 
@@ -271,7 +271,7 @@ def test_given_a_card_that_prints_the_target_all_the_same_then_the_move_is_done(
 
 @pytest.mark.parametrize("operation", ["move", "where"])
 def test_given_a_controller_that_restarted_then_it_is_lost_and_set_up_again(operation, tmp_path):
-    fault = WireFault("mirror", "restarted", operation, at_call=1)
+    fault = wire_fault("mirror", "restarted", operation, at_call=1)
     with bench_with(tmp_path, fault) as bench:
         mirror = bench.mirror(settle_s=0.0, **MEMS)
         with pytest.raises(InstrumentLostError, match="switched off and on meanwhile: its position and its settings"):

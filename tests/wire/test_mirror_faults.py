@@ -7,10 +7,10 @@ from functools import partial
 import pytest
 import serial
 
+from tests.lab_files import wire_fault
 from tests.wire import protocol_hang
 from tests.wire.serial_bench import DIALECTS, LIMIT_MRAD, LOCAL, PARK_MRAD, answering, mirror_bench
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.asi_tiger import AsiTigerDevice
 from wavefocus.mocks.wire.mirrors import GenericMirrorDevice, MirrorcleDevice, OptotuneDevice
 
@@ -26,7 +26,7 @@ def bench_at(where, folder, *faults):
 
 
 def move_fault(kind, count=1, **more):
-    return WireFault("mirror", kind, "move", at_call=1, count=count, **more)
+    return wire_fault("mirror", kind, "move", at_call=1, count=count, **more)
 
 
 def moves(bench):
@@ -120,7 +120,7 @@ def test_device_that_stops_reading_then_it_is_lost_and_found_again_after_replugg
     [(OVER_TCP, "move"), *((FIRST, name) for name in ("move", "move under way", "identify", "park", "wait"))],
 )
 def test_an_unplugged_device_then_it_is_lost_until_it_is_back_at_the_same_place(where, operation, tmp_path):
-    faults = [WireFault("mirror", "unplugged", "move", at_call=2)] if operation == "move under way" else []
+    faults = [wire_fault("mirror", "unplugged", "move", at_call=2)] if operation == "move under way" else []
     with bench_at(where, tmp_path, *faults) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S, settle_s=0.0)
         port = bench.far.address
@@ -155,7 +155,7 @@ def test_given_a_connection_that_broke_and_is_back_then_parking_finds_it(where, 
 @pytest.mark.parametrize("dialect", [name for name, facts in DIALECTS.items() if facts.names_itself])
 def test_another_name_once_is_asked_again_and_twice_is_another_device_for_good(dialect, tmp_path):
     # On opening it is asked twice; its first answer to `identify` is another's, and all from the next `identify` on.
-    faults = [WireFault("mirror", "impostor", "identify", at_call=at, count=count) for at, count in ((3, 1), (5, 100))]
+    faults = [wire_fault("mirror", "impostor", "identify", at_call=at, count=count) for at, count in ((3, 1), (5, 100))]
     with mirror_bench(dialect, LOCAL, tmp_path, *faults) as bench:
         mirror = bench.mirror(answer_s=ANSWER_S)
         assert mirror.identify()
@@ -184,7 +184,7 @@ class SlowMirrorcle(MirrorcleDevice):
     baud = 9600
 
 
-SILENT = WireFault("mirror", "silent", "any", at_call=1, count=1000)
+SILENT = wire_fault("mirror", "silent", "any", at_call=1, count=1000)
 MISUNDERSTOOD = [
     ("generic", "generic", [SILENT], {}, r"asking who it is: no answer came; switch it on.*driver and baud"),
     ("asi-tiger", "generic", [], {}, "driver and baud in the rig file"),
@@ -214,7 +214,7 @@ def test_a_board_that_starts_is_waited_for_and_lines_nobody_asked_for_are_no_ans
         def answer(self, command):
             return super().answer(command) + ("0*30\r\n1*31\r\n" if command.startswith("XY=") else "")
 
-    starting = WireFault("mirror", "silent", "any", at_call=1, count=2)  # a board that starts when the port opens
+    starting = wire_fault("mirror", "silent", "any", at_call=1, count=2)  # a board that starts when the port opens
     with mirror_bench("generic", LOCAL, tmp_path, starting, device=Chatty, settle_s=0.2) as bench:
         mirror = bench.mirror(settle_s=0.0, answer_s=ANSWER_S, patience_s=10.0)
         for target in ((10.0, 0.0), (20.0, 0.0)):

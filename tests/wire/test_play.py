@@ -10,11 +10,10 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 
-from tests.lab_files import ABSENT_RIG, change_text, write_bank
+from tests.lab_files import ABSENT_RIG, change_text, wire_fault, write_bank
 from tests.system.lines import Lines, wait_until
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding
 from wavefocus.drivers.process import SILENT_S
-from wavefocus.mocks.wire import WireFault
 from wavefocus.storage.drive_file import Drive, write_drive
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300), *needs_audio_server]
@@ -108,7 +107,7 @@ def test_a_terminal_that_closes_or_a_lost_interface_ends_it_silent_and_said(lab,
 
 def test_an_interface_that_takes_seven_seconds_to_open_is_waited_for():
     # It hangs before the player's process is there; JACK and ASIO drivers with many channels take seconds, too.
-    hangs = WireFault("player", "frozen", "period", at_call=8, seconds=7.0)
+    hangs = wire_fault("player", "frozen", "period", at_call=8, seconds=7.0)
     with ExitStack() as stack:
         bench = AudioBench(stack)
         player = bench.player(bench.serve(faults=[hangs]), channels=2, channel_full_scale_v=(1.0, 1.0))

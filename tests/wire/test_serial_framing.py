@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.lab_files import wire_fault
 from tests.wire.serial_bench import LOCAL, WIRES, mirror_bench
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.drivers.serial_line import LineSettings, NoAnswerError, SerialLine
-from wavefocus.mocks.wire import WireFault
 
 TARGET_MRAD = (40.0, -25.0)
 ALWAYS = tuple(
-    WireFault("mirror", "garbled", operation, at_call=1, count=10**9) for operation in ("where", "busy", "move")
+    wire_fault("mirror", "garbled", operation, at_call=1, count=10**9) for operation in ("where", "busy", "move")
 )
 
 
@@ -150,7 +150,7 @@ def test_half_a_line_and_bytes_that_are_no_text_are_told_as_they_came(wired):
 
 @pytest.mark.parametrize("kind", WIRES)
 def test_given_a_peer_that_does_not_read_then_sending_ends(kind, tmp_path):
-    stall = WireFault("mirror", "stalled", "any", at_call=1)
+    stall = wire_fault("mirror", "stalled", "any", at_call=1)
     with mirror_bench("generic", kind, tmp_path, stall) as bench:
         line = SerialLine("line", bench.far.address, LineSettings(115200, "\n", 0.3))
         line.open()

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tests.lab_files import ABSENT_RIG
+from tests.lab_files import ABSENT_RIG, wire_fault
 from tests.wire.serial_bench import LOCAL, HurriedClock, ImpatientClock, wire
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.registry import VIBROMETERS
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire import WireFault, WireFaultPlan
+from wavefocus.mocks.wire import WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 from wavefocus.mocks.wire.vibrometer import VIBROMETER_DRIVERS, Ofv3001Device, PolytecDevice, vibrometer_device
@@ -49,7 +49,7 @@ def read_alone(driver, device, folder, *faults, **keys):
 
 
 def fault(kind, operation="range", count=1, **more):
-    return WireFault("vibrometer", kind, operation, at_call=1, count=count, **more)
+    return wire_fault("vibrometer", kind, operation, at_call=1, count=count, **more)
 
 
 def odd(device_class, answer, **settings):

@@ -15,7 +15,6 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.console import Exit, say
 from wavefocus.ending import stop_on_signals
-from wavefocus.mocks.wire import WireFault
 from wavefocus.rig.virtual_bench import virtual_settings
 from wavefocus.storage.errors import InputError
 
@@ -46,11 +45,10 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
         raise InputError(
             f'emulate: the Python package {missing.name} is missing; install it with: pip install "wavefocus[emulate]"'
         ) from None
-    faults = tuple(WireFault(**fault.model_dump()) for fault in rig.emulation.fault_plan)
     stop = StopRequest()
     with stop_on_signals(stop):
         try:
-            emulated = EmulatedRig(virtual_settings(rig), wiring_of(rig, rig_file), faults)
+            emulated = EmulatedRig(virtual_settings(rig), wiring_of(rig, rig_file), rig.emulation.fault_plan)
         except InputError as wrong:
             raise InputError(f"{wrong}; wavefocus init DIR --rig emulated writes a rig that can be emulated") from None
         except (JackServerError, RuntimeError, ValueError) as refused:

@@ -1,15 +1,17 @@
-"""The plate behind a virtual or emulated rig, what `wavefocus emulate` builds, and the flaws of both."""
+"""The plate behind a virtual or emulated rig, what `wavefocus emulate` builds, the flaws and the faults of both."""
 
 from __future__ import annotations
 
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, JsonValue, model_validator
+from pydantic import Field, JsonValue, ValidationInfo, model_validator
+from pydantic_core import PydanticCustomError
 
 from wavefocus.config.fields import (
     ALWAYS,
     FREE,
+    KEPT,
     Finite,
     Matrix,
     NonNegative,
@@ -103,16 +105,146 @@ def plate_of(virtual: PlateKeys | None, emulation: PlateKeys) -> PlateKeys:
 Actuator = Annotated[Whole, Field(ge=0, le=1023)]
 
 
-class _WireFaultTable(Table):
-    """A fault of an emulated instrument, so that recovery can be watched."""
+_WIRE_KINDS = {
+    "mirror": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor", "restarted"),
+    "vibrometer": ("silent", "late", "truncated", "garbled", "stalled", "refused", "unplugged", "impostor"),
+    "recorder": (
+        "overwritten",
+        "read_timeout",
+        "unplugged",
+        "absent",
+        "wrong_name",
+        "in_use",
+        "usb_aborted",
+        "wait_timeout",
+        "unknown_code",
+        "silent",
+        "server_dead",
+        "short_read",
+        "missing_reference",
+        "over_range",
+        "warning",
+        "internal",
+        "exhausted",
+    ),
+    "player": ("underflow", "lost", "frozen"),
+}
+
+
+class WireFault(Table):
+    """One entry of a wire's fault plan.
+
+    role: Whose emulated instrument: a key of `_WIRE_KINDS`.
+    kind: What happens: one of `_WIRE_KINDS[role]`.
+    operation: The call that meets it: the verb of a serial dialect (``"identify"``, ``"move"``, ``"busy"``,
+        ``"where"``...), the name of a remote procedure (``"ReadAnalogF64"``), ``"period"`` of an audio server, or
+        ``"any"``.
+    at_call: The first call of the operation that meets it, from 1.
+    at_s: In its place: the first call this many seconds after the emulated instrument's start.
+    count: How many calls in a row, > 0.
+    seconds: How long a late answer is late, or a device stays unplugged, >= 0; 0 for good where it is unplugged.
+    """
 
     role: Text
     kind: Text
     operation: Text = "any"
-    at_call: Whole | None = None
-    at_s: Finite | None = None
-    count: Whole = 1
-    seconds: Finite = 0.0
+    at_call: Annotated[Whole, Field(ge=1)] | None = None
+    at_s: NonNegative | None = None
+    count: Annotated[Whole, Field(ge=1)] = 1
+    seconds: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _can_happen(self, info: ValidationInfo) -> WireFault:
+        if info.context is KEPT:
+            return self
+        if self.role not in _WIRE_KINDS:
+            raise _impossible(self, f"fault role is {self.role!r}; allowed: {', '.join(_WIRE_KINDS)}")
+        if self.kind not in _WIRE_KINDS[self.role]:
+            allowed = ", ".join(_WIRE_KINDS[self.role])
+            raise _impossible(self, f"fault kind of the {self.role} is {self.kind!r}; allowed: {allowed}")
+        if (self.at_call is None) == (self.at_s is None):
+            raise _impossible(self, "a fault needs either at_call or at_s")
+        return self
+
+
+_OPERATIONS = {
+    "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
+    "recorder": ("identify", "start", "read", "reconnect"),
+    "player": ("identify", "play", "wait", "mute", "reconnect"),
+}
+ANYWHERE = ("timeout", "lost", "unplugged", "hang")
+CORRUPTING = (
+    "missing_reference", "over_range", "dropout", "drift", "dark", "faint_reference",
+    "clipped", "lost_sample", "hum", "dead_response",
+)  # fmt: skip
+
+
+class RigFault(Table):
+    """One entry of a fault plan: at the given call, or at the given record.
+
+    role: ``"mirror"``, ``"recorder"`` or ``"player"``.
+    operation: Method that fails, such as ``"read"``.
+    kind: ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"unplugged"`` (any but reconnect; once, and then gone
+        until it is plugged in again), ``"hang"`` (any; the call never returns, for a record only the first),
+        ``"underflow"`` (player wait), ``"short_read"``, ``"missing_reference"``, ``"over_range"``, ``"dropout"``,
+        ``"drift"``, ``"dark"`` (no light comes back to the vibrometer in the whole record), ``"faint_reference"``,
+        ``"clipped"`` (the response's peaks are cut off before the converter), ``"lost_sample"`` (one sample of the
+        response is missing in the middle), ``"hum"`` (50 Hz on the response) or ``"dead_response"`` (the response
+        channel is constant; recorder read).
+    at_call: The first call of the method that fails, from 1; `count` calls fail in a row.
+    position, record, attempt: The record that fails, where no call is given: this position (any, if absent), this
+        record of each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts. A mirror
+        has no records.
+    purpose: Only records of this purpose; any, if absent.
+    count: How often, > 0.
+    level_db: What ``"drift"`` does to the response, and ``"faint_reference"`` to the reference; where ``"clipped"``
+        cuts the response, in dB of its peak; the level of ``"hum"``, in dB of the response's rms.
+    tries: How many times ``reconnect`` fails before one succeeds, where ``"unplugged"``, >= 0.
+    spot_mm: Where ``"dark"`` is dark: x, y and radius in mm; everywhere, if absent.
+    """
+
+    role: Text
+    operation: Text
+    kind: Text
+    at_call: Annotated[Whole, Field(ge=1)] | None = None
+    position: Annotated[Whole, Field(ge=0)] | None = None
+    attempt: Annotated[Whole, Field(ge=1)] | None = None
+    record: Annotated[Whole, Field(ge=0)] | None = None
+    purpose: Literal["capture", "sentinel", "probe", "scan", "presentation", "trial", "crosstalk"] | None = None
+    count: Annotated[Whole, Field(ge=1)] = 1
+    level_db: Finite = -3.0
+    tries: Annotated[Whole, Field(ge=0)] = 1
+    spot_mm: tuple[Finite, Finite, Positive] | None = None
+
+    @model_validator(mode="after")
+    def _can_happen(self, info: ValidationInfo) -> RigFault:
+        if info.context is KEPT:
+            return self
+        if self.role not in _OPERATIONS:
+            raise _impossible(self, f"fault role is {self.role!r}; allowed: {', '.join(_OPERATIONS)}")
+        if self.operation not in _OPERATIONS[self.role]:
+            allowed = ", ".join(_OPERATIONS[self.role])
+            raise _impossible(self, f"fault operation of the {self.role} is {self.operation!r}; allowed: {allowed}")
+        allowed_kinds = [kind for kind in ANYWHERE if (self.operation, kind) != ("reconnect", "unplugged")]
+        if (self.role, self.operation) == ("player", "wait"):
+            allowed_kinds.append("underflow")
+        if (self.role, self.operation) == ("recorder", "read"):
+            allowed_kinds += ["short_read", *CORRUPTING]
+        if self.kind not in allowed_kinds:
+            allowed = ", ".join(allowed_kinds)
+            raise _impossible(self, f"fault kind of {self.role} {self.operation} is {self.kind!r}; allowed: {allowed}")
+        by_take = (self.position, self.attempt, self.record, self.purpose) != (None, None, None, None)
+        if (self.at_call is not None) == by_take:
+            raise _impossible(self, "a fault needs either at_call or some of position, attempt, record and purpose")
+        if by_take and self.role == "mirror":
+            raise _impossible(self, "a fault of the mirror needs at_call, for a mirror has no records")
+        if self.kind == "unplugged" and self.count != 1:
+            raise _impossible(self, f"fault count is {self.count}; an instrument is unplugged once, count 1")
+        return self
+
+
+def _impossible(fault: WireFault | RigFault, reason: str) -> PydanticCustomError:
+    return mistake("", fault.model_dump(exclude_defaults=True), reason)
 
 
 class Emulation(PlateKeys):
@@ -172,7 +304,7 @@ class Emulation(PlateKeys):
         4096, "Frames per period of the emulated audio server", ge=16, le=65_536
     )
     ni_product: Annotated[Text, FREE] = default("USB-6211", "NI box that is emulated")
-    fault_plan: Annotated[tuple[_WireFaultTable, ...], FREE] = default(
+    fault_plan: Annotated[tuple[WireFault, ...], FREE] = default(
         (), "Faults of the emulated wires: tables with role, kind, operation, at_call or at_s, count, seconds"
     )
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from wavefocus.config.emulation import PlateKeys
+from wavefocus.config.emulation import PlateKeys, RigFault
 from wavefocus.config.fields import (
     ALWAYS,
     DERIVED,
@@ -238,27 +238,10 @@ class _Settled(Table):
     reason: Text
 
 
-class _FaultSection(Table):
-    """A fault for a virtual instrument to show, so that recovery can be watched."""
-
-    role: Text
-    operation: Text
-    kind: Text
-    at_call: Whole | None = None
-    position: Annotated[Whole, Field(ge=0)] | None = None
-    attempt: Annotated[Whole, Field(ge=1)] | None = None
-    record: Annotated[Whole, Field(ge=0)] | None = None
-    purpose: Literal["capture", "sentinel", "probe", "scan", "presentation", "trial", "crosstalk"] | None = None
-    count: Annotated[Whole, Field(ge=1)] = 1
-    level_db: Finite = -3.0
-    tries: Annotated[Whole, Field(ge=0)] = 1
-    spot_mm: tuple[Finite, Finite, Positive] | None = None
-
-
 class FaultFile(Table):
     """A file of faults, as ``fault_plan`` may name one."""
 
-    fault: tuple[_FaultSection, ...] = ()
+    fault: tuple[RigFault, ...] = ()
 
 
 def _rising(course: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -282,7 +265,7 @@ class Virtual(PlateKeys):
     crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] | None = default(
         None, "How much later the leak comes than the loopback's voltage; 0 by default"
     )
-    fault_plan: Annotated[tuple[_FaultSection, ...], FREE] = default(
+    fault_plan: Annotated[tuple[RigFault, ...], FREE] = default(
         (), "Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )
     room_c: Annotated[_Course, FREE] = default(

@@ -7,7 +7,6 @@ import numpy as np
 from wavefocus.config.emulation import Emulation, plate_of, strength
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import Virtual
-from wavefocus.mocks.virtual.faults import RigFault
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from wavefocus.mocks.virtual.synthesis import output_errors
@@ -50,7 +49,7 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         inter_channel_delay_s=rig.recorder.inter_channel_delay_s if delay_s is None else delay_s,
         vibrometer_latency_s=rig.vibrometer.latency_s or 0.0, room_c=_room_c(emulation, virtual) or defaults.room_c,
         light=defaults.light if virtual is None or not virtual.light else virtual.light,
-        fault_plan=() if virtual is None else tuple(RigFault(**fault.model_dump()) for fault in virtual.fault_plan),
+        fault_plan=() if virtual is None else virtual.fault_plan,
     )  # fmt: skip
 
 

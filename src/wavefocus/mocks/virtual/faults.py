@@ -2,103 +2,12 @@
 
 import threading
 from collections import Counter
-from dataclasses import dataclass
 
+from wavefocus.config.emulation import RigFault
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Instrument, RecordLabel
 
-_OPERATIONS = {
-    "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
-    "recorder": ("identify", "start", "read", "reconnect"),
-    "player": ("identify", "play", "wait", "mute", "reconnect"),
-}
-ANYWHERE = ("timeout", "lost", "unplugged", "hang")
 _RAISED = ("timeout", "underflow", "short_read")
-CORRUPTING = (
-    "missing_reference", "over_range", "dropout", "drift", "dark", "faint_reference",
-    "clipped", "lost_sample", "hum", "dead_response",
-)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class RigFault:
-    """One entry of a fault plan: at the given call, or at the given record. Raises ValueError.
-
-    role: ``"mirror"``, ``"recorder"`` or ``"player"``.
-    operation: Method that fails, such as ``"read"``.
-    kind: ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"unplugged"`` (any but reconnect; once, and then gone
-        until it is plugged in again), ``"hang"`` (any; the call never returns, for a record only the first),
-        ``"underflow"`` (player wait), ``"short_read"``, ``"missing_reference"``, ``"over_range"``, ``"dropout"``,
-        ``"drift"``, ``"dark"`` (no light comes back to the vibrometer in the whole record), ``"faint_reference"``,
-        ``"clipped"`` (the response's peaks are cut off before the converter), ``"lost_sample"`` (one sample of the
-        response is missing in the middle), ``"hum"`` (50 Hz on the response) or ``"dead_response"`` (the response
-        channel is constant; recorder read).
-    at_call: The first call of the method that fails, from 1; `count` calls fail in a row.
-    position, record, attempt: The record that fails, where no call is given: this position (any, if absent), this
-        record of each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts. A mirror
-        has no records.
-    purpose: Only records of this purpose; any, if absent.
-    count: How often, > 0.
-    level_db: What ``"drift"`` does to the response, and ``"faint_reference"`` to the reference; where ``"clipped"``
-        cuts the response, in dB of its peak; the level of ``"hum"``, in dB of the response's rms.
-    tries: How many times ``reconnect`` fails before one succeeds, where ``"unplugged"``, >= 0.
-    spot_mm: Where ``"dark"`` is dark: x, y and radius in mm; everywhere, if absent.
-    """
-
-    role: str
-    operation: str
-    kind: str
-    at_call: int | None = None
-    position: int | None = None
-    attempt: int | None = None
-    record: int | None = None
-    purpose: str | None = None
-    count: int = 1
-    level_db: float = -3.0
-    tries: int = 1
-    spot_mm: tuple[float, float, float] | None = None
-
-    def __post_init__(self) -> None:
-        if self.role not in _OPERATIONS:
-            raise ValueError(f"fault role is {self.role!r}; allowed: {', '.join(_OPERATIONS)}")
-        if self.operation not in _OPERATIONS[self.role]:
-            allowed = ", ".join(_OPERATIONS[self.role])
-            raise ValueError(f"fault operation of the {self.role} is {self.operation!r}; allowed: {allowed}")
-        allowed_kinds = [kind for kind in ANYWHERE if (self.operation, kind) != ("reconnect", "unplugged")]
-        if (self.role, self.operation) == ("player", "wait"):
-            allowed_kinds.append("underflow")
-        if (self.role, self.operation) == ("recorder", "read"):
-            allowed_kinds += ["short_read", *CORRUPTING]
-        if self.kind not in allowed_kinds:
-            raise ValueError(
-                f"fault kind of {self.role} {self.operation} is {self.kind!r}; allowed: {', '.join(allowed_kinds)}"
-            )
-        by_take = (self.position, self.attempt, self.record, self.purpose) != (None, None, None, None)
-        if (self.at_call is not None) == by_take:
-            raise ValueError("a fault needs either at_call or some of position, attempt, record and purpose")
-        if by_take and self.role == "mirror":
-            raise ValueError("a fault of the mirror needs at_call, for a mirror has no records")
-        if self.count < 1 or (self.at_call is not None and self.at_call < 1):
-            raise ValueError(f"fault at_call is {self.at_call}, count {self.count}; both start at 1")
-        if self.kind == "unplugged" and (self.count != 1 or self.tries < 0):
-            raise ValueError(
-                f"fault count is {self.count}, tries {self.tries}; an instrument is unplugged once, count 1, and "
-                "takes 0 or more tries to come back"
-            )
-
-    def strikes(self, call: int, label: RecordLabel | None) -> bool:
-        """Whether this call for this record fails."""
-        if self.at_call is not None:
-            return self.at_call <= call < self.at_call + self.count
-        if label is None:
-            return False
-        first = 1 if self.attempt is None else self.attempt
-        return (
-            self.position in (None, label.position)
-            and self.record in (None, label.record)
-            and self.purpose in (None, label.purpose)
-            and first <= label.attempt < first + self.count
-        )
 
 
 class _FaultPlan:
@@ -135,7 +44,7 @@ class _FaultPlan:
             due = tuple(
                 fault
                 for fault in self._faults
-                if fault.operation == operation and fault.strikes(self._calls[operation], label)
+                if fault.operation == operation and _strikes(fault, self._calls[operation], label)
             )
             self._lost = self._lost or any(fault.kind == "lost" for fault in due)
             if self._lost or self._unplugged(operation, due):
@@ -166,6 +75,21 @@ class _FaultPlan:
         if operation == "reconnect" and self._tries_left is not None:
             self._tries_left = self._tries_left - 1 if self._tries_left > 0 else None
         return self._tries_left is not None
+
+
+def _strikes(fault: RigFault, call: int, label: RecordLabel | None) -> bool:
+    """Whether this call for this record fails."""
+    if fault.at_call is not None:
+        return fault.at_call <= call < fault.at_call + fault.count
+    if label is None:
+        return False
+    first = 1 if fault.attempt is None else fault.attempt
+    return (
+        fault.position in (None, label.position)
+        and fault.record in (None, label.record)
+        and fault.purpose in (None, label.purpose)
+        and first <= label.attempt < first + fault.count
+    )
 
 
 _EXPLANATIONS = {

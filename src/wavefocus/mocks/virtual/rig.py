@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.config.emulation import RigFault
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Float32Array, Instruments, Recorder, Recording, RecordLabel, RecordRequest
 from wavefocus.mocks.virtual import (
@@ -20,7 +21,7 @@ from wavefocus.mocks.virtual import (
     normal,
     sensor_of,
 )
-from wavefocus.mocks.virtual.faults import RigFault, VirtualDevice
+from wavefocus.mocks.virtual.faults import VirtualDevice
 from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings
@@ -252,7 +253,7 @@ def _convert(volts: Float32Array, step_v: float, *, out: Float32Array) -> bool:
     return over_range
 
 
-__all__ = ["MirrorGeometry", "RigFault", "VirtualRig", "VirtualSettings"]
+__all__ = ["MirrorGeometry", "VirtualRig", "VirtualSettings"]
 
 
 class VirtualRig:

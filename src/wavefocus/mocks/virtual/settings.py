@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from wavefocus.config.emulation import RigFault
 from wavefocus.config.outline import Outline
-from wavefocus.mocks.virtual.faults import RigFault
 
 
 @dataclass(frozen=True, slots=True)

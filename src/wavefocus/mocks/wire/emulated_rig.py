@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefocus.config.emulation import WireFault
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.virtual import NANOSECONDS, PatchBay
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.synthesis import TAIL_S, SignalStore, Synthesis, VirtualPlay
-from wavefocus.mocks.wire import WireFault, WireFaultPlan
+from wavefocus.mocks.wire import WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire
 from wavefocus.mocks.wire.jack_server import JackServer, PlayedAudio
 from wavefocus.mocks.wire.mirrors import mirror_device

@@ -19,8 +19,9 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+from wavefocus.config.emulation import WireFault
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire import WireFault, WireFaultPlan
+from wavefocus.mocks.wire import WireFaultPlan
 
 _IDLE_S = 0.5
 _TICK_S = 0.01

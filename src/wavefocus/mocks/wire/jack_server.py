@@ -16,16 +16,17 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.drivers.protocols import Float32Array
 from wavefocus.mocks.virtual import NANOSECONDS
-from wavefocus.mocks.wire import WireFault
+
+if TYPE_CHECKING:
+    from wavefocus.config.emulation import WireFault
 
 _Int64Array = NDArray[np.int64]
 
@@ -327,7 +328,7 @@ class JackServer(AbstractContextManager["JackServer"]):
         )
         self._lock = threading.Lock()
         self.played = PlayedAudio(self._ring, lambda: self._process.poll() is None)
-        settings = {"faults": [asdict(fault) for fault in faults if fault.role == "player"]}
+        settings = {"faults": [fault.model_dump() for fault in faults if fault.role == "player"]}
         try:
             name = self._ask(json.dumps(settings), _ANSWER_S)["server"]
         except BaseException:

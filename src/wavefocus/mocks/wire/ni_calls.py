@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from wavefocus.config.emulation import WireFault
 from wavefocus.drivers.protocols import Float64Array
-from wavefocus.mocks.wire import WireFault
 from wavefocus.mocks.wire.ni_box import Alive, NiBox, NiCode, NiError, NiTask
 from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, OUTPUT_V, RSE, SINGLE_ENDED_V
 

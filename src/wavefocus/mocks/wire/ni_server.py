@@ -11,7 +11,8 @@ import grpc
 from google.protobuf.message_factory import GetMessageClass
 from nidaqmx._stubs import nidaqmx_pb2
 
-from wavefocus.mocks.wire import WireFault, WireFaultPlan
+from wavefocus.config.emulation import WireFault
+from wavefocus.mocks.wire import WireFaultPlan
 from wavefocus.mocks.wire.ni_box import NiBox, NiCode, NiError, SignalSource
 from wavefocus.mocks.wire.ni_calls import NiCalls
 
