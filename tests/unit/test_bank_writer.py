@@ -22,7 +22,7 @@ from wavefocus.rendering.greens.regularisation import rms_map
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
-from wavefocus.storage.durable import PosixFile
+from wavefocus.storage.durable import PositionedFile
 from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
 from wavefocus.storage.ledger.owner import bank_owner, owner_path
 
@@ -174,7 +174,7 @@ def test_a_wrong_commit_then_is_refused_and_writes_nothing(tmp_path):
     assert path.read_bytes() == before
 
 
-class FailingFile(PosixFile):
+class FailingFile(PositionedFile):
     """A file whose disk fails at the n-th write or sync."""
 
     left = 0

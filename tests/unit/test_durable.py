@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from wavefocus.storage.durable import (
     PositionedFile,
-    PosixFile,
     is_network_mount_in,
     open_file,
     publish_by_claim,
@@ -20,17 +19,22 @@ from wavefocus.storage.durable import (
 )
 from wavefocus.storage.output_files import replacement
 
-KINDS = [PositionedFile] if os.name == "nt" else [PosixFile, PositionedFile]
+
+@pytest.fixture(params=["the platform's calls", "those of Windows"])
+def calls(request, monkeypatch):
+    """The calls by which files are read, written and reserved."""
+    if request.param == "those of Windows":
+        for name in ("preadv", "pwrite", "fdatasync", "posix_fallocate"):
+            monkeypatch.delattr(os, name, raising=False)
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=10)
 @given(writes=st.lists(st.tuples(st.integers(0, 5000), st.binary(min_size=1, max_size=6000)), max_size=6))
-def test_writes_at_offsets_then_are_read_back_where_they_were_put(tmp_path, kind, writes):
+def test_writes_at_offsets_then_are_read_back_where_they_were_put(tmp_path, calls, writes):
     path = tmp_path / "file"
     path.write_bytes(bytes(16_000))
     expected = bytearray(16_000)
-    file = kind(path, write=True)
+    file = PositionedFile(path, write=True)
     for offset, data in writes:
         file.write(offset, data)
         expected[offset : offset + len(data)] = data
@@ -42,14 +46,13 @@ def test_writes_at_offsets_then_are_read_back_where_they_were_put(tmp_path, kind
     assert path.read_bytes() == expected
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(tmp_path, kind):
+def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(tmp_path, calls):
     path = tmp_path / "file"
     with path.open("wb") as holes:
         holes.write(b"front")
         holes.seek(3_000_000)
         holes.write(b"back")
-    file = kind(path, write=True)
+    file = PositionedFile(path, write=True)
     file.reserve(5_000_000)
     file.sync()
     assert file.size() == 5_000_000
@@ -62,10 +65,9 @@ def test_reserved_space_then_belongs_to_the_file_and_keeps_what_it_held(tmp_path
         assert path.stat().st_blocks * 512 >= 5_000_000
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_locked_file_then_has_one_owner_until_it_is_closed(tmp_path, kind):
+def test_a_locked_file_then_has_one_owner_until_it_is_closed(tmp_path):
     (tmp_path / "file").write_bytes(b"abc")
-    first, second, reader = (kind(tmp_path / "file", write=write) for write in (True, True, False))
+    first, second, reader = (PositionedFile(tmp_path / "file", write=write) for write in (True, True, False))
     assert not reader.locked_elsewhere()
     assert first.try_lock()
     assert not second.try_lock()

@@ -1,7 +1,4 @@
-"""Files read and written at stated offsets, names that survive a power cut: the calls that a platform has.
-
-:class:`PositionedFile` uses what Python has everywhere, :class:`PosixFile` the calls of Linux and macOS.
-"""
+"""Files read and written at stated offsets, names that survive a power cut: the calls that a platform has."""
 
 from __future__ import annotations
 
@@ -56,19 +53,23 @@ class PositionedFile(Closing):
     def __init__(self, path: Path, *, write: bool = False) -> None:
         self._path = path
         self._fd = os.open(path, (os.O_RDWR if write else os.O_RDONLY) | getattr(os, "O_BINARY", 0))
-        self._cursor = threading.Lock()  # seek and read are two steps
+        self._cursor = threading.Lock()  # where seek and read are two steps
 
     def read_into(self, offset: int, buffer: memoryview) -> None:
         """Fill all of ``buffer`` from byte ``offset`` on."""
         view = buffer.cast("B")
-        with self._cursor:
-            os.lseek(self._fd, offset, os.SEEK_SET)
-            while view:
-                part = os.read(self._fd, len(view))
-                if not part:
-                    raise _short_file(offset)
-                view[: len(part)] = part
-                view = view[len(part) :]
+        while view:
+            if hasattr(os, "preadv"):
+                count = os.preadv(self._fd, [view], offset)
+            else:
+                with self._cursor:
+                    os.lseek(self._fd, offset, os.SEEK_SET)
+                    part = os.read(self._fd, len(view))
+                count = len(part)
+                view[:count] = part
+            if count == 0:
+                raise OSError(errno.EIO, f"the file ends before byte {offset}")
+            view, offset = view[count:], offset + count
 
     def read(self, offset: int, size: int) -> bytearray:
         """Read ``size`` bytes from byte ``offset`` on."""
@@ -79,17 +80,34 @@ class PositionedFile(Closing):
     def write(self, offset: int, data: bytes | memoryview) -> None:
         """Write all of ``data`` from byte ``offset`` on."""
         view = memoryview(data).cast("B")
-        with self._cursor:
-            os.lseek(self._fd, offset, os.SEEK_SET)
-            while view:
-                view = view[os.write(self._fd, view) :]
+        while view:
+            if hasattr(os, "pwrite"):
+                count = os.pwrite(self._fd, view, offset)
+            else:
+                with self._cursor:
+                    os.lseek(self._fd, offset, os.SEEK_SET)
+                    count = os.write(self._fd, view)
+            view, offset = view[count:], offset + count
 
     def sync(self) -> None:
         """Return when all that was written is on the disk."""
-        os.fsync(self._fd)
+        if sys.platform == "darwin":
+            # fsync on macOS stops at the drive's own cache (fsync(2), macOS manual page).
+            with contextlib.suppress(OSError):
+                fcntl.fcntl(self._fd, fcntl.F_FULLFSYNC)
+                return
+        getattr(os, "fdatasync", os.fsync)(self._fd)
 
     def reserve(self, size: int) -> None:
         """Claim disk space for ``size`` bytes: holes are filled with zeros, what the file holds stays."""
+        if hasattr(os, "posix_fallocate"):  # on Linux
+            try:
+                os.posix_fallocate(self._fd, 0, size)
+            except OSError as error:
+                if error.errno not in (errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL):
+                    raise
+            else:
+                return
         held = self.size()
         for offset in range(0, size, _COPY_BYTES):
             block = bytearray(min(_COPY_BYTES, size - offset))
@@ -115,7 +133,11 @@ class PositionedFile(Closing):
 
     def name_again(self, path: Path) -> bool:
         """Give a file that was renamed a free name as well; False where the platform cannot."""
-        return False
+        try:
+            os.link(Path(f"/proc/self/fd/{self._fd}").readlink(), path)  # where Linux keeps the present name
+        except OSError:
+            return False
+        return self.is_named(path)
 
     def try_lock(self) -> bool:
         """Become the one owner until closed; False when another process is."""
@@ -157,57 +179,6 @@ class PositionedFile(Closing):
         return True
 
 
-class PosixFile(PositionedFile):
-    """A file through ``preadv``, ``pwrite``, ``fdatasync`` and ``posix_fallocate``."""
-
-    if sys.platform != "win32":
-
-        def read_into(self, offset: int, buffer: memoryview) -> None:
-            if not hasattr(os, "preadv"):
-                super().read_into(offset, buffer)
-                return
-            view = buffer.cast("B")
-            while view:
-                count = os.preadv(self._fd, [view], offset)
-                if count == 0:
-                    raise _short_file(offset)
-                view, offset = view[count:], offset + count
-
-        def write(self, offset: int, data: bytes | memoryview) -> None:
-            view = memoryview(data).cast("B")
-            while view:
-                count = os.pwrite(self._fd, view, offset)
-                view, offset = view[count:], offset + count
-
-        def sync(self) -> None:
-            if sys.platform == "darwin":
-                # fsync on macOS stops at the drive's own cache (fsync(2), macOS manual page).
-                with contextlib.suppress(OSError):
-                    fcntl.fcntl(self._fd, fcntl.F_FULLFSYNC)
-                    return
-                os.fsync(self._fd)
-            else:
-                os.fdatasync(self._fd)
-
-        def reserve(self, size: int) -> None:
-            if hasattr(os, "posix_fallocate"):  # not on macOS
-                try:
-                    os.posix_fallocate(self._fd, 0, size)
-                except OSError as error:
-                    if error.errno not in (errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL):
-                        raise
-                else:
-                    return
-            super().reserve(size)
-
-        def name_again(self, path: Path) -> bool:
-            try:
-                os.link(Path(f"/proc/self/fd/{self._fd}").readlink(), path)  # where Linux keeps the present name
-            except OSError:
-                return False
-            return self.is_named(path)
-
-
 _locked_files: weakref.WeakSet[PositionedFile] = weakref.WeakSet()
 
 
@@ -223,8 +194,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def open_file(path: Path, *, write: bool = False) -> PositionedFile:
-    """Open an existing file with the best that this platform has."""
-    return PositionedFile(path, write=write) if sys.platform == "win32" else PosixFile(path, write=write)
+    """Open an existing file."""
+    return PositionedFile(path, write=write)
 
 
 OpenFile = Callable[..., PositionedFile]
@@ -294,7 +265,3 @@ def is_network_mount_in(mounts: str, path: Path) -> bool:
         if path.is_relative_to(folder) and len(folder.parts) >= best:
             best, kind = len(folder.parts), fields[2]
     return kind in _NETWORK_TYPES
-
-
-def _short_file(offset: int) -> OSError:
-    return OSError(errno.EIO, f"the file ends before byte {offset}")

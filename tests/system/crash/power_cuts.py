@@ -12,7 +12,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-from wavefocus.storage.durable import PosixFile
+from wavefocus.storage.durable import PositionedFile
 
 SECTOR, PAGE = 512, 4096
 _ENTRY = struct.Struct("<IIIIQQ")
@@ -243,7 +243,7 @@ def _named(names, calls):
 INODE = 1
 
 
-class LoggedFile(PosixFile):
+class LoggedFile(PositionedFile):
     """A file of the program's own that notes its writes and barriers, without a library loaded before the program."""
 
     log: ClassVar[list[Call]] = []
