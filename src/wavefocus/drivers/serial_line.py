@@ -4,7 +4,7 @@ import contextlib
 import errno
 import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,6 @@ _BY_SERIAL_NUMBER = "serial-number:"
 # udev rules of this package for all devices that it knows; installed under the same name.
 RULES = Path(__file__).with_name("70-wavefocus.rules")
 RULES_FOLDER = "/etc/udev/rules.d/"
-# Windows shows an FTDI adapter's serial number with the letter of its port behind it.
-LETTERS = ("A", "B", "C", "D")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +77,9 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
     doing = f"looking for the port with serial number {wanted!r}"
     if found:
         names = " and ".join(port.device for port in found)
-        forms = (f"{_BY_SERIAL_NUMBER}{_own_name(found, port, wanted)} is {port.device}" for port in found)
-        remedy = f"name one of them in the rig file, port: {', '.join(forms)}"
+        numbered = [port for port in found if port.interface is not None]
+        forms = ", ".join(f"{_BY_SERIAL_NUMBER}{wanted}:{port.interface} is {port.device}" for port in numbered)
+        remedy = f"name one of them in the rig file, port{f': {forms}' if forms else ', by its path'}"
         raise InstrumentLostError(instrument, doing, f"{names} have it", remedy)
     numbers = ", ".join(f"{port.serial_number} ({port.device})" for port in listed if port.serial_number)
     nameless = ", ".join(port.device for port in listed if not port.serial_number)
@@ -97,45 +96,13 @@ def _with_serial_number(listed: Sequence[SerialPort], wanted: str) -> list[Seria
     number, _, interface = wanted.rpartition(":")
     if found or not interface.isdecimal():
         return found
-    several = _of_number(listed, number)
-    return [port for port in several if _interface_of(several, port) == int(interface)]
+    return [port for port in _of_number(listed, number) if port.interface == int(interface)]
 
 
 def _of_number(listed: Sequence[SerialPort], wanted: str) -> list[SerialPort]:
-    """Ports that have just this number, else in another case, else with FTDI's letter behind it."""
-    if not wanted:
-        return []
-    matching: tuple[Callable[[str], bool], ...] = (
-        lambda number: number == wanted,
-        lambda number: number.casefold() == wanted.casefold(),
-        lambda number: number[-1:].upper() in LETTERS and number[:-1].casefold() == wanted.casefold(),
-    )
-    for matches in matching:
-        if found := [port for port in listed if port.serial_number and matches(port.serial_number)]:
-            # macOS has every port under two names; "cu" opens without waiting for a modem's carrier.
-            devices = {port.device for port in found}
-            return [
-                port for port in found if port.device.replace("/dev/tty.", "/dev/cu.") not in devices - {port.device}
-            ]
-    return []
-
-
-def _interface_of(several: Sequence[SerialPort], port: SerialPort) -> int:
-    """Number of a port among those of one adapter, from 0."""
-    if all(other.interface is not None for other in several) and port.interface is not None:
-        return port.interface
-    letter = port.serial_number[-1:].upper()
-    if letter in LETTERS and len({other.serial_number for other in several}) == len(several) > 1:
-        return LETTERS.index(letter)
-    # "COM10" comes after "COM9".
-    return sorted(several, key=lambda other: (len(other.device), other.device)).index(port)
-
-
-def _own_name(several: Sequence[SerialPort], port: SerialPort, wanted: str) -> str:
-    """What names only this port of an adapter."""
-    if [other.serial_number for other in several].count(port.serial_number) == 1:
-        return port.serial_number
-    return f"{wanted}:{_interface_of(several, port)}"
+    """Ports that have just this number, else in another case."""
+    alike = [port for port in listed if wanted and port.serial_number.casefold() == wanted.casefold()]
+    return [port for port in alike if port.serial_number == wanted] or alike
 
 
 def _pyserial_missing(instrument: str, doing: str) -> InstrumentError:

@@ -4,7 +4,6 @@ A reset switches a device off and on by its port. It needs a person's explicit o
 """
 
 import errno
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -12,25 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
-from wavefocus.drivers.serial_line import LETTERS, RULES, RULES_FOLDER
+from wavefocus.drivers.serial_line import RULES, RULES_FOLDER
 
-_FTDI_VENDOR = 0x0403
 _LISTING, _RESETTING = "listing USB devices", "resetting it over USB"
 _BY_HAND = "unplug it, wait a moment and plug it in again"
 _BACK_WITHIN_S = 15.0
 """DAQ boxes and audio interfaces load firmware after a reset."""
-
-
-def permit(vendor_id: int, product_id: int, platform: str = sys.platform) -> str:
-    """How a device may be opened on a platform, as ``sys.platform`` names it."""
-    if platform != "linux":
-        return "leave serial_number out of its [[usb]] table where its maker's or the system's driver runs the device"
-    ids = f'ATTR{{idVendor}}=="{vendor_id:04x}", ATTR{{idProduct}}=="{product_id:04x}"'
-    return (
-        f"sudo cp {RULES} {RULES_FOLDER} (a device that the file lacks needs the line "
-        f'SUBSYSTEM=="usb", {ids}, MODE="0660", TAG+="uaccess" there); then sudo udevadm '
-        "control --reload-rules && sudo udevadm trigger, and plug the device in again"
-    )
+_PERMIT = (
+    f"on Linux: sudo cp {RULES} {RULES_FOLDER} && sudo udevadm control --reload-rules && sudo udevadm trigger, and "
+    "plug the device in again; a device that the file lacks, and other systems: docs/reference/usb.md"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +105,8 @@ def find_device(
     """
     name = f"{role} (USB {vendor_id:04x}:{product_id:04x})"
     alike = [device for device in devices if (device.vendor_id, device.product_id) == (vendor_id, product_id)]
-    chosen = [device for device in alike if serial_number is None or _has_number(device, serial_number)]
+    wanted = (serial_number or "").strip().casefold()
+    chosen = [device for device in alike if serial_number is None or device.serial_number.casefold() == wanted]
     if len(chosen) == 1:
         return chosen[0]
     listed = "; ".join(map(str, chosen or alike))
@@ -127,15 +118,8 @@ def find_device(
         raise InstrumentError(name, _LISTING, "it is not plugged in", remedy)
     remedy = "plug in the rig's own device, or write the new one's serial_number into its [[usb]] table"
     if any(device.problem for device in alike):
-        remedy = permit(vendor_id, product_id)
+        remedy = _PERMIT
     raise InstrumentError(name, _LISTING, f"none with serial number {serial_number} is plugged in: {listed}", remedy)
-
-
-def _has_number(device: UsbDevice, wanted: str) -> bool:
-    """Whether a device has a serial number as people copy it: from a label, or from Windows with FTDI's letter."""
-    own, wanted = device.serial_number.casefold(), wanted.strip().casefold()
-    ftdi = device.vendor_id == _FTDI_VENDOR and wanted[-1:].upper() in LETTERS
-    return own != "" and (own == wanted or (ftdi and own == wanted[:-1]))
 
 
 def reset_device(
@@ -160,7 +144,7 @@ def reset_device(
         number = getattr(failure, "errno", None)
         # Under a new address it is not found, which is a success.
         if number not in (errno.ENOENT, errno.ENODEV):
-            remedy = permit(vendor_id, product_id) if number == errno.EACCES else _BY_HAND
+            remedy = _PERMIT if number == errno.EACCES else _BY_HAND
             raise InstrumentError(name, _RESETTING, str(failure), remedy) from failure
     finally:
         usb.util.dispose_resources(handle)
