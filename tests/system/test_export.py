@@ -104,11 +104,8 @@ def test_a_publication_then_the_sofa_file_states_it_in_hdf5_that_libmysofa_reads
 
 @pytest.mark.parametrize("form", ["uff", "uff-binary"])
 def test_given_a_bank_then_pyuff_reads_nodes_and_functions(bank, tmp_path, capsys, form):
-    with h5py.File(bank, "r+") as file:
-        file.attrs["notes"] = '[{"at": "Friday", "text": "bolt 3"}]'
     export(capsys, bank, tmp_path / "bank.uff", "--to", form)
-    note, *sets = pyuff.UFF(str(tmp_path / "bank.uff")).read_sets()
-    assert note["description"] == "note: Friday: bolt 3"
+    sets = pyuff.UFF(str(tmp_path / "bank.uff")).read_sets()
     assert [int(one["type"]) for one in sets] == [164, 2411] + [58] * (len(KEPT) * ACTUATORS)
     nodes = dict(zip(map(int, sets[1]["node_nums"]), zip(sets[1]["x"], sets[1]["y"], strict=True), strict=True))
     assert sorted(nodes) == [1, 2, 5, 6, POSITIONS + 1, POSITIONS + 3]

@@ -1,16 +1,14 @@
 """Universal files, what modal analysis reads and writes.
 
-Written are sets 151 (header, where the bank has notes), 164 (units), 2411 (nodes, double precision) and 58 (functions),
-as the Structural Dynamics Research Laboratory of the University of Cincinnati documents them; `uff_sets` reads these
-and others.
+Written are sets 164 (units), 2411 (nodes, double precision) and 58 (functions), as the Structural Dynamics Research
+Laboratory of the University of Cincinnati documents them; `uff_sets` reads these and others.
 """
 
 import math
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
-from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,8 +23,6 @@ from wavefocus.storage.exchange.measured import Float64Array, Measured, chosen_d
 from wavefocus.storage.exchange.places import coordinates, read_places
 from wavefocus.storage.exchange.uff_sets import (
     CARTESIAN,
-    NOTE_MARK,
-    NOTE_PART,
     SPHERICAL,
     Contents,
     Function,
@@ -41,8 +37,6 @@ TIME_RESPONSE, NORMAL, TIME = 1, 3, 17
 _QUANTITIES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
 """Numbers of the standard for quantities, where they are in its SI units; 0 is unknown."""
 _EVEN = 1
-_WIDTH = 80
-_MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
 _SINGLE, _DOUBLE = 2, 4
 _LITTLE_ENDIAN, _IEEE, _HEADER_LINES = 1, 2, 11
 _END = f"{-1:6d}\n"
@@ -59,34 +53,17 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
     A position's node number is its row in the bank plus 1. Responses are normal to the surface (+Z), of the type time
     response; the identification lines say what the numbers of the format cannot. Functions are text, or single
     precision in binary (58b) where `rows.binary` says so; both give the bank's float32 back exactly.
-    Rows must be measured: the format holds no NaN. Notes of the bank stand in headers (151), up to 80 characters in
-    the description of each, other letters than ASCII as Python escapes them.
+    Rows must be measured: the format holds no NaN.
     """
     if not rows.known.all():
         raise InputError(f"{path}: universal files hold no NaN; leave missing positions out")
     with replacement(path) as temporary, temporary.open("wb") as file:
-        file.write("".join((*_notes(rows), *_units_and_nodes(rows))).encode())
+        file.write("".join(_units_and_nodes(rows)).encode())
         for status, (row, green) in zip(rows.status.tolist(), rows.each(on_progress), strict=True):
             for actuator, values in enumerate(green):
                 file.write(_header(rows, row, actuator, status).encode())
                 file.write(values.astype("<f4").tobytes() if rows.binary else _text(values))
                 file.write(_END.encode())
-
-
-def _notes(rows: ExportedRows) -> Iterator[str]:
-    """A header (151) for each 80 characters of each note: the format has no longer text."""
-    for number, note in enumerate(rows.bank.notes, start=1):
-        text = str(note).encode("unicode_escape").decode("ascii")
-        date = time = ""  # of another program's notes
-        with suppress(ValueError):
-            at = datetime.fromisoformat(note.at)
-            date, time = f"{at.day:02d}-{_MONTHS[at.month - 1]}-{at:%y}", f"{at:%H:%M:%S}"
-        for first in range(0, len(text), _WIDTH - len(NOTE_PART)):
-            part = text[first : first + _WIDTH - len(NOTE_PART)]
-            yield (
-                f"{_END}{151:6d}\n{rows.bank_name[:_WIDTH]}\n{NOTE_PART}{part}\n{NOTE_MARK} {number}\n"
-                f"{date:<10}{time:<10}{0:10d}{0:10d}{0:10d}\n{date:<10}{time:<10}\nwavefocus\n{date:<10}{time:<10}\n{_END}"
-            )
 
 
 def _units_and_nodes(rows: ExportedRows) -> Iterator[str]:
@@ -223,7 +200,6 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             *([turned] if turned else []),
         ),
         assumed=() if is_spectrum else ("time responses are responses to an impulse of one sample",),
-        notes=held.notes(),
         left_out=(*others, *sets, *([f"{missing} pairs of nodes without a function"] if missing else [])),
     )
 

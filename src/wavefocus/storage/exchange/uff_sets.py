@@ -10,14 +10,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage.bank.notes import Note
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Float64Array, require_plain, uniform_step
 from wavefocus.storage.units import green_unit, split_unit
@@ -136,8 +134,6 @@ def aligned(vector: Float64Array) -> int | None:
 
 
 _LINE = 1 << 12
-NOTE_MARK, NOTE_PART = "wavefocus note", "note: "
-"""Begin two lines of a header (151), that of the program and the description, where it holds part of a note."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +158,6 @@ class Contents:
     nodes, systems: By their numbers, in the file's unit of length.
     per_metre, per_newton: The file's units of length in a metre, and of force in a newton.
     skipped: Number of sets of each kind that is not read.
-    note_parts: Escaped parts of the notes of our own exports, in order.
     """
 
     functions: list[Function] = field(default_factory=list)
@@ -171,13 +166,6 @@ class Contents:
     per_metre: float | None = None
     per_newton: float = 1.0
     skipped: dict[int, int] = field(default_factory=dict)
-    note_parts: dict[bytes, list[bytes]] = field(default_factory=dict)
-
-    def notes(self) -> tuple[Note, ...]:
-        """Notes of the bank that our own export was made of; what was changed so that it is none is passed over."""
-        texts = (codecs.decode(b"".join(parts), "unicode_escape", "replace") for parts in self.note_parts.values())
-        split = (text.partition(": ") for text in texts)
-        return tuple(Note(at, text) for at, _, text in split if text.strip())
 
 
 def contents(file: IO[bytes], path: Path) -> Contents:
@@ -208,11 +196,7 @@ def contents(file: IO[bytes], path: Path) -> Contents:
                     held.per_metre, held.per_newton = values[0], values[1]
             case _ if number.isdigit():
                 held.skipped[int(number)] = held.skipped.get(int(number), 0) + 1
-                rest = _lines(file)
-                lines = list(islice(rest, 3)) if number == b"151" else []
-                if len(lines) == 3 and lines[2].startswith(NOTE_MARK.encode()):
-                    held.note_parts.setdefault(lines[2], []).append(lines[1].removeprefix(NOTE_PART.encode()))
-                for _ in rest:
+                for _ in _lines(file):
                     pass
     return held
 
