@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing
+from wavefocus.storage.missing import DEFAULT_FILL, KEYS, missing_as_nan, missing_numbers
 from wavefocus.storage.text_file import permission_words, require_regular
 
 BARE_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
@@ -113,13 +113,13 @@ def hdf5_complaint(error: Exception) -> str:
 
 
 def plain_dataset(
-    file: h5py.File, name: str, *, shape: tuple[int, ...] | None = None, packed: bool = False, kinds: str = "fiu"
+    file: h5py.File, name: str, *, shape: tuple[int, ...] | None = None, gaps: bool = False, kinds: str = "fiu"
 ) -> h5py.Dataset:
     """Return a dataset of plain numbers stored in this file.
 
     name: The dataset's name, as ``"/green"``.
     shape: The shape it must have.
-    packed: Whether the caller unpacks values by `packing_of`; a packed dataset is refused otherwise.
+    gaps: Whether values may be missing, as `missing_in` says; fill values are refused otherwise.
     kinds: Kinds of NumPy types that are allowed.
 
     Raises InputError: when it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
@@ -144,8 +144,8 @@ def plain_dataset(
         raise _refusal("holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
         raise _refusal(f"has shape {dataset.shape}; {shape} is needed")
-    if not packed and ((stated := packing_of(dataset, written=True)).is_scaled or stated.has_fill):
-        raise _refusal("has a scale_factor, add_offset or _FillValue; plain values are needed here")
+    if missing_in(dataset, written=True) and not gaps:
+        raise _refusal("has a _FillValue or missing_value; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
     if declared > most_bytes() and declared > 100 * held:
@@ -179,8 +179,8 @@ def _stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
     return pieces
 
 
-def packing_of(dataset: h5py.Dataset, *, written: bool = False) -> Packing:
-    """How a dataset of real numbers is packed; raises InputError where an attribute is not a finite number.
+def missing_in(dataset: h5py.Dataset, *, written: bool = False) -> tuple[Any, ...]:
+    """Stored numbers that stand for missing values; raises InputError where the dataset is packed.
 
     written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
     """
@@ -189,7 +189,7 @@ def packing_of(dataset: h5py.Dataset, *, written: bool = False) -> Packing:
     fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
     if fill is not None and dataset.fillvalue != fill:
         fill = None
-    return Packing(attributes, dataset.dtype, f"{path_of(dataset)}: {dataset.name}" if attributes else "", fill)
+    return missing_numbers(attributes, f"{path_of(dataset)}: {dataset.name}" if attributes else "", fill)
 
 
 def _bytes_of(dataset: h5py.Dataset, shape: tuple[int, ...]) -> int:
@@ -256,10 +256,9 @@ def _find(file: h5py.File, name: str) -> object:
 
 
 def read_floats(file: h5py.File, name: str, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
-    """Read a whole dataset as native float64, unpacked."""
-    dataset = plain_dataset(file, name, shape=shape, packed=True)
-    stored, packed = read_whole(dataset), packing_of(dataset)
-    return np.asarray(stored if packed.is_plain else packed.unpack(stored), np.float64)
+    """Read a whole dataset as native float64, NaN where values are missing."""
+    dataset = plain_dataset(file, name, shape=shape, gaps=True)
+    return np.asarray(missing_as_nan(read_whole(dataset), missing_in(dataset)), np.float64)
 
 
 def read_integers(file: h5py.File, name: str, shape: tuple[int, ...] | None = None) -> NDArray[np.int64]:

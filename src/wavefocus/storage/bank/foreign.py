@@ -13,6 +13,7 @@ from wavefocus.storage.bank.layout import quality_shape, read_check_rows
 from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import sample_times
+from wavefocus.storage.missing import missing_as_nan
 from wavefocus.storage.units import drive_of, require_meant_rate, require_unit
 
 Float32Array = NDArray[np.float32]
@@ -27,16 +28,12 @@ class ForeignRows:
 
     def __init__(self, path: Path, green: h5py.Dataset, status: NDArray[np.uint8] | None, stack: ExitStack) -> None:
         self._path, self._green, self._status, self._open = path, green, status, stack
-        self._packing = hdf5_reading.packing_of(green)
-        self.dtype = self._packing.dtype
+        self._missing = hdf5_reading.missing_in(green)
 
     def read(self, position: int) -> Float32Array | Float64Array:
-        """Green's functions of a position, unpacked by `scale_factor` and `add_offset` where there are any."""
+        """Green's functions of a position, NaN where values are missing."""
         row = hdf5_reading.read_part(self._green, position, f"{self._path}: /green at position {position}")
-        if not self._packing.is_plain:
-            return self._packing.unpack(row)
-        with np.errstate(over="ignore"):  # a long double beyond float64 becomes an infinity and is refused as such
-            return np.ascontiguousarray(row.astype(self.dtype, copy=False))
+        return missing_as_nan(row, self._missing)
 
     def status(self) -> NDArray[np.uint8]:
         """The file's status, or what the rows themselves say; that reads them all, once."""
@@ -66,7 +63,7 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
     Raises InputError: when something needed is missing, or something present has the wrong shape, kind or value.
     """
     hdf5_reading.require_format(file, BANK.name, may_lack=True)
-    green = hdf5_reading.plain_dataset(file, "/green", packed=True)
+    green = hdf5_reading.plain_dataset(file, "/green", gaps=True)
     if green.ndim != 3 or not green.size:
         raise InputError(
             f"{path}: /green has shape {green.shape}; (position, actuator, tap), each 1 or more, is needed"
@@ -144,10 +141,9 @@ def _quality(file: h5py.File, path: Path, name: str, positions: int, actuators: 
     if not hdf5_reading.has(file, f"/quality/{name}"):
         return np.full(full, 0 if name == "attempts" else np.nan, np.float32)
     dataset = hdf5_reading.plain_dataset(file, f"/quality/{name}")
-    packing = hdf5_reading.packing_of(dataset)
     if dataset.shape not in (full, (positions,)):
         raise InputError(f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed")
-    figures = np.asarray(packing.unpack(hdf5_reading.read_whole(dataset)), np.float32)
+    figures = np.asarray(missing_as_nan(hdf5_reading.read_whole(dataset), hdf5_reading.missing_in(dataset)), np.float32)
     if figures.shape != full:  # one figure per position stands for all its actuators
         figures = np.repeat(figures[:, None], actuators, axis=1)
     return figures

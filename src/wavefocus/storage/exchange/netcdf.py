@@ -26,8 +26,8 @@ from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import Measured, require_honest
 from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 from wavefocus.storage.hdf5_writing import attach, created, dimension_scale, filled, reserved, set_long_names
+from wavefocus.storage.missing import DEFAULT_FILL, KEYS, WithMissing, missing_numbers
 from wavefocus.storage.output_files import EXPORT_MARK, replacement
-from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, UnpackedArray
 
 
 def open_hdf5(path: Path, stack: ExitStack) -> h5py.File:
@@ -44,7 +44,7 @@ def numbers(file: h5py.File, name: str, path: Path) -> h5py.Dataset | None:
     """
     if not hdf5_reading.has(file, name):
         return None
-    dataset = hdf5_reading.plain_dataset(file, name, packed=True, kinds="fiucV")
+    dataset = hdf5_reading.plain_dataset(file, name, gaps=True, kinds="fiucV")
     require_honest(path, name, dataset.size * dataset.dtype.itemsize, dataset.id.get_storage_size())
     return dataset
 
@@ -211,8 +211,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     def understand(dataset: h5py.Dataset) -> Any:
         if dataset.dtype.kind == "V":
             return compound_complex(hdf5_reading.read_whole(dataset))
-        how = hdf5_reading.packing_of(dataset)
-        return dataset if how.is_plain else UnpackedArray(dataset, how)
+        missing = hdf5_reading.missing_in(dataset)
+        return WithMissing(dataset, missing) if missing else dataset
 
     with hdf5_reading.opened(path) as content:
         notes = read_notes(content)
@@ -235,7 +235,7 @@ def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measu
                 return b"".join(stored.reshape(-1).tolist()).decode("utf-8", "replace").strip("\0 ")
             attributes = {key: getattr(variable, key) for key in KEYS if hasattr(variable, key)}
             fill = DEFAULT_FILL.get(stored.dtype.str[1:])
-            return UnpackedArray(stored, Packing(attributes, stored.dtype, f"{path}: {name}", fill))
+            return WithMissing(stored, missing_numbers(attributes, f"{path}: {name}", fill))
         value = getattr(file, name, None) if name in _ATTRIBUTES else None
         if value is None and name == "response_unit" and "green" in file.variables:
             value = getattr(file.variables["green"], "units", None)

@@ -28,8 +28,8 @@ from wavefocus.storage.exchange.measured import (
 from wavefocus.storage.exchange.netcdf import numbers, open_hdf5, text_attribute
 from wavefocus.storage.exchange.places import table_of
 from wavefocus.storage.hdf5_writing import attach, bare_dimension, created, filled, reserved
+from wavefocus.storage.missing import WithMissing
 from wavefocus.storage.output_files import replacement
-from wavefocus.storage.packing import UnpackedArray
 
 _VERSIONS: dict[Convention, str] = {"GeneralFIR-E": "2.0", "SingleRoomMIMOSRIR": "1.0"}
 """Conventions of AES69 for one receiver and many emitters at once, and their versions."""
@@ -193,14 +193,12 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     )
 
 
-def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset | UnpackedArray:
+def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset | WithMissing:
     found = numbers(file, name, path)
     if found is None or found.dtype.kind not in "fiu":
         raise InputError(f"{path} has no {name} of real numbers, which a SOFA file of this DataType needs")
-    packing = hdf5_reading.packing_of(found)
-    if packing.is_scaled:
-        raise InputError(f"{path}: {name} has a scale_factor or add_offset, which SOFA does not know")
-    return found if packing.is_plain else UnpackedArray(found, packing)
+    missing = hdf5_reading.missing_in(found)
+    return WithMissing(found, missing) if missing else found
 
 
 def _places(
@@ -329,7 +327,7 @@ class _Responses:
     def __init__(
         self,
         path: Path,
-        datasets: list[h5py.Dataset | UnpackedArray],
+        datasets: list[h5py.Dataset | WithMissing],
         axes: str,
         receivers: NDArray[np.int64],
         delay: Float64Array,
