@@ -93,9 +93,6 @@ class NiCalls:
             0x2985: True,  # digital trigger supported
             0x2984: False,  # analog trigger supported
             0x298F: product.simultaneous,  # simultaneous sampling supported
-            0x298C: product.aggregate_hz,
-            0x298D: product.aggregate_hz,
-            0x298E: product.slowest_hz,
             0x2990: [bound for range_v in product.ranges_v for bound in (-range_v, range_v)],
         }
 

@@ -143,7 +143,8 @@ def _meaning(failure: BaseException, known: bool, owned: bool) -> _Meaning:
         meaning = _with_code(known_codes[code], code)
         count = getattr(failure, "samps_per_chan_read", None)
         return meaning._replace(cause=f"{meaning.cause}; {count} came") if count else meaning
-    return _Meaning(unforeseen, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
+    remedy = "follow what it says in [recorder], or as sample_rate_hz of [capture], or look the code up"
+    return _Meaning(unforeseen, f"NI-DAQmx says: {_one_line(failure)}", remedy)
 
 
 @cache
@@ -265,15 +266,12 @@ class Limits:
 
     inputs: Analog inputs: ``"ai0"`` and so on.
     ranges_v: Symmetric ranges in volts, smallest first.
-    slowest_hz, fastest_hz: Sample rates of a task of two channels.
     triggers: Digital inputs that can start a record: ``"PFI0"`` and so on.
     simultaneous: Whether every input has a converter of its own.
     """
 
     inputs: tuple[str, ...]
     ranges_v: tuple[float, ...] | None
-    slowest_hz: float | None
-    fastest_hz: float | None
     triggers: tuple[str, ...] | None
     simultaneous: bool | None
 
@@ -409,17 +407,9 @@ class NiSession:
         return Limits(
             inputs=tuple(name.rpartition("/")[2] for name in device.ai_physical_chans.channel_names),
             ranges_v=ranges_v,
-            slowest_hz=self.reported(lambda: float(device.ai_min_rate)),
-            fastest_hz=self.reported(lambda: self._fastest_hz(device)),
             triggers=triggers,
             simultaneous=self.reported(lambda: bool(device.ai_simultaneous_sampling_supported)),
         )
-
-    def _fastest_hz(self, device: Any) -> float:
-        """Fastest rate of two inputs: what all share where one converter serves them, else each input's own."""
-        simultaneous = self.reported(lambda: bool(device.ai_simultaneous_sampling_supported))
-        of_several_hz = device.ai_max_multi_chan_rate
-        return float(min(device.ai_max_single_chan_rate, of_several_hz if simultaneous else of_several_hz / 2))
 
     def reported(self, ask: Callable[[], T]) -> T | None:
         """What a question yields, None where the device has no such property."""

@@ -14,7 +14,6 @@ from wavefocus.drivers.daq.ni.ni_task import (
     InputWiring,
     RecordTask,
     TaskTiming,
-    check_request,
     check_wiring,
     conversion_delay_s,
 )
@@ -127,7 +126,6 @@ class NiRecorder(Recorder):
             session = self._connected(doing)
             if self._under_way is not None:
                 raise InstrumentError(self._instrument, doing, "a record is under way", "read or abort it first")
-            check_request(session, request, doing)
             timing = TaskTiming(request.sample_rate_hz, request.samples, request.range_v)
             try:
                 with session.explaining(doing):

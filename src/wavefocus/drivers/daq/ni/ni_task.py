@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from wavefocus.drivers.daq.ni import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE, TERMINALS, NiSession
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import RecordRequest
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,29 +261,6 @@ def check_wiring(session: NiSession, wiring: InputWiring) -> None:
             f"{product} has no digital input {wiring.trigger!r}",
             f"put {_or(limits.triggers)} into trigger" if limits.triggers else "leave out trigger",
         )
-
-
-def check_request(session: NiSession, request: RecordRequest, operation: str) -> None:
-    """Refuse a record that the device cannot make. Raises InstrumentError."""
-    product, limits = session.identity.product, session.limits
-    if request.samples < 1 or not request.sample_rate_hz > 0:
-        cause = f"{request.samples} samples at {request.sample_rate_hz:g} Hz"
-        remedy = "ask for at least one sample at a rate above 0 Hz"
-        raise InstrumentError(session.instrument, operation, cause, remedy)
-    if limits.ranges_v is not None:
-        for range_v in request.range_v:
-            if not any(abs(range_v / known_v - 1) < 1e-6 for known_v in limits.ranges_v):
-                cause = f"{product} has no range of {range_v:g} V"
-                remedy = (
-                    f"choose {_or(f'{known_v:g}' for known_v in limits.ranges_v)} V as reference_range_v and "
-                    "response_range_v of [recorder]"
-                )
-                raise InstrumentError(session.instrument, operation, cause, remedy)
-    slowest_hz, fastest_hz = limits.slowest_hz or 0.0, limits.fastest_hz or float("inf")
-    if not slowest_hz * (1 - 1e-9) <= request.sample_rate_hz <= fastest_hz * (1 + 1e-9):
-        cause = f"{product} does not sample two inputs at {request.sample_rate_hz:g} Hz each"
-        remedy = f"choose {slowest_hz:.3g} to {fastest_hz:g} Hz as sample_rate_hz of [capture]"
-        raise InstrumentError(session.instrument, operation, cause, remedy)
 
 
 def _or(names: Iterable[str]) -> str:
