@@ -213,11 +213,8 @@ def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
         raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
     plate = plate_behind(rig, run)
     table = "emulation" if plate is rig.emulation else "virtual"
-    if plate.plate == "thin" and plate.edge != "infinite" and rig.surface.kind != "rectangle":
-        raise InputError(
-            f'{source}: {table}.plate = "thin": needs kind = "rectangle" in [surface] of the rig file, '
-            'or edge = "infinite"'
-        )
+    if plate.plate == "thin" and plate.gone is None and rig.surface.kind != "rectangle":
+        raise InputError(f'{source}: {table}.plate = "thin": needs kind = "rectangle" in [surface] of the rig file')
     if plate.finger is not None and not rig.surface.outline.contains(plate.finger.place_mm, FINGER_MM):
         x_mm, y_mm = plate.finger.place_mm
         allowed = f"must be on the surface, {FINGER_MM:g} mm or more from its edge"

@@ -244,7 +244,6 @@ RIGS = {
     "soft": VirtualSettings(),
     "stadium": VirtualSettings(plate="stadium"),
     "thin": VirtualSettings(plate="thin", outline=GLASS_OUTLINE, actuator_mm=GLASS_ACTUATORS_MM),
-    "thin, infinite": VirtualSettings(plate="thin", plate_keys=(("edge", "infinite"),)),
     "solid": VirtualSettings(plate="solid"),
 }
 

@@ -27,6 +27,11 @@ from wavefocus.config.fields import (
 FINGER_MM = 3.0
 """Half the width of a finger, and a little."""
 _OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
+_GONE = (
+    ("loss", "springpot", 'is gone: the loss of the plate "soft" is nearly the same at all frequencies'),
+    ("edge", "infinite", 'is gone: the plate "soft" has no rim'),
+)
+"""Keys and values of earlier versions, which banks hold, and what serves instead."""
 
 
 def _of_plate(plate: str, description: str) -> Any:
@@ -53,11 +58,13 @@ class PlateKeys(Table):
         "gel without a rim that moves in its plane",
     )
     loss: Literal["damped", "springpot"] | None = _of_plate(
-        "soft", "the same at all frequencies, nearly, or a springpot's, growing with them"
+        "soft", '"damped" has no effect; "springpot" is of banks of earlier versions'
     )
     rim_admittance: NonNegative | None = _of_plate("stadium", "0 is a free edge, 1 absorbs waves at a right angle")
-    quality: Annotated[Positive, Field(le=1e5)] | None = _of_plate("thin", "quality factor of its modes and waves")
-    edge: Literal["supported", "infinite"] | None = _of_plate("thin", "a rectangle that is simply supported, or none")
+    quality: Annotated[Positive, Field(le=1e5)] | None = _of_plate("thin", "quality factor of its modes")
+    edge: Literal["supported", "infinite"] | None = _of_plate(
+        "thin", '"supported" has no effect; "infinite" is of banks of earlier versions'
+    )
     mode_tolerance: Annotated[NonNegative, Field(le=1)] | None = _of_plate(
         "thin", "no effect: all modes are summed (earlier versions left some out)"
     )
@@ -81,11 +88,18 @@ class PlateKeys(Table):
         """Directions of force and oscillation, from x towards y; None of plates that move along one line."""
         return (self.force_deg or 0.0, self.oscillation_deg or 0.0) if self.plate == "solid" else None
 
+    @property
+    def gone(self) -> tuple[str, str, str] | None:
+        """Key, value and what serves instead, of a plate that only earlier versions simulated."""
+        return next((one for one in _GONE if getattr(self, one[0]) == one[1]), None)
+
     @model_validator(mode="after")
-    def _keys_of_this_plate(self) -> PlateKeys:
+    def _keys_of_this_plate(self, info: ValidationInfo) -> PlateKeys:
         for key, value in self.plate_keys.items():
             if (plate := _plate_of_key().get(key, self.plate)) != self.plate:
                 raise mistake(key, value, f'belongs to plate = "{plate}"')
+        if self.gone is not None and info.context is not KEPT:
+            raise mistake(*self.gone)
         return self
 
 

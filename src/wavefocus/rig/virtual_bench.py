@@ -10,6 +10,7 @@ from wavefocus.config.run import Virtual
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from wavefocus.mocks.virtual.synthesis import output_errors
+from wavefocus.storage.errors import InputError
 
 
 def virtual_rig(
@@ -20,9 +21,15 @@ def virtual_rig(
 
 
 def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualSettings:
-    """What the bench behind a rig is like, for the virtual rig and for emulated wires."""
+    """What the bench behind a rig is like, for the virtual rig and for emulated wires.
+
+    Raises InputError: a bank's plate is one that only earlier versions simulated.
+    """
     emulation, defaults = rig.emulation, VirtualSettings()
     plate = plate_of(virtual, emulation)
+    if plate.gone is not None:
+        key, value, instead = plate.gone
+        raise InputError(f'{key} = "{value}": {instead}; banks of such a plate are read, and not measured on')
     seed = emulation.seed if virtual is None else virtual.seed
     noise_v = emulation.noise_v if virtual is None or virtual.noise_v is None else virtual.noise_v
     crosstalk, leak_s = (

@@ -13,29 +13,11 @@ from numpy.typing import NDArray
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
 
-_ComplexType = type[np.complex64] | type[np.complex128]
-
 _NODES = 24  # Chebyshev nodes in log radius; the error they leave is measured in tests/unit/test_plates.py
-_PHASE_BLOCK = 256
 
 
 class Wave(Protocol):
     """One kind of wave that leaves a disk."""
-
-    @property
-    def speed_m_s(self) -> float:
-        """Speed of the front."""
-        ...
-
-    @property
-    def damping_per_s(self) -> float:
-        """Loss proportional to velocity."""
-        ...
-
-    @property
-    def plain_from_hz(self) -> float:
-        """Frequency from which exp(-j w r / c - b r / (2 c)) is nearly its phase and decay; infinite if none."""
-        ...
 
     def wavenumber(self, frequency_hz: Float64Array, /) -> Complex128Array:
         """Complex wavenumber in rad/m."""
@@ -49,9 +31,8 @@ class Wave(Protocol):
 class PlateTable:
     """Velocity of one kind of wave on a fixed frequency grid, for distances chosen later.
 
-    The wave is demodulated by a carrier: below its `plain_from_hz` exp(-j k r) / sqrt(r), above it the plain damped
-    wave exp(-j w r / c - b r / (2 c)) / sqrt(r), which costs two short exponentials. What is left is so
-    smooth in log r that a Chebyshev interpolation of low order does for all distances.
+    The wave is demodulated by exp(-j k r) / sqrt(r). What is left is so smooth in log r that a Chebyshev interpolation
+    of low order does for all distances.
 
     wave: The wave.
     step_hz: Spacing of the frequencies in Hz, > 0; they are step_hz * (0, 1, ... bins - 1).
@@ -79,7 +60,7 @@ class PlateTable:
         self._colour = colour
         self._span_mm = (source_radius_mm, furthest_mm)
         self._source_radius_mm = source_radius_mm
-        self._complex: _ComplexType = np.complex64 if single else np.complex128
+        self._complex = np.dtype(np.complex64 if single else np.complex128)
         self._real = np.dtype(np.float32 if single else np.float64)
 
         angle = np.pi * (np.arange(_NODES) + 0.5) / _NODES
@@ -88,12 +69,11 @@ class PlateTable:
         low, high = np.log(self._span_mm)
         node_mm = np.exp(low + (high - low) * (self._nodes + 1) / 2)
         frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
-        self._low_wavenumber = wave.wavenumber(frequency_hz[frequency_hz < wave.plain_from_hz])
-        rows = []
-        for radius_mm in node_mm.tolist():
-            carrier = self._decay(radius_mm) * np.exp(-1j * self._lag(radius_mm) * np.arange(bins))
-            carrier[: len(self._low_wavenumber)] = self._low_carrier(radius_mm)
-            rows.append(wave.kernels(frequency_hz, radius_mm, source_radius_mm) * colour / carrier)
+        self._turn_per_mm = -1e-3j * wave.wavenumber(frequency_hz)
+        rows = [
+            wave.kernels(frequency_hz, radius_mm, source_radius_mm) * colour / self._carrier(radius_mm)
+            for radius_mm in node_mm.tolist()
+        ]
         table = np.stack(rows, axis=1).astype(self._complex)
         self._kernels = len(table)
         self._table = table.reshape(self._kernels * _NODES, bins).view(self._real)
@@ -112,7 +92,9 @@ class PlateTable:
         low, high = self._span_mm
         tabulated = (radius_mm >= low) & (radius_mm <= high)
         held_mm = np.where(tabulated, radius_mm, high)
-        result: NDArray[np.complex128] | NDArray[np.complex64] = self._carrier(held_mm)
+        result: NDArray[np.complex128] | NDArray[np.complex64] = self._carrier(held_mm[:, None]).astype(
+            self._complex, copy=False
+        )
         factors = self._interpolation(held_mm)
         if weights is not None:
             factors = (weights[:, :, None] * factors[:, None, :]).reshape(len(factors), -1).astype(self._real)
@@ -134,47 +116,8 @@ class PlateTable:
         terms = np.where(on_node.any(axis=1, keepdims=True), on_node, terms)
         return np.asarray(terms / terms.sum(axis=1, keepdims=True), dtype=self._real)
 
-    def _carrier(self, radius_mm: Float64Array) -> NDArray[np.complex128] | NDArray[np.complex64]:
-        """The carrier on the grid, its plain part as an outer product of two short exponentials."""
-        if len(self._low_wavenumber) == self._bins:
-            low = self._low_carrier(radius_mm[:, None])
-            return low.astype(np.complex64) if self._complex is np.complex64 else low
-        carrier = phase_ramp(-self._lag(radius_mm), self._bins, self._complex, self._decay(radius_mm))
-        carrier[:, : len(self._low_wavenumber)] = self._low_carrier(radius_mm[:, None])
-        return carrier
-
-    def _low_carrier(self, radius_mm: Float64Array | float) -> NDArray[np.complex128]:
-        return np.asarray(np.exp(-1j * self._low_wavenumber * radius_mm / 1e3) / np.sqrt(radius_mm))
-
-    def _lag(self, radius_mm: Float64Array | float) -> Float64Array:
-        """Phase in radians that one frequency step gains on the way."""
-        return np.asarray(2 * np.pi * self._step_hz * radius_mm / (1e3 * self._wave.speed_m_s))
-
-    def _decay(self, radius_mm: Float64Array | float) -> Float64Array:
-        per_mm = self._wave.damping_per_s / (2e3 * self._wave.speed_m_s)
-        return np.asarray(np.exp(-per_mm * radius_mm) / np.sqrt(radius_mm))
-
-
-def phase_ramp(
-    radians_per_bin: Float64Array, bins: int, dtype: _ComplexType, amplitude: Float64Array | float = 1.0
-) -> NDArray[np.complex128] | NDArray[np.complex64]:
-    """Amplitude * exp(j * bin * radians_per_bin), from two short float64 exponentials a row.
-
-    radians_per_bin, float64 (rows,): Phase step of each row in radians.
-    bins: Number of bins, > 0.
-    dtype: complex64 or complex128.
-    amplitude, float64 (rows,), or float: Factor of each row.
-
-    Returns complex (rows, bins).
-    """
-    blocks = -(-bins // _PHASE_BLOCK)
-    step = np.asarray(radians_per_bin, dtype=np.float64)[:, None]
-    scale = np.broadcast_to(np.asarray(amplitude, dtype=np.float64), (len(step),))[:, None]
-    coarse = (scale * np.exp(1j * step * (_PHASE_BLOCK * np.arange(blocks)))).astype(dtype)
-    fine = np.exp(1j * step * np.arange(_PHASE_BLOCK)).astype(dtype)
-    ramp: NDArray[np.complex128] | NDArray[np.complex64] = coarse[:, :, None] * fine[:, None, :]
-    ramp = ramp.reshape(len(step), -1)
-    return ramp[:, :bins]
+    def _carrier(self, radius_mm: Float64Array | float) -> Complex128Array:
+        return np.asarray(np.exp(self._turn_per_mm * radius_mm) / np.sqrt(radius_mm))
 
 
 def _summed(parts: list[NDArray[np.complexfloating]]) -> NDArray[np.complexfloating]:

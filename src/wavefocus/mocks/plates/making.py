@@ -20,8 +20,8 @@ from wavefocus.mocks.plates import (
     PlateChange,
 )
 
-_OF_NO_PLATE = ("edge", "speed_per_k", "loss_per_k", "finger", "mode_tolerance")
-"""Keys that are carried out here; `mode_tolerance`, of earlier versions, has no effect."""
+_OF_NO_PLATE = ("speed_per_k", "loss_per_k", "finger", "loss", "edge", "mode_tolerance")
+"""Keys that are carried out here, and those of earlier versions, which have no effect."""
 
 
 def make_plate(
@@ -29,7 +29,7 @@ def make_plate(
 ) -> Plate:
     """Make a plate by its name and the keys of its table, some kelvin above `REFERENCE_C`. Raises ValueError."""
     own = {key: value for key, value in keys.items() if key not in _OF_NO_PLATE}
-    kind: type[Plate] = PLATES.all()[f"{name}, infinite" if keys.get("edge") == "infinite" else name]
+    kind: type[Plate] = PLATES.all()[name]
     change = PlateChange(1 + keys.get("speed_per_k", 0.0) * warmer_k, 1 + keys.get("loss_per_k", 0.0) * warmer_k)
     if (finger := keys.get("finger")) is None:
         return kind(actuator_mm, outline, chain, change=change, **own)

@@ -1,4 +1,4 @@
-"""Soft plates without a rim: scalar waves that leave a small source, damped or with the loss of a springpot; a solid.
+"""Soft plates without a rim: scalar damped waves that leave a small source, and a solid.
 
 The plate "solid" is an elastic solid in plane strain: the paper's eq. (3), with moduli that are complex.
 
@@ -16,7 +16,6 @@ The gel relaxes (Maxwell): every modulus is its instantaneous value times 1 / (1
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import scipy
@@ -48,9 +47,6 @@ class DampedWave:
 
     speed_m_s: float
     damping_per_s: float
-
-    plain_from_hz: ClassVar[float] = 100.0
-    """Below, diffusion bends the wavenumber away from that of the plain damped wave."""
 
     def changed(self, change: PlateChange) -> DampedWave:
         """The wave with speed and damping changed."""
@@ -88,54 +84,6 @@ class DampedWave:
         return self.velocity(frequency_hz, radius_mm, source_radius_mm)[None]
 
 
-@dataclass(frozen=True, slots=True)
-class SpringpotWave:
-    """An infinite soft plate whose modulus is that of a springpot, (j w / w0)^a: the loss grows with frequency.
-
-    k = (w / c0) (j w / w0)^(-a / 2), w0 = 2 pi 250 Hz (Koeller 1984; fractional calculus in viscoelasticity). Raises
-    ValueError.
-
-    phase_speed_m_s: Magnitude c0 of the complex phase speed at 250 Hz, > 0.
-    exponent: a, from 0 (elastic) to below 1.
-    """
-
-    phase_speed_m_s: float
-    exponent: float
-
-    # No front and no plain decay: tables follow its wavenumber at every frequency.
-    speed_m_s: ClassVar[float] = np.inf
-    damping_per_s: ClassVar[float] = 0.0
-    plain_from_hz: ClassVar[float] = np.inf
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.exponent < 1:
-            raise ValueError(f"exponent is {self.exponent}; it must be at least 0, or the wave would grow, and below 1")
-
-    def changed(self, change: PlateChange) -> SpringpotWave:
-        """The wave with speed and exponent changed."""
-        return SpringpotWave(self.phase_speed_m_s * change.speed, self.exponent * change.loss)
-
-    def modulus(self, frequency_hz: Float64Array) -> Complex128Array:
-        """Complex modulus over its magnitude at 250 Hz."""
-        turn = np.exp(0.5j * np.pi * self.exponent)
-        return np.asarray((frequency_hz / 250.0) ** self.exponent * turn)
-
-    def wavenumber(self, frequency_hz: ArrayLike, /) -> Complex128Array:
-        """Complex wavenumber in rad/m, Im k <= 0, at frequencies >= 0."""
-        frequency = np.asarray(frequency_hz, dtype=np.float64)
-        still = frequency == 0
-        modulus = self.modulus(np.where(still, 1.0, frequency))
-        return np.asarray(2 * np.pi * frequency / (self.phase_speed_m_s * np.sqrt(modulus)))
-
-    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
-        """Velocity at a distance from a disc that pushes with unit force, (1, frequencies); 0 at 0 Hz."""
-        frequency = np.asarray(frequency_hz, dtype=np.float64)
-        still = frequency == 0
-        moving = np.where(still, 1.0, frequency)
-        mean = mean_hankel(self.wavenumber(moving), radius_mm / 1e3, source_radius_mm / 1e3)
-        return np.asarray(np.where(still, 0.0, 0.5 * np.pi * moving * mean / self.modulus(moving)))[None]
-
-
 def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: float) -> Complex128Array:
     """Mean of H0(2)(k |r - s|) over the points s of a disc: finite at r = 0.
 
@@ -168,35 +116,21 @@ def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: flo
 SOFT_PLATE = DampedWave(speed_m_s=4.7072696192, damping_per_s=421.33369835)
 """The paper's impulses (section IV.A) travel on it: by test_plates.py 4.8 m/s and 3.8 dB/cm in 50 to 450 Hz."""
 
-SPRINGPOT_PLATE = SpringpotWave(phase_speed_m_s=4.847412041, exponent=0.352626446)
-"""The paper's group velocity and attenuation by test_plates.py; 2.0, 7.7 and 12.5 dB/cm at 50, 250 and 450 Hz."""
-
 UNIT_FORCE_N = 1000.0 * SOFT_PLATE.speed_m_s**2 * 0.013
 """rho c^2 h: what a unit force on the scalar plate stands for; 13 mm thick (the paper, section III), dense as water."""
 
 
 @PLATES.register
 class SoftPlate(InfinitePlate):
-    """A gel plate without a rim, fitted to the paper's group velocity and attenuation.
-
-    actuator_mm, outline, chain: See `Plate`.
-    loss: ``"damped"``: nearly the same at all frequencies; ``"springpot"``: growing with frequency.
-    """
+    """A gel plate without a rim, fitted to the paper's group velocity and attenuation."""
 
     name = "soft"
     unit_force_n = UNIT_FORCE_N
 
     def __init__(
-        self,
-        actuator_mm: Float64Array,
-        outline: Outline,
-        chain: Chain,
-        *,
-        loss: str = "damped",
-        change: PlateChange = UNCHANGED,
+        self, actuator_mm: Float64Array, outline: Outline, chain: Chain, *, change: PlateChange = UNCHANGED
     ) -> None:
-        self._wave = (SPRINGPOT_PLATE if loss == "springpot" else SOFT_PLATE).changed(change)
-        super().__init__(actuator_mm, outline, change.softened(chain), (self._wave,))
+        super().__init__(actuator_mm, outline, change.softened(chain), (SOFT_PLATE.changed(change),))
 
 
 _PRESSURE_SPEED_M_S = 9.4

@@ -5,9 +5,6 @@ same share per period, and the modes of a simply supported rectangle all have th
 w = kappa pi^2 (m^2/a^2 + n^2/b^2) (Kirchhoff-Love; Timoshenko and Woinowsky-Krieger 1959).
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 import scipy
 
@@ -22,8 +19,6 @@ from wavefocus.mocks.plates import (
     ModalPlate,
     PlateChange,
 )
-from wavefocus.mocks.plates.infinite import InfinitePlate
-from wavefocus.mocks.plates.soft import mean_hankel
 
 KAPPA_M2_S = 1.57
 """sqrt(D / (rho h)) of 1 mm of glass."""
@@ -33,9 +28,6 @@ HIGHEST_HZ = 8000.0
 """Modes up to here are summed; those beyond move each response by less than 1 % in a band to 500 Hz."""
 STRENGTH = 5.0
 """Force of an actuator relative to that on the soft plate, so that the same converters suit both."""
-
-INFINITE_STRENGTH = 150.0
-"""The same without an edge, where nothing resonates."""
 
 
 @PLATES.register
@@ -93,66 +85,3 @@ class ThinRectangle(ModalPlate):
         return np.asarray(
             np.sin(np.pi * x[:, None] * self._across / length_m) * np.sin(np.pi * y[:, None] * self._along / width_m)
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _FlexuralWave:
-    """One of the two waves of the infinite thin plate. Raises ValueError.
-
-    (k^2 - k1^2) (k^2 - k2^2) = k^4 + j (w / kappa) k^2 / Q - (w / kappa)^2 has the roots k1^2 = (w / kappa) e^{-j phi},
-    which travels, and k2^2 = -(w / kappa) e^{j phi}, which stays near the source; sin(phi) = 1 / (2 Q).
-
-    quality: Q, > 0.5.
-    travels: Which of the two it is.
-    kappa_m2_s: sqrt(D / (rho h)), > 0.
-    """
-
-    quality: float
-    travels: bool
-    kappa_m2_s: float = KAPPA_M2_S
-
-    plain_from_hz: ClassVar[float] = np.inf
-    speed_m_s: ClassVar[float] = np.inf
-    damping_per_s: ClassVar[float] = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.quality > 0.5:
-            raise ValueError(f"quality is {self.quality:g}; without an edge it must be above 0.5, or nothing travels")
-
-    @property
-    def _phi(self) -> float:
-        return float(np.arcsin(0.5 / self.quality))
-
-    def wavenumber(self, frequency_hz: Float64Array) -> Complex128Array:
-        """Complex wavenumber in rad/m."""
-        turn = np.exp(-0.5j * self._phi) if self.travels else -1j * np.exp(0.5j * self._phi)
-        return np.asarray(np.sqrt(2 * np.pi * frequency_hz / self.kappa_m2_s) * turn)
-
-    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
-        """Part of (H0(2)(k1 r) - H0(2)(k2 r)) / (8 sqrt(D rho h) cos(phi)); H0(2)(-j z) = (2j / pi) K0(z)."""
-        still = frequency_hz == 0
-        wavenumber = self.wavenumber(np.where(still, 1.0, frequency_hz))
-        mean = mean_hankel(wavenumber, radius_mm / 1e3, source_radius_mm / 1e3)
-        mobility = INFINITE_STRENGTH / (8 * MASS_KG_M2 * self.kappa_m2_s * np.cos(self._phi))
-        return np.asarray(np.where(still, 0.0, (mobility if self.travels else -mobility) * mean))[None]
-
-
-@PLATES.register
-class InfiniteGlass(InfinitePlate):
-    """Glass without an edge: waves leave and never come back; `quality` as for the rectangle."""
-
-    name = "thin, infinite"
-    unit_force_n = INFINITE_STRENGTH
-
-    def __init__(
-        self,
-        actuator_mm: Float64Array,
-        outline: Outline,
-        chain: Chain,
-        *,
-        quality: float = _QUALITY,
-        change: PlateChange = UNCHANGED,
-    ) -> None:
-        facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2
-        waves = [_FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]
-        super().__init__(actuator_mm, outline, chain, tuple(waves))

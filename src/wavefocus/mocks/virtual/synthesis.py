@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.plates import MAX_RINGING_S, REFERENCE_C, Complex64Array, Complex128Array, Plate, impulse_length
-from wavefocus.mocks.plates.infinite import phase_ramp
 from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
 _LEFT_OUT = 1e-12  # share of a signal's energy above the bins that are kept: -120 dB
+_PHASE_BLOCK = 256
 
 
 class PlayedSignal:
@@ -121,8 +121,11 @@ def _fourier_sum(signal: Float64Array, turn: float, first: int, bins: int) -> ND
 
 
 def _delay_factor(samples: float, bins: int, length: int) -> Complex64Array:
-    """The factor that delays a spectrum of a transform of some length."""
-    return np.asarray(phase_ramp(np.array([-2 * np.pi * samples / length]), bins, np.complex64)[0])
+    """The factor that delays a spectrum of a transform of some length, from two short float64 exponentials."""
+    radians_per_bin = -2 * np.pi * samples / length
+    coarse = np.exp(1j * radians_per_bin * (_PHASE_BLOCK * np.arange(-(-bins // _PHASE_BLOCK))))
+    fine = np.exp(1j * radians_per_bin * np.arange(_PHASE_BLOCK))
+    return np.outer(coarse.astype(np.complex64), fine.astype(np.complex64)).ravel()[:bins]
 
 
 _COIL_OHM = 14.0  # the paper, section IV.A
