@@ -231,11 +231,10 @@ def export_by_options(
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
     with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
         inputs = [view.path, *([publication] if publication else [])]
-        beside = out.with_name(out.name + form.notes_ending) if form.notes_ending else None
         if out.parent.is_dir():
             clear_leftovers(out.parent)  # what an export that was killed all but finished
         if not form.folder:
-            require_outputs((out, beside), inputs, force=force)
+            require_outputs((out,), inputs, force=force)
         view.require_sound(positions)
         texts = publication_of(view, publication).texts
         if view.notes:
@@ -246,8 +245,6 @@ def export_by_options(
         )  # fmt: skip
         writer = import_module(f"wavefocus.storage.exchange.{form.module}")
         names = writer.file_names(rows) if form.folder else [out.name]
-        if beside is not None and view.notes:
-            names.append(beside.name)
         if form.folder:
             ours = writer.older_files(out) | set(names)
             require_replaceable_folder(out, ours, inputs, by="export", force=force)

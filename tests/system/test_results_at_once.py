@@ -116,35 +116,6 @@ def test_a_corrected_verification_that_is_killed_then_goes_on(lab, bank):
     assert renaming > len(VERIFIED)
 
 
-STAGED = """
-from pathlib import Path
-from wavefocus.storage.output_files import staged_folder
-try:
-    with staged_folder(Path(sys.argv[1]), "record", ("stale",)) as staged:
-        for name in ("a", "b", "record"):
-            (staged / name).write_text("new")
-except Exception:
-    os._exit(8)
-"""
-
-
-def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_path):
-    code = KILLED.replace("os._exit(9)", "raise OSError(28, 'No space left on device')") + STAGED
-    for renaming in range(1, 20):
-        out = tmp_path / str(renaming)
-        out.mkdir()
-        old = dict.fromkeys(("a", "b", "record", "stale"), "old")
-        for name, content in old.items():
-            (out / name).write_text(content)
-        done = python("-c", code, renaming, out)
-        found = {file.name: file.read_text() for file in out.iterdir()}
-        if done.returncode == 0:
-            assert found == {"a": "new", "b": "new", "record": "new"}
-            break
-        assert (done.returncode, found) == (8, old)
-    assert renaming > 5
-
-
 def test_a_smaller_export_then_leaves_no_files_of_the_older_one(tmp_path):
     folder = tmp_path / "sounds"
     command = ["export", bank_of(tmp_path / "1.h5", 1.0), folder, "--to", "wav"]

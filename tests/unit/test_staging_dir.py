@@ -80,11 +80,3 @@ def test_a_folder_killed_between_two_renames_gets_the_new_one_under_its_name(tmp
     clear_leftovers(tmp_path, path.name)
     assert names(tmp_path) == ["crate"]
     assert (path / "README.md").read_text(encoding="utf-8") == "new"
-
-
-def test_files_of_a_maker_killed_while_they_moved_are_moved_whatever_it_had_noted(tmp_path):
-    hidden = leftover(tmp_path / "results", owner=b"unpacked", last=b"\xff\xa5")
-    (hidden / "results").mkdir()
-    (hidden / "results" / "verify.json").write_bytes(b"new")
-    clear_leftovers(tmp_path)
-    assert names(tmp_path) == ["verify.json"]

@@ -49,7 +49,7 @@ def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def staged_folder(folder: Path, last: str, owned: Collection[str] = ()) -> Iterator[Path]:
+def staged_folder(folder: Path, last: str, owned: Collection[str]) -> Iterator[Path]:
     """Write files into a folder together: yields a hidden folder whose files are moved when the block ends well.
 
     Other files of the folder stay. The file named `last` never stands among files of another making: who finds it
@@ -57,7 +57,7 @@ def staged_folder(folder: Path, last: str, owned: Collection[str] = ()) -> Itera
 
     owned: Names of files that are gone afterwards unless the block has written them.
 
-    Raises InputError: they cannot be written; older files are there as before.
+    Raises InputError: they cannot be written; older files may be gone then, the one named `last` before all others.
     """
     with _named_failures(folder), ExitStack() as stack:
         if not folder.is_dir():

@@ -117,8 +117,6 @@ def _ends_within_line(path: Path) -> bool:
 _OWNER = "owner"
 _PREVIOUS = "previous"
 _COMPLETE = b"complete"
-_UNPACKED = b"unpacked"  # complete, and its files move into the folder around it one by one
-_RECORD = "last"
 _TRIES = 10
 
 
@@ -133,10 +131,7 @@ class StagingDir:
 
     def complete(self) -> None:
         """Note that the temporary file is whole and on the disk, and only lacks its name."""
-        self._note(_COMPLETE)
-
-    def _note(self, state: bytes) -> None:
-        self._owner.write(0, state)
+        self._owner.write(0, _COMPLETE)
         self._owner.sync()
 
     def publish(self) -> None:
@@ -156,33 +151,21 @@ class StagingDir:
         """Move the files of a synced temporary folder into the folder around it, where older ones make way.
 
         An older file named `last` goes first and the new one comes last, so that it never stands among files of
-        another making; killed in between, the next command moves the rest. After an error all older files are there
-        as before.
+        another making, also where this ends halfway.
 
         owned: Names of older files that go, too.
 
         Raises OSError: the files cannot be moved.
         """
-        folder, made = self._path.parent, {file.name for file in self.temporary.iterdir()}
-        names = sorted(made.union(owned), key=lambda name: (name != last, name))
-        (self._previous.parent / _RECORD).write_text(last, encoding="utf-8")
-        durable.sync_path(self._previous.parent / _RECORD)
-        durable.sync_folder(self._previous.parent)
-        self._previous.mkdir()
-        self._note(_UNPACKED)
-        try:
-            for name in names:
-                if os.path.lexists(folder / name):
-                    (folder / name).replace(self._previous / name)
-            durable.sync_folder(folder)  # a power cut keeps no older record beside newer files
-            _unpack(self.temporary, folder, last)
-        except BaseException:
-            for name in reversed(names):
-                if (self._previous / name).exists():
-                    (self._previous / name).replace(folder / name)
-                elif name in made and not (self.temporary / name).exists():
-                    (folder / name).unlink(missing_ok=True)
-            raise
+        folder = self._path.parent
+        for name in (last, *owned):
+            (folder / name).unlink(missing_ok=True)
+        durable.sync_folder(folder)  # a power cut keeps no older record beside newer files
+        for file in sorted(self.temporary.iterdir(), key=lambda file: (file.name == last, file.name)):
+            if file.name == last:
+                durable.sync_folder(folder)
+            file.replace(folder / file.name)
+        durable.sync_folder(folder)
 
     def publish_folder(self) -> None:
         """Give a synced temporary folder its name; an older folder of that name is removed with the staging folder."""
@@ -274,23 +257,11 @@ def _finish(folder: Path, path: Path, owner: PositionedFile) -> None:
     """Give a complete file or folder the name that its maker had claimed, or had just taken from an older folder."""
     if owner.size() != len(_COMPLETE) or not (folder / path.name).exists():
         return
-    noted = owner.read(0, len(_COMPLETE))
-    if noted == _UNPACKED:
-        _unpack(folder / path.name, path.parent, (folder / _RECORD).read_text(encoding="utf-8", errors="replace"))
-        return
     claimed = path.is_file() and path.stat().st_size == 0
     taken = (folder / _PREVIOUS).is_dir() and not os.path.lexists(path)
-    if (claimed or taken) and noted == _COMPLETE:
+    if (claimed or taken) and owner.read(0, len(_COMPLETE)) == _COMPLETE:
         (folder / path.name).replace(path)
         durable.sync_folder(path.parent)
-
-
-def _unpack(made: Path, folder: Path, last: str) -> None:
-    for file in sorted(made.iterdir(), key=lambda file: (file.name == last, file.name)):
-        if file.name == last:
-            durable.sync_folder(folder)
-        file.replace(folder / file.name)
-    durable.sync_folder(folder)
 
 
 def _clear(folder: Path, name: str, owner: PositionedFile | None) -> None:
@@ -316,4 +287,4 @@ def _clear(folder: Path, name: str, owner: PositionedFile | None) -> None:
 
 def _is_ours(name: str, made: str) -> bool:
     """Whether a maker's folder holds files of this name; libraries add endings to the one that is made."""
-    return name in {_OWNER, _PREVIOUS, _RECORD} or name.startswith(made)
+    return name in {_OWNER, _PREVIOUS} or name.startswith(made)

@@ -6,9 +6,6 @@ A format is a module here. With `write` it has an entry of `EXPORTS` and a line 
 
 from dataclasses import dataclass
 
-CSV_NOTES = "-metadata.json"
-"""A table has no place for notes; W3C's "CSV on the Web" keeps them in a file of this ending beside it."""
-
 
 @dataclass(frozen=True, slots=True)
 class _ExportFormat:
@@ -21,8 +18,6 @@ class _ExportFormat:
     folder: It writes a folder of files instead of one file.
     holds_nan: It can hold rows without a measurement.
     value_bytes: Bytes per tap, position and actuator.
-    notes_ending: What is added to the file's name for a second file with the bank's notes, where the format itself has
-        no place for them.
     """
 
     module: str
@@ -31,7 +26,6 @@ class _ExportFormat:
     folder: bool = False
     holds_nan: bool = True
     value_bytes: int = 4
-    notes_ending: str = ""
 
 
 EXPORTS = {
@@ -41,7 +35,7 @@ EXPORTS = {
     "mat": _ExportFormat("mat", "MATLAB", ".mat"),
     "npz": _ExportFormat("named_arrays", "NumPy", ".npz"),
     "netcdf": _ExportFormat("netcdf", "netCDF", ".nc"),
-    "csv": _ExportFormat("places", "a table of positions", ".csv", value_bytes=0, notes_ending=CSV_NOTES),
+    "csv": _ExportFormat("places", "a table of positions", ".csv", value_bytes=0),
 }
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,25 +14,16 @@ import numpy as np
 from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.ledger import status_words
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange import CSV_NOTES
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import Float64Array, from_spherical, length_unit, require_plain
-from wavefocus.storage.output_files import staged_folder
+from wavefocus.storage.output_files import write_whole
 from wavefocus.storage.text_file import read_text
 from wavefocus.storage.units import METRES
 
 
 def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None) -> None:
-    """Write a table with a line per position; figures per actuator are their medians, empty where unknown.
-
-    Notes of the bank stand beside it, as "CSV on the Web" has them.
-    """
-    beside, notes = path.with_name(path.name + CSV_NOTES), [asdict(note) for note in rows.bank.notes]
-    with staged_folder(path.parent, path.name, owned={beside.name}) as staged:
-        (staged / path.name).write_text(table(rows), encoding="utf-8", newline="")
-        if notes:
-            about = {"@context": "http://www.w3.org/ns/csvw", "url": path.name, "notes": notes}
-            (staged / beside.name).write_text(json.dumps(about, indent=1, ensure_ascii=False), encoding="utf-8")
+    """Write a table with a line per position; figures per actuator are their medians, empty where unknown."""
+    write_whole(path, table(rows))
     if on_progress is not None:
         on_progress(len(rows.row), len(rows.row))
 
