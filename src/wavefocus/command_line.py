@@ -195,7 +195,7 @@ class Parser(argparse.ArgumentParser):
         """Refuse what is left over of a command line, with the option that may have been meant."""
         known = [name for one in self.of_commands[command]._actions for name in one.option_strings]
         option = next((one for one in extra if one.startswith("-")), extra[0]).partition("=")[0]
-        if instead := OPTIONS.get(f"{command} {option}") or OPTIONS.get(option):
+        if instead := OPTIONS.get(option):
             raise UsageError(f"{command}: {refused(option, instead)}")
         guess = nearest(option, known) if option.startswith("-") else ""
         raise UsageError(f"{command}: {option} is not known{guess} (wavefocus {command} --help shows what there is)")

@@ -208,7 +208,6 @@ def test_given_nan_for_what_is_missing_then_arrays_hold_every_row(bank, tmp_path
         ("a\nb \u00e4.h5", "npz", [], "is an input"),
         ("a\nb \u00e4.h5", "wav", [], "is a file; wav writes a folder of files"),
         ("bank.doc", "doc", [], "'doc' is not allowed"),
-        ("bank.npz", "npz", ["--binary"], "--binary is gone: give --to uff-binary"),
         ("bank.npz", "npz", ["--publication", "nowhere.toml"], "nowhere.toml: no such file"),
     ],
 )
