@@ -66,8 +66,8 @@ class LiveOptions:
     allows it. Where `ahead_ms` is None it is doubled after each underrun.
     """
 
-    scene_file: Path | None = option(
-        None, "Its regularisation, output and first source's signal; by default noise of the bank's band.", "--scene",
+    scene: Path | None = option(
+        None, "Its regularisation, output and first source's signal; by default noise of the bank's band.",
         metavar="SCENE.toml",
     )  # fmt: skip
     look_ahead_ms: float = option(

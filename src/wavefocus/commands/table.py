@@ -188,7 +188,7 @@ USE = (
         "docs/reference/live.md has every order, event and OSC address. Ctrl-C mutes at once.",
         (
             BANK, ON_RIG,
-            *options_of(LiveOptions, "scene_file", "look_ahead_ms", "ahead_ms", "gain_db", "duration_s", "record",
+            *options_of(LiveOptions, "scene", "look_ahead_ms", "ahead_ms", "gain_db", "duration_s", "record",
                         "independent"),
             argument("--osc", nargs="?", const="127.0.0.1:9000", metavar="HOST:PORT",
                      help="Also take orders by OSC over UDP; by default at 127.0.0.1:9000, of this computer alone."),

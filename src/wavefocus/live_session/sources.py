@@ -9,12 +9,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from wavefocus.banks import LOG
+from wavefocus.banks import LOG, options_from, taking
 from wavefocus.config.messages import Message
 from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveReady, LiveState, MoveSource
 from wavefocus.config.scene import Output, Regularisation
@@ -65,8 +66,8 @@ def open_session(
     """
     regularisation, output = Regularisation(), Output()
     signal: Signal | None = None
-    if options.scene_file is not None:
-        scene = load_scene(options.scene_file)
+    if options.scene is not None:
+        scene = load_scene(options.scene)
         regularisation, output, signal = scene.regularisation, scene.output, scene.sources[0].signal
     if options.independent:
         regularisation = regularisation.model_copy(update={"independent": True})
@@ -95,7 +96,7 @@ def open_session(
             )
             return engine, LiveLimiter(stricter(output, rig.player), interface.full_scale_v, interface.rate_hz)
 
-        with naming(options.scene_file or bank, view), spinner("modelling what lies between the bank's positions"):
+        with naming(options.scene or bank, view), spinner("modelling what lies between the bank's positions"):
             # Finer rows take seconds, and warm nothing up.
             warm = "nearest" if output.interpolation in ("kernel", "waves", "auto") else output.interpolation
             _warm_up(*engine_and_limiter(warm), view)
@@ -154,20 +155,9 @@ def _warm_up(engine: LiveEngine, limiter: LiveLimiter, bank: Bank) -> None:
 LOOKS_EVERY_S = 0.25
 
 
+@taking(LiveOptions)
 @checked
-@contextmanager
-def live(
-    bank: str | Path,
-    rig: str | Path | None = None,
-    *,
-    scene: str | Path | None = None,
-    look_ahead_ms: float = 50.0,
-    block_ms: float = 5.0,
-    ahead_ms: float | None = None,
-    gain_db: float = 0.0,
-    record: str | Path | None = None,
-    independent: bool = False,
-) -> Iterator[LiveSources]:
+def live(bank: str | Path, rig: str | Path | None = None, **options: Any) -> AbstractContextManager[LiveSources]:
     """Play sources that move while they sound, as ``wavefocus live``.
 
     At the end of the ``with`` block all sources fade; the outputs are muted on every way out.
@@ -178,21 +168,8 @@ def live(
         Path of a bank.
     rig
         Path of a rig file, or ``"virtual"``; by default the rig that the bank was measured with.
-    scene
-        Path of a scene file: its regularisation, its output and the signal of its first source are used. By default
-        noise of the bank's band, without saturation, between positions by ``auto``.
-    look_ahead_ms
-        By how much sources lag what is ordered, 0 to 2000; what is not known by then is predicted.
-    block_ms
-        Time of a block, 1 to 50; orders take effect with the next one.
-    ahead_ms
-        So much waits to be played, 1 to 1000; by default 40, and twice as much after each underrun.
-    gain_db
-        On the amplitudes of all orders; limits hold all the same.
-    record
-        Folder in which the session is recorded as a scene that renders to the same drives.
-    independent
-        Whether each source is quiet where the others are, also at those of amplitude 0.
+    options
+        As listed.
 
     Returns
     -------
@@ -215,26 +192,13 @@ def live(
     >>> sources.ended.positions
     21
     """
-    for name, value, least, most in (
-        ("look_ahead_ms", look_ahead_ms, 0, 2000),
-        ("block_ms", block_ms, 1, 50),
-        ("ahead_ms", ahead_ms, 1, 1000),
-        ("gain_db", gain_db, -200, 200),
-    ):
-        if value is not None and not least <= value <= most:
-            raise InputError(f"{name} is {value}; allowed: {least} to {most}")
-    options = LiveOptions(
-        None if scene is None else Path(scene),
-        look_ahead_ms,
-        block_ms,
-        ahead_ms,
-        gain_db,
-        record=None if record is None else Path(record),
-        independent=independent,
-    )
+    return _sounding(Path(bank), None if rig is None else Path(rig), options_from(LiveOptions, options))
+
+
+@contextmanager
+def _sounding(bank: Path, rig_file: Path | None, options: LiveOptions) -> Iterator[LiveSources]:
     reports = _Reports()
-    rig_file = None if rig is None else Path(rig)
-    with open_session(Path(bank), rig_file, options, reports) as (session, ready):
+    with open_session(bank, rig_file, options, reports) as (session, ready):
         sources = LiveSources(session, ready, reports)
         sources._start()
         try:
