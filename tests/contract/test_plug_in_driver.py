@@ -186,5 +186,5 @@ def test_rigs_of_drivers_that_cannot_be_used_are_refused_with_the_reason(tmp_pat
     assert told.pop("fails").endswith("cannot be used: OSError: no such device")
     assert "port" in told.pop("virtual")  # the built-in one has none
     assert set(told) == set(BROKEN) - BUILT_IN
-    for cause, reason in zip(causes, ("what its driver opened lacks close, ", "its driver ended with 0"), strict=True):
+    for cause, reason in zip(causes, ("what its driver opened is no Mirror", "its driver ended with 0"), strict=True):
         assert reason in cause

@@ -7,8 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MethodType
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,24 +247,6 @@ class Player(Instrument):
     def _no_pieces(self) -> InstrumentError:
         remedy = "render the scene to a drive file and play that"
         return InstrumentError("player", "playing piece by piece", "its driver takes no signal in pieces", remedy)
-
-
-def with_defaults(device: Any, role: Any) -> Any:
-    """The device, with the role's defaults for what it lacks: other distributions' may derive from nothing.
-
-    Raises InstrumentError: it lacks what has no default.
-    """
-    if not isinstance(device, role):
-        if lacking := [name for name in sorted(role.__abstractmethods__) if not hasattr(device, name)]:
-            cause, remedy = f"what its driver opened lacks {', '.join(lacking)}", "correct the driver, or ask its maker"
-            raise InstrumentError(role.__name__.lower(), "opening", cause, remedy)
-        for name, default in vars(role).items():
-            lacks = not hasattr(type(device), name) and name not in vars(device)
-            if callable(default) and lacks and name not in role.__abstractmethods__:
-                setattr(device, name, MethodType(default, device))
-        if role is Recorder and not hasattr(device, "input_ranges_v"):
-            device.input_ranges_v = ()
-    return device
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from wavefocus.acquisition.setup import Openers
 from wavefocus.config.rig import RigConfig
@@ -17,7 +18,7 @@ from wavefocus.config.run import Virtual
 from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
-from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, Shutter, WallClock, with_defaults
+from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, Shutter, WallClock
 from wavefocus.drivers.registry import (
     MirrorSettings,
     Outputs,
@@ -83,7 +84,7 @@ def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
             port=mirror.port or "", baud=mirror.baud, identity=mirror.identity, settle_s=mirror.settle_s,
             limit_mrad=mirror.limit_mrad, park_mrad=mirror.park_mrad, clock=clock,
         )  # fmt: skip
-        opened: Mirror = with_defaults(driver.open(settings), Mirror)
+        opened: Mirror = _of_role(driver.open(settings), Mirror)
         return opened
 
 
@@ -115,7 +116,7 @@ def _recorder(rig: RigConfig) -> Recorder:
         if isinstance(driver, NiDaqmx):
             name = _task_name(driver.device, driver.address)
             return driver.open(shared=_outputs_in_use(rig), task_name=name)
-        opened: Recorder = with_defaults(driver.open(), Recorder)
+        opened: Recorder = _of_role(driver.open(), Recorder)
         return opened
 
 
@@ -149,8 +150,17 @@ def _player(rig: RigConfig, outputs: int) -> Player:
     wired_v = rig.player.output_full_scale_v
     further_v = (rig.player.full_scale_v,) * (outputs - len(wired_v))
     with _reporting_missing_packages("player", rig.player.driver):
-        opened: Player = with_defaults(driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz)), Player)
+        opened: Player = _of_role(driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz)), Player)
         return opened
+
+
+def _of_role(opened: Any, role: type[Any]) -> Any:
+    """What a driver opened. Raises InstrumentError: another distribution's is not derived from its role."""
+    if not isinstance(opened, role):
+        name = role.__name__
+        cause, remedy = f"what its driver opened is no {name}", f"derive it from {name} of wavefocus.drivers.protocols"
+        raise InstrumentError(name.lower(), "opening", cause, remedy)
+    return opened
 
 
 @contextmanager
