@@ -17,7 +17,7 @@ from wavefocus.acquisition.calibrate_channels import (
     measure_inputs,
     measure_outputs,
 )
-from wavefocus.acquisition.calibrate_mirror import read_fiducials, suspect_mark
+from wavefocus.acquisition.calibrate_mirror import Operator, read_fiducials, suspect_mark
 from wavefocus.calibration.mirror_map import MirrorMap, fit_mirror_map
 from wavefocus.config.messages.rig_checks import Answer
 from wavefocus.config.outline import Outline, default_marks_mm
@@ -28,7 +28,7 @@ RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))
 
 
-class Hands:
+class Hands(Operator):
     """A person who forgets some cables, and tries so often before giving up."""
 
     def __init__(self, rig, *, forgets=(), patience=5):
@@ -38,7 +38,7 @@ class Hands:
     def report(self, line):
         pass
 
-    def connect(self, source):
+    def plug_in(self, source):
         self.plugged.append(source)
         if source in self._forgets:
             self._forgets.remove(source)
@@ -47,6 +47,9 @@ class Hands:
 
     def jog(self, view):
         return Answer("here")
+
+    def judge(self, view):
+        return Answer("keep")
 
     def again(self, problem):
         self.problems.append(problem)

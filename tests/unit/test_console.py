@@ -17,7 +17,6 @@ from wavefocus.commands.calibrate import TerminalOperator
 from wavefocus.config.messages.campaign import Progress, State, StateChanged
 from wavefocus.console import Listener, progress, spinner
 from wavefocus.mocks.virtual import PatchBay
-from wavefocus.rig.calibration_session import Cables
 
 SHOWN = """
 import os
@@ -112,8 +111,9 @@ def test_given_a_problem_then_enter_tries_again_and_s_leaves_it_out(line, again)
     [("vibrometer", "vibrometer"), ("sum", "summing box"), ("both", "both inputs"), ("output 13",) * 2],
 )
 def test_a_cable_to_plug_then_the_person_is_told_which_and_the_virtual_one_follows(source, word, capsys):
-    bay = PatchBay(range(20), 20)
-    Cables(typing("\n"), bay.connect).connect(source)
+    bay, operator = PatchBay(range(20), 20), typing("\n")
+    operator.plug = bay.connect
+    operator.connect(source)
     assert bay.word == source
     told = capsys.readouterr().err
     assert "then press Enter" in told

@@ -1,8 +1,8 @@
 """Calibrating the mirror: from marks on the surface, where the operator jogs the beam, to the map of its angles."""
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from msgspec.structs import replace
@@ -26,32 +26,47 @@ def output(channel: int) -> str:
     return f"output {channel}"
 
 
-class Operator(Protocol):
-    """A person with two hands; every method returns when it is done."""
+class Operator(ABC):
+    """A person with two hands; every method returns when it is done.
 
-    def report(self, line: str) -> None:
-        """Read a line."""
-        ...
+    source: What is plugged into the response input; empty until it is done.
+    plug: Plugs the response input of a virtual rig along with it.
+    """
+
+    source = VIBROMETER
+    plug: Callable[[str], object] | None = None
 
     def connect(self, source: str) -> None:
-        """Plug something into the response input.
+        """Have something plugged into the response input.
 
         source: ``"vibrometer"``, ``"output K"`` (output K of the player), ``"sum"`` (the summing box that all outputs
             for actuators are plugged into) or ``"both"`` (the loopback, which the reference input gets too).
         """
-        ...
+        self.source = ""
+        self.plug_in(source)
+        if self.plug is not None:
+            self.plug(source)
+        self.source = source
 
+    @abstractmethod
+    def report(self, line: str) -> None:
+        """Read a line."""
+
+    @abstractmethod
+    def plug_in(self, source: str) -> None:
+        """Plug something into the response input."""
+
+    @abstractmethod
     def jog(self, view: AskJog) -> Answer:
         """Say how the beam is to move next (``by`` or ``to``), or that it is ``here``."""
-        ...
 
+    @abstractmethod
     def judge(self, view: MapView) -> Answer:
         """Look at the residuals of a mirror map: ``keep`` it, ``redo`` a mark, or ``drop`` it."""
-        ...
 
+    @abstractmethod
     def again(self, problem: str) -> bool:
         """Look for what is wrong; True to try once more, False to leave this out."""
-        ...
 
 
 Place = tuple[float, float]

@@ -56,8 +56,8 @@ def cable(source: str) -> str:
     return _CABLES.get(source) or f"plug {source} of the player into the response input"
 
 
-class TerminalOperator:
-    """Implements `wavefocus.acquisition.calibrate_mirror.Operator`."""
+class TerminalOperator(Operator):
+    """A person at a terminal."""
 
     def __init__(self, read_line: Callable[[], str], forget_typed: Callable[[], object] = lambda: None) -> None:
         self._read_line, self._forget_typed = read_line, forget_typed
@@ -66,7 +66,7 @@ class TerminalOperator:
         """Read a line."""
         say(line)
 
-    def connect(self, source: str) -> None:
+    def plug_in(self, source: str) -> None:
         """Plug something into the response input, and press Enter."""
         line = "?"
         while line:  # nothing but Enter says that it is done
@@ -118,8 +118,8 @@ def _two_numbers(text: str) -> tuple[float, float] | None:
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
-class _LinesOperator:
-    """A `wavefocus.acquisition.calibrate_mirror.Operator` that asks another program, by the messages of `calibrate`."""
+class _LinesOperator(Operator):
+    """A person before another program, which is asked by the messages of `calibrate`."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class _LinesOperator:
         """Read a line."""
         self._publish(Tell(line))
 
-    def connect(self, source: str) -> None:
+    def plug_in(self, source: str) -> None:
         """Plug something into the response input."""
         self._publish(AskConnect(source, cable(source)))
         self._answer("a cable was plugged", "connect")

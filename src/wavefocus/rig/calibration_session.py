@@ -48,7 +48,6 @@ from wavefocus.config.calibration import (
 )
 from wavefocus.config.fields import Table
 from wavefocus.config.messages.operate import Role
-from wavefocus.config.messages.rig_checks import Answer, AskJog, MapView
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
@@ -149,24 +148,24 @@ class CalibrationSession:
         """
         self._names = dict(zip(("mirror", "recorder", "player"), names_of(setup.instruments), strict=True))
         self._identities = identities_of(setup.instruments)
-        cables = Cables(operator, plug)
+        operator.plug = plug
         try:
             for part in PARTS:
                 if part not in self._request.parts:
                     continue
                 try:
-                    if part == "actuators" or (part == "mirror" and cables.source != VIBROMETER):
-                        self._need_vibrometer(setup, cables)
-                    setup = getattr(self, f"_{part}")(setup, cables)
+                    if part == "actuators" or (part == "mirror" and operator.source != VIBROMETER):
+                        self._need_vibrometer(setup, operator)
+                    setup = getattr(self, f"_{part}")(setup, operator)
                 except NotMeasuredError as failure:
                     self.problems.append(f"{part}: {failure}")
-            if cables.source != VIBROMETER:
+            if operator.source != VIBROMETER:
                 try:
-                    self._need_vibrometer(setup, cables)
+                    self._need_vibrometer(setup, operator)
                 except NotMeasuredError as failure:
                     self.problems.append(str(failure))
         finally:
-            if cables.source != VIBROMETER:
+            if operator.source != VIBROMETER:
                 operator.report("the response input is not on the vibrometer: plug it back before anything is measured")
 
     def record(self) -> CalibrationRecord:
@@ -267,17 +266,18 @@ class CalibrationSession:
         self._take_up("actuators", ActuatorsMeasured(**self._by("player"), distance_mm=distance_mm, actuator=each))
         return setup
 
-    def _need_vibrometer(self, setup: Setup, cables: Cables) -> None:
+    def _need_vibrometer(self, setup: Setup, operator: Operator) -> None:
         """Have the vibrometer plugged in; an output that was plugged there must have no signal there any more."""
-        plugged = [one for one in self._rig.player.channels if output(one) == cables.source]
+        plugged = [one for one in self._rig.player.channels if output(one) == operator.source]
         probe, channel = self._probe(setup), (plugged or self._rig.player.channels)[0]
         while True:
-            cables.back_to_vibrometer()
+            if operator.source != VIBROMETER:
+                operator.connect(VIBROMETER)
             if not probe.detects(channel):
                 return
             problem = "the response input still carries an output of the player, not the vibrometer"
-            cables.source = ""
-            if not cables.again(problem):
+            operator.source = ""
+            if not operator.again(problem):
                 raise NotMeasuredError(problem)
 
     def _probe(self, setup: Setup) -> Probe:
@@ -290,37 +290,6 @@ class CalibrationSession:
     def _take_up(self, part: str, figures: Table) -> None:
         self._found[part] = figures
         self.measured.append(part)
-
-
-class Cables:
-    """An operator who remembers what is plugged into the response input; on a virtual rig it is plugged with that."""
-
-    def __init__(self, operator: Operator, plug: Callable[[str], object] | None) -> None:
-        self._operator, self._plug = operator, plug
-        self.source = VIBROMETER
-
-    def report(self, line: str) -> None:
-        self._operator.report(line)
-
-    def connect(self, source: str) -> None:
-        self.source = ""  # neither the one nor the other until it is done
-        self._operator.connect(source)
-        if self._plug is not None:
-            self._plug(source)
-        self.source = source
-
-    def back_to_vibrometer(self) -> None:
-        if self.source != VIBROMETER:
-            self.connect(VIBROMETER)
-
-    def jog(self, view: AskJog) -> Answer:
-        return self._operator.jog(view)
-
-    def judge(self, view: MapView) -> Answer:
-        return self._operator.judge(view)
-
-    def again(self, problem: str) -> bool:
-        return self._operator.again(problem)
 
 
 def _silent(done: int, total: int, note: str = "") -> None:
