@@ -121,8 +121,7 @@ def verify(
     say(f"report: {out / files.REPORT_NAME}")
     if as_json:
         named = {"report": str(out / files.REPORT_NAME), "record": str(out / files.RECORD_NAME)}
-        found = {key: record[key] for key in _IN_JSON}
-        print(json.dumps({**named, **found, "sources": record["source_figures"]}))
+        print(json.dumps({**named, **{key: record[key] for key in _IN_JSON}}))
     return code
 
 

@@ -21,7 +21,6 @@ from wavefocus.rendering.verify.results import (
     Figure,
     PointMm,
     SentinelDrift,
-    SourceFigures,
     Symptom,
     with_words,
 )
@@ -112,8 +111,7 @@ class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", ta
     outline_mm: Rim of the surface, closed.
     actuator_mm: None where a place is unknown.
     symptoms: What is wrong, the largest cause first.
-    actuators, source_figures: Of each actuator against the bank, and along the path of each source; records of before
-        have none.
+    actuators: Of each actuator against the bank; records of before have none.
     drift: Of the bank's sentinel position; None where it was not measured again.
     correction: Of the drive by further scans; None where none was asked for.
     """
@@ -138,7 +136,6 @@ class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", ta
     excluded: tuple[_ExcludedPosition, ...]
     symptoms: tuple[Symptom, ...] = ()
     actuators: tuple[ActuatorFigures, ...] = ()
-    source_figures: tuple[SourceFigures, ...] = ()
     drift: SentinelDrift | None = None
     correction: Correction | None = None
 
@@ -226,7 +223,6 @@ def write_record(
         excluded=tuple(_ExcludedPosition(row, reason) for row, reason in compared.excluded),
         symptoms=verification.symptoms,
         actuators=verification.actuators,
-        source_figures=verification.sources,
         drift=verification.drift,
         correction=verification.correction,
     )

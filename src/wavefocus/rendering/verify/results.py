@@ -122,14 +122,6 @@ class SentinelDrift:
     verdict: str
 
 
-@dataclass(frozen=True)
-class SourceFigures:
-    """Normalised error within 15 mm of a source's foci, and the foci's median distance from the path; None: unknown."""
-
-    error: float | None
-    focus_mm: float | None
-
-
 StopReason = Literal["rounds", "noise", "no better", "held out", "few", "limit", "dropouts", "mirror"]
 
 

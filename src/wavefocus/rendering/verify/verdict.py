@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.config.run import DriftLimits, Tolerance
-from wavefocus.rendering.arrays import BoolArray, Float64Array
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM, FocusTable, focus_table, intended_mm, median_or_none
 from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.quiet_levels import field_levels
@@ -26,7 +26,6 @@ from wavefocus.rendering.verify.results import (
     Figure,
     Sentinel,
     SentinelDrift,
-    SourceFigures,
     Symptom,
     judged,
     sentence,
@@ -74,12 +73,6 @@ class Verification:
     correction: Correction | None = None
 
     @property
-    def sources(self) -> tuple[SourceFigures, ...]:
-        """Figures of each source, in the scene's order, up to the last one of which a focus was compared."""
-        sources = np.array([instant.source for instant in self.fields.instant], np.int64)
-        return tuple(self._source(sources == source) for source in range(int(sources.max(initial=-1)) + 1))
-
-    @property
     def checks(self) -> tuple[Figure, ...]:
         """The figures that have a limit."""
         return tuple(figure for figure in self.figures if figure.relation)
@@ -113,15 +106,6 @@ class Verification:
             noise = number(100.0 * self.noise_error, "%")
             text += f" The vibrometer's noise alone makes a difference of {noise}."
         return text
-
-    def _source(self, of_source: BoolArray) -> SourceFigures:
-        near = np.zeros(len(self.fields.position_index), bool)
-        for place_mm in self.focus.intended_mm[of_source]:
-            near |= np.hypot(*(self.fields.position_mm - place_mm).T) <= FOCUS_RADIUS_MM
-        scanned = self.fields.position_scanned[near]
-        wrong = np.nansum((self.fields.position_error[near] * scanned) ** 2)
-        error = math.sqrt(wrong / np.sum(scanned**2)) if scanned.any() else None
-        return SourceFigures(error, median_or_none(self.focus.from_intended_mm[of_source]))
 
 
 def compare(
