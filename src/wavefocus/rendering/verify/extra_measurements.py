@@ -24,7 +24,6 @@ from wavefocus.rendering.number_text import number
 from wavefocus.rendering.verify.field_pair import BandLimit
 from wavefocus.rendering.verify.results import Figure, Sentinel, SentinelDrift, judged
 from wavefocus.rendering.verify.scan import Scan
-from wavefocus.rendering.verify.symptoms import wave_speed
 from wavefocus.storage.bank.ledger import Status
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ def measure_sentinel(plan: Plan, setup: Setup, bank: Bank, publish: Subscriber =
 
 
 def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> SentinelDrift:
-    """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
+    """How the sentinel position differs from the bank: as a level and as a delay."""
     then, rate_hz = np.asarray(bank.green(sentinel.position), np.float32), bank.sample_rate_hz
     figures = compare_sentinel(then, sentinel.green, band_hz=bank.band_hz, sample_rate_hz=rate_hz)
     return SentinelDrift(
@@ -66,7 +65,6 @@ def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Sent
         float(figures.level_db),
         1e6 * figures.delay_samples / rate_hz,
         figures.correlation,
-        wave_speed(sentinel, bank),
         figures.verdict(limits),
     )
 
@@ -74,25 +72,21 @@ def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Sent
 def drift_figures(drift: SentinelDrift) -> tuple[Figure, ...]:
     """Lines of the table of figures; none has a limit, for the run's own limits give the verdict."""
     again = f"position {drift.position}, measured again before the scan, against its rows in the bank: "
-    speed = drift.speed_percent
     return (
         Figure("sentinel level", "dB", again + "energy over all actuators", difference=drift.level_db,
                value=drift.level_db),
         Figure("sentinel delay", "µs", again + "lag of the largest cross-correlation, above 0 where it is later",
                difference=drift.delay_us, value=drift.delay_us),
-        Figure("sentinel wave speed", "%", again + "change of speed, where it explains most of the difference",
-               difference=speed, value=speed),
         Figure("sentinel correlation", "", again + "the largest cross-correlation", value=drift.correlation),
     )  # fmt: skip
 
 
 def drift_sentence(drift: SentinelDrift) -> str:
     """The drift in words."""
-    speed = "" if drift.speed_percent is None else f", wave speed {number(drift.speed_percent, '%')}"
     state = {"steady": "steady", "warn": "changed", "stop": "changed much"}[drift.verdict]
     return (
         f"Sentinel position {drift.position} since the bank was measured: {state}; level"
-        f" {number(drift.level_db, 'dB')}, delay {number(drift.delay_us, 'µs')}{speed}, correlation"
+        f" {number(drift.level_db, 'dB')}, delay {number(drift.delay_us, 'µs')}, correlation"
         f" {drift.correlation:.4f}. The prediction is not corrected for it."
     )
 

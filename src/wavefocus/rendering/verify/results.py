@@ -110,7 +110,6 @@ class SentinelDrift:
     """The bank's sentinel position measured again, against its rows in the bank.
 
     level_db, delay_us, correlation: Over all actuators; delay above 0 where it is later.
-    speed_percent: Change of the wave speed that explains most of the difference; None where none does.
     verdict: "steady", "warn" or "stop", by the run's limits of drift.
     """
 
@@ -118,7 +117,6 @@ class SentinelDrift:
     level_db: Number
     delay_us: Number
     correlation: Number
-    speed_percent: float | None
     verdict: str
 
 

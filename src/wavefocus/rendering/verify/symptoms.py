@@ -336,20 +336,6 @@ def _with_speed(blocks: Blocks, change: float) -> tuple[float, Blocks]:
     return squares_left(tuple(louder)), tuple(louder)
 
 
-def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
-    """Change of the wave speed in % that explains most of the sentinel's change; None where it explains little."""
-    if bank.actuators > _MAX_SENTINEL_ACTUATORS:
-        return None
-    nothing = ActuatorErrors(np.ones(bank.actuators), np.zeros(bank.actuators))
-    state = _State((sentinel_block(sentinel, bank),), nothing)
-    cause = _only([_actuator_cause(state), _speed_cause(state, lambda: 1.0)], state, MAX_CAUSES)
-    if cause is None or cause.symptoms[0].code != "speed":
-        return None
-    explained = cause.left - state.noise <= (1.0 - CERTAIN_SHARE) * (state.left - state.noise)
-    value = cause.symptoms[0].value
-    return value if explained and isinstance(value, float) else None
-
-
 def _actuator_figures(state: _State) -> tuple[ActuatorFigures, ...]:
     """Level and delay of each actuator against the bank; None where a change of 0.4 dB would hardly show.
 
