@@ -17,6 +17,7 @@ fits the control places alone, as with a mirror that is off, does not.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -250,19 +251,13 @@ class _Model:
     ) -> float:
         """How much of a step limits and energy allow, to 1/256."""
 
-        def fits(share: float) -> bool:
-            candidate = drive_v + share * step_v
+        def is_too_large(parts: int) -> bool:
+            candidate = drive_v + parts / 256 * step_v
             if np.square(candidate).sum() > max_energy * self._energy:
-                return False
-            return limit_drive(candidate, rate_hz, limits).scale == 1.0
+                return True
+            return limit_drive(candidate, rate_hz, limits).scale != 1.0
 
-        if fits(1.0):
-            return 1.0
-        low, high = 0.0, 1.0
-        for _ in range(8):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if fits(middle) else (low, middle)
-        return low
+        return bisect_left(range(1, 257), True, key=is_too_large) / 256
 
     def _spectra(self, signals: Float64Array) -> Complex128Array:
         return np.asarray(scipy.fft.rfft(signals, self._length)[:, self._bins])
