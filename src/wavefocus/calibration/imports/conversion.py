@@ -258,39 +258,29 @@ class Conversion:
     def warnings(self) -> list[str]:
         """What is left out and holds more than `_NOTICED_DB`, and frequency responses that are not causal."""
         found = [] if self._energy is None else self._energy.words()[1]
-        residual_db, lines_db = self.residual_db, self._lines_db
-        if lines_db is not None and lines_db > _NOTICED_DB:
-            found.append(
-                f"frequencies left out hold {lines_db:.1f} dB of the energy; a wider --band, or none, keeps those that"
-                " the file holds"
-            )
-        if residual_db is not None and residual_db > _NOTICED_DB:
-            what = "samples left out hold" if self._converter is None else f"FIRs of {self.taps} taps do not hold"
-            remedy = "a larger --taps, or none, keeps it"
-            if self._converter is None and not self._options.taps:
-                what, remedy = "samples before 0 s, which are left out, hold", "0 s must be the instant of the drive"
-            found.append(f"{what} {residual_db:.1f} dB of the energy; {remedy}")
-        return found
-
-    @property
-    def _lines_db(self) -> float | None:
-        """Energy at the frequencies that are left out, in dB; None where none is."""
-        return 10 * math.log10(max(self._lines_out / self._all_lines, 1e-30)) if self._lines_out > 0 else None
+        return [*found, *(f"{text}; {remedy}" for level_db, text, remedy in self._left_out() if level_db > _NOTICED_DB)]
 
     def ending(self) -> list[str]:
         """Sentences about what the FIRs leave out, once all rows are converted."""
         said = [] if self._energy is None else self._energy.words()[0]
-        residual_db = self.residual_db
+        return [*said, *(text for _, text, _ in self._left_out())]
+
+    def _left_out(self) -> Iterator[tuple[float, str, str]]:
+        """Level in dB of what is left out, a sentence about it, and what keeps it."""
+        level_db = -math.inf if self.residual_db is None else self.residual_db
         if self._converter is not None:
-            level = (
-                "nothing" if residual_db is None else f"{residual_db:.1f} dB" if residual_db > -140 else "below -140 dB"
-            )
-            said.append(f"the causal FIRs leave {level} of the energy in the band unexplained")
-        elif residual_db is not None:
-            said.append(f"samples left out hold {residual_db:.1f} dB of the energy")
-        if self._lines_db is not None:
-            said.append(f"frequencies left out hold {self._lines_db:.1f} dB of the energy")
-        return said
+            level = f"{level_db:.1f} dB" if level_db > -140 else "below -140 dB"
+            text = f"causal FIRs of {self.taps} taps leave {level} of the energy in the band unexplained"
+            yield level_db, text, "a larger --taps, or none, keeps it"
+        elif self._cut > 0:
+            what, remedy = "samples before 0 s, which are left out,", "0 s must be the instant of the drive"
+            if self._options.taps:
+                what, remedy = "samples left out", "a larger --taps, or none, keeps it"
+            yield level_db, f"{what} hold {level_db:.1f} dB of the energy", remedy
+        if self._lines_out > 0:
+            level_db = 10 * math.log10(max(self._lines_out / self._all_lines, 1e-30))
+            text = f"frequencies left out hold {level_db:.1f} dB of the energy"
+            yield level_db, text, "a wider --band, or none, keeps those that the file holds"
 
 
 def _energy(rows: NDArray[Any]) -> float:
