@@ -197,10 +197,10 @@ class DriftWatch:
         first = self._bank.green(position)
         good, good_db = self._good.get(position, (first, held.snr_db))
         distance_mm = np.hypot(*(plan.actuator_mm - plan.position_mm[position]).T)
-        noise = share(held.snr_db), share(snr_db)
+        now = share(snr_db)
+        noise = share(held.snr_db), now
         figures = compare_sentinel(first, green, held.snr_db, noise, band_hz=band_hz, sample_rate_hz=rate_hz)
-        noise = share(good_db), share(snr_db)
-        step = step_of(good, green, noise, distance_mm, band_hz=band_hz, sample_rate_hz=rate_hz)
+        step = step_of(good, green, (share(good_db), now), distance_mm, band_hz=band_hz, sample_rate_hz=rate_hz)
         return replace(figures, step=step), (green, snr_db)
 
 
