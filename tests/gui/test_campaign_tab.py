@@ -13,7 +13,6 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QApplication
 
 from tests.gui.conftest import click, drag, pixel, shown_tab, wait
-from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.campaign.status import CampaignStatus, Heartbeat
 from wavefocus.config.messages import campaign as events
@@ -300,7 +299,8 @@ def test_given_points_then_limits_of_a_stop_that_are_near_are_drawn_and_in_view(
     at = datetime(2026, 11, 26, 2, tzinfo=UTC)
     for level_db, drawn in ((0.1, [0.0]), (0.4, [0.0]), (1.0, [-2.0, 0.0, 2.0]), (9.0, [-2.0, 0.0, 2.0])):
         qtbot.addWidget(plot := DriftPlot())
-        points = [DriftPoint(at + timedelta(hours=n), n * level_db, 0.1 * n, 1.0, "steady") for n in range(2)]
+        looks = [(n * level_db, 0.1 * n, 1.0, "steady", "run", "", ()) for n in range(2)]
+        points = [(at + timedelta(hours=n), events.Drift(0.0, 0, *look)) for n, look in enumerate(looks)]
         plot.show_drift(points, DriftLimits(warn_level_db=0.2, stop_level_db=2.0, stop_correlation=0.8))
         level, correlation = (
             [one.value() for one in part.getPlotItem().items if isinstance(one, pyqtgraph.InfiniteLine)]

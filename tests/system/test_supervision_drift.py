@@ -25,7 +25,7 @@ def test_drift_that_a_repeat_does_not_confirm_is_noted_and_the_campaign_goes_on(
     looks = captured(capsys, lab).of("drift")
     pair = [(0, "run", "stop"), (0, "repeat", "steady")]
     assert [(one["position"], one["occasion"], one["verdict"]) for one in looks] == pair * 3
-    assert [one.verdict for one in read_drift(lab / "plate.h5")] == ["stop", "steady"] * 3
+    assert [drift.verdict for _, drift in read_drift(lab / "plate.h5")] == ["stop", "steady"] * 3
     assert held(lab / "plate.h5", "green") == held(measured, "green")  # the bank does not show it
 
 

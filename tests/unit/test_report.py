@@ -14,7 +14,7 @@ from PIL import Image
 
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
 from wavefocus import Drive, InputError
-from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.config.messages.campaign import Drift
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.figures import _label_clock
 from wavefocus.rendering.report.movie import Foci, colour_limit, plan_frames, read_frames
@@ -52,8 +52,9 @@ def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(
     _, prediction = rendered()
     scan = scan_of(1.3 * prediction.field, prediction.start_s, RATE_HZ)
     first = datetime(2026, 1, 5, 18, tzinfo=UTC)
-    points = [DriftPoint(first + timedelta(hours=hour), -0.1 * hour, 0.0, 0.999, "steady") for hour in range(5)]
-    points.append(DriftPoint(first + timedelta(hours=5), -6.0, 0.0, 0.999, "stop", (3, 4)))
+    looks = [(-0.1 * hour, 0.0, 0.999, "steady", "run", "", ()) for hour in range(5)]
+    looks.append((-6.0, 0.0, 0.999, "stop", "run", "level changed", (3, 4)))
+    points = [(first + timedelta(hours=hour), Drift(0.0, 0, *look)) for hour, look in enumerate(looks)]
     outline = np.array([(-50.0, -45.0), (50.0, -45.0), (50.0, 45.0), (-50.0, 45.0), (-50.0, -45.0)])
     drive = first_focus()
     report = build_report(

@@ -10,7 +10,6 @@ import numpy as np
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.evidence import CLEAR_DB, ROW_CHANGE, SEEN_SHARE
 from wavefocus.calibration.numerics import parabola_vertex
-from wavefocus.config.messages import Instant, Number
 
 if TYPE_CHECKING:  # pydantic, which status does without
     from wavefocus.config.run import DriftLimits
@@ -200,23 +199,3 @@ def compare_sentinel(
         noise_db=10.0 * np.log10(1.0 + sum(noise)),
         change=float(change),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class DriftPoint:
-    """The sentinel position measured again, against its first measurement.
-
-    at: When, with a time zone.
-    level_db, delay_samples, correlation: See `DriftFigures`.
-    verdict: ``"steady"``, ``"warn"`` or ``"stop"``.
-    suspect: Positions measured since it was last steady, where it is not steady now.
-    change: Relative change of its rows since the first measurement, noise taken out; NaN in earlier versions.
-    """
-
-    at: Instant
-    level_db: Number
-    delay_samples: Number
-    correlation: Number
-    verdict: str
-    suspect: tuple[int, ...] = ()
-    change: Number = float("nan")

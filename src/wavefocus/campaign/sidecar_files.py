@@ -14,8 +14,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from wavefocus.acquisition.limits import DriftPoint
-from wavefocus.config.messages import Message, from_record, to_line
+from wavefocus.config.messages import Message, to_line
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
@@ -233,13 +232,11 @@ def drift_path(bank: Path) -> Path:
     return bank.with_suffix(".drift.jsonl")
 
 
-def read_drift(bank: Path) -> list[DriftPoint]:
+def read_drift(bank: Path) -> list[tuple[datetime, Drift]]:
     """The drift history of a bank, oldest first; empty where there is none. Torn lines are passed over."""
-    points = []
-    for line in read_regular(drift_path(bank)).splitlines() if drift_path(bank).is_file() else ():
-        with suppress(ValueError, TypeError, RecursionError):
-            points.append(from_record(DriftPoint, json.loads(line)))
-    return points
+    lines = read_regular(drift_path(bank)).splitlines() if drift_path(bank).is_file() else ()
+    found = (read_event(line) for line in lines)
+    return [(logged.at, logged.event) for logged in found if logged is not None and isinstance(logged.event, Drift)]
 
 
 def read_crosstalk(bank: Path) -> CrosstalkMeasured | None:
@@ -251,9 +248,9 @@ def read_crosstalk(bank: Path) -> CrosstalkMeasured | None:
     return None
 
 
-def suspect_rows(points: list[DriftPoint]) -> str:
+def suspect_rows(points: list[tuple[datetime, Drift]]) -> str:
     """Positions that the latest measurement of the sentinel speaks against, as ``--positions`` takes them."""
-    return row_ranges(points[-1].suspect) if points else ""
+    return row_ranges(points[-1][1].suspect) if points else ""
 
 
 class VerifyLog:

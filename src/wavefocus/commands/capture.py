@@ -110,7 +110,7 @@ def remeasure(bank: Path, words: str, positions: str, *, replace: bool = False, 
         say("no position of that status: nothing to measure again")
         return _nothing_to_measure(bank, options)
     history = read_drift(bank)
-    suspect = history[-1].suspect if history else ()
+    suspect = history[-1][1].suspect if history else ()
     replaceable = chosen if replace or options.accept_drift or options.accept_calibration else suspect
     return _session(blueprint, bank, chosen, options, replaceable=replaceable)
 

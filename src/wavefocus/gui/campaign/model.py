@@ -24,7 +24,6 @@ from wavefocus.rendering.arrays import Float32Array
 from wavefocus.storage.bank.ledger import Status
 
 if TYPE_CHECKING:
-    from wavefocus.acquisition.limits import DriftPoint
     from wavefocus.campaign.status import Heartbeat
     from wavefocus.storage.ledger.owner import Owner
 
@@ -218,7 +217,7 @@ class CampaignModel:
     """Instruments whose last word in the log is a fault, and that word."""
     commits: Counter[int] = field(default_factory=Counter)
     """How often the log has each position committed."""
-    drift: list[DriftPoint] = field(default_factory=list)
+    drift: list[tuple[datetime, events.Drift]] = field(default_factory=list)
     session: CampaignStatus = field(default_factory=CampaignStatus)
     """As the log has it."""
     owner: Owner | None = None

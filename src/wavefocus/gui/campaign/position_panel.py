@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QTabWidget, QWidget
 
+from wavefocus.config.messages.campaign import Drift
 from wavefocus.config.run import DriftLimits
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import CampaignModel
@@ -21,10 +22,6 @@ from wavefocus.gui.field_map import Plot, Real
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.tab import TabContext
 from wavefocus.storage.units import quantity
-
-if TYPE_CHECKING:
-    from wavefocus.acquisition.limits import DriftPoint
-
 
 # Height of the largest response, in steps between actuators.
 _STEP = 0.9
@@ -84,15 +81,15 @@ class DriftPlot(QWidget):
                 plot.getPlotItem().hideAxis("bottom")
         ui.column(*self.plots, owner=self, spacing=8)
 
-    def show_drift(self, points: Sequence[DriftPoint], limits: DriftLimits) -> None:
+    def show_drift(self, points: Sequence[tuple[datetime, Drift]], limits: DriftLimits) -> None:
         """Draw the points, and the limits at which a campaign stops once a value comes near; a step is only marked."""
-        at_s, theme, last = np.array([point.at.timestamp() for point in points]), self.plots[0].theme, self.plots[-1]
+        at_s, theme, last = np.array([at.timestamp() for at, _ in points]), self.plots[0].theme, self.plots[-1]
         known = {"steady": ("o", theme.good), "warn": ("t", theme.warning)}
-        looks = [known.get(point.verdict, ("x", theme.fault)) for point in points]
+        looks = [known.get(drift.verdict, ("x", theme.fault)) for _, drift in points]
         rows = (
-            ([point.level_db for point in points], limits.stop_level_db),
-            ([point.delay_samples for point in points], limits.stop_delay_samples),
-            ([1 - point.correlation for point in points], 1 - limits.stop_correlation),
+            ([drift.level_db for _, drift in points], limits.stop_level_db),
+            ([drift.delay_samples for _, drift in points], limits.stop_delay_samples),
+            ([1 - drift.correlation for _, drift in points], 1 - limits.stop_correlation),
         )
         for plot, (numbers, stop) in zip(self.plots, rows, strict=True):
             item, values = plot.getPlotItem(), np.array(numbers, dtype=float)
@@ -134,7 +131,7 @@ class PositionPanel(QTabWidget):
         self.setAccessibleName("Details of the position")
         self._context, self._campaign = context, campaign
         self.greens: _Greens | None = None
-        self._drawn: tuple[PlotSurface | None, Sequence[DriftPoint]] | None = None
+        self._drawn: tuple[PlotSurface | None, Sequence[tuple[datetime, Drift]]] | None = None
         self.green_plot = Plot("Green's functions", "time (ms)", "actuator")
         self.spectrum_plot = Plot("Spectrum", "frequency (Hz); dashed: the measured band", "level (dB)")
         self.drift_plot = DriftPlot()

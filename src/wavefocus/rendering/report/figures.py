@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.config.messages.campaign import Drift
 from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.foci import FOCUS_RADIUS_MM
@@ -204,23 +205,23 @@ VERDICT_COLOURS = {"steady": "#0b3c5d", "warn": "#e69f00", "stop": "#d55e00"}
 
 
 @drawn_in_style
-def drift_over_time(points: Sequence[DriftPoint], limits: DriftLimits) -> Picture:
+def drift_over_time(points: Sequence[tuple[datetime, Drift]], limits: DriftLimits) -> Picture:
     """Level, delay and correlation of the sentinel position over the hours, with the limits of a stop."""
     from matplotlib.patches import Patch
 
     canvas = Canvas("drift", 1120, 470)
     # Days, as matplotlib counts them; minutes and seconds are fractions.
-    days = np.array([point.at.timestamp() / 86_400.0 for point in points])
+    days = np.array([at.timestamp() / 86_400.0 for at, _ in points])
     # Correlation as distance from 1, so that all three are zero where nothing has changed.
     rows = (
         ("level (dB)", "level_db", limits.stop_level_db),
         ("delay (samples)", "delay_samples", limits.stop_delay_samples),
         ("1 - correlation", "correlation", 1.0 - limits.stop_correlation),
     )
-    colours = [VERDICT_COLOURS.get(point.verdict, FAINT) for point in points]
+    colours = [VERDICT_COLOURS.get(drift.verdict, FAINT) for _, drift in points]
     room = max(0.02 * (days[-1] - days[0]), 600.0 / 86_400.0)
     for row, (label, name, stop) in enumerate(rows):
-        values = np.array([getattr(point, name) for point in points])
+        values = np.array([getattr(drift, name) for _, drift in points])
         values = 1.0 - values if name == "correlation" else values
         axes = canvas.plot(80, 14 + 130 * row, 1020, 112, ylabel=label)
         axes.plot(days, values, "-", color=FAINT, lw=0.8, zorder=2)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.config.messages.campaign import Drift
 from wavefocus.config.run import DriftLimits
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.field import metrics
@@ -49,7 +50,7 @@ def build_report(
     bank: GreenSource,
     campaign: Mapping[str, object],
     outline_mm: Float64Array | None = None,
-    drift: Sequence[DriftPoint] = (),
+    drift: Sequence[tuple[datetime, Drift]] = (),
     drift_limits: DriftLimits | None = None,
     save_pictures: bool = False,
 ) -> Path:
