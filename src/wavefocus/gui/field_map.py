@@ -77,9 +77,12 @@ class Plot(Themed, pyqtgraph.PlotWidget):
 
     def stack(self, x: Real, rows: Real, room: float) -> float:
         """Draw rows one above the other, the largest value `room` of a step high; return that value."""
-        largest = float(np.abs(rows).max(initial=0.0))
-        for number, row in enumerate(rows):
-            self.line(x, number + room / (largest or 1.0) * row, self.theme.traces[0])
+        largest, lines = float(np.abs(rows).max(initial=0.0)), self.getPlotItem().listDataItems()
+        if len(lines) != len(rows):
+            self.getPlotItem().clear()
+            lines = [self.line(x[:0], x[:0], self.theme.traces[0]) for _ in rows]
+        for number, (line, row) in enumerate(zip(lines, rows, strict=True)):
+            line.setData(x, number + room / (largest or 1.0) * row)  # a new line takes five times as long
         every = max(1, -(-len(rows) // _MOST_TICKS))
         ticks = [(float(number), str(number)) for number in range(0, len(rows), every)]
         self.getPlotItem().getAxis("left").setTicks([ticks, []])

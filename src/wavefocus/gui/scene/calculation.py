@@ -13,7 +13,7 @@ from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,8 +84,9 @@ class Calculation(QObject):
         self._bank_state: FileState | None = None
         self.results: SceneResults | None = None
         self.stage = self.problem = ""
-        for edited in (document.changed, document.bank_changed, document.rig_changed):
+        for edited in (document.changed, document.bank_changed):
             edited.connect(self._want)
+        document.rig_changed.connect(partial(self._want, 0.3))  # its name changes with each key; a text waits itself
         self._want()
 
     @property
@@ -126,8 +127,8 @@ class Calculation(QObject):
             self._cancel()
             self._wanted = True
 
-    def _want(self) -> None:
-        self._wanted, self._due_s = True, time.monotonic() + 0.3
+    def _want(self, after_s: float = 0.0) -> None:
+        self._wanted, self._due_s = True, time.monotonic() + after_s
 
     def _cancel(self) -> None:
         """Stop calculating; a step that goes on for too long ends with its process. May be called again and again."""

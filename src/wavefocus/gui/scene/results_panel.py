@@ -40,9 +40,8 @@ class _DrivesView(Plot):
 
     def show_results(self, results: SceneResults | None) -> None:
         """Show drives, or none."""
-        plot = self.getPlotItem()
-        plot.clear()
         if results is None:
+            self.getPlotItem().clear()
             self.title("no drives to show", faint=True, size="9pt")
             return
         drive = results.drive
