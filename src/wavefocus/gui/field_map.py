@@ -37,7 +37,8 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         super().__init__(enableMenu=False)
         self.setAccessibleName(name)
         plot = self.getPlotItem()
-        self._legend = None if legend_at is None else plot.addLegend(offset=legend_at, brush=self.theme.base)
+        if legend_at is not None:
+            plot.addLegend(offset=legend_at, brush=self.theme.base)
         plot.setLabel("bottom", bottom)
         plot.setLabel("left", left)
         if axis_px is not None:
@@ -45,13 +46,8 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         plot.hideButtons()
         # Lines are thinned to what can be seen, with their peaks: noise is painted a hundred times faster.
         plot.setDownsampling(auto=True, mode="peak")
-        for side in ("left", "bottom"):
-            plot.getAxis(side).enableAutoSIPrefix(False)
         self.setToolTip("Wheel: zoom. Drag: pan. Double click: show everything.")
-        self.setBackground(self.theme.base)
         theme_axes(plot)
-        if self._legend is not None:
-            self._legend.setLabelTextColor(self.theme.text)
 
     def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
         super().mouseDoubleClickEvent(event)
@@ -132,7 +128,6 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setMinimumWidth(160)
-        self._bar.axis.enableAutoSIPrefix(False)
         self.setBackground(self.theme.window)
         theme_axes(self._bar)
         self._fit()

@@ -101,7 +101,6 @@ def make_dialog(owner: QWidget, title: str, folder: Path, kind: str, endings: Se
     """Make a dialog for files with some endings, called `kind`, which does not block; the caller shows it."""
     dialog = QFileDialog(owner, title, str(folder), f"{kind} ({' '.join(f'*{ending}' for ending in endings)})")
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-    dialog.setModal(False)
     return dialog
 
 

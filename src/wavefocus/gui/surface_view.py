@@ -56,7 +56,6 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self.name = name
         self.setAccessibleName(name)
         self.setAccessibleDescription("Click a position, or walk with the arrow keys")
-        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.marked = -1
         self.texts: list[pyqtgraph.TextItem] = []
         self._leader = self  # whose part of the surface is shown
@@ -74,9 +73,6 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         plot.setLabel("bottom", "x (mm)")
         plot.setLabel("left", "y (mm)")
         plot.getAxis("left").setWidth(46)  # equal in maps side by side
-        for side in ("left", "bottom"):  # no prefix: the unit is part of the label
-            plot.getAxis(side).enableAutoSIPrefix(False)
-        self.setBackground(theme.base)
         theme_axes(plot)
         self._show_axes(False)  # there is nothing to measure yet
 
@@ -283,11 +279,10 @@ def map_colours(
     colour_map: pyqtgraph.ColorMap, values: NDArray[np.floating], levels: tuple[float, float], missing: str
 ) -> NDArray[np.uint8]:
     """Return the colours of values between two levels, shape (n, 4); those that are NaN get the colour `missing`."""
-    table = colour_map.getLookupTable(nPts=256, alpha=True)
     colours = np.tile(rgba(missing), (len(values), 1))
     known = np.isfinite(values)
     share = (np.asarray(values, np.float64)[known] - levels[0]) / (levels[1] - levels[0])
-    colours[known] = table[np.clip(share * len(table), 0, len(table) - 1).astype(np.intp)]
+    colours[known] = colour_map.map(share, mode="byte")
     return colours
 
 

@@ -94,10 +94,11 @@ def use_desktop_theme(application: QApplication) -> None:
 
 
 def theme_axes(plot: PlotItem) -> None:
-    """Give a plot's axes the theme's colours."""
+    """Give a plot's axes the theme's colours, and no prefix: the unit is part of the label."""
     theme = Themed.theme
     for name in ("left", "bottom", "right", "top"):
         axis = plot.getAxis(name)
+        axis.enableAutoSIPrefix(False)
         axis.setPen(pyqtgraph.mkPen(theme.grid))
         axis.setTextPen(pyqtgraph.mkPen(theme.text))
 

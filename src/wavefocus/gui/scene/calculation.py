@@ -234,9 +234,8 @@ def _checks(number: int) -> Callable[[int, int], None]:
 def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) -> SceneResults:
     """The drives, as ``wavefocus render``."""
     from wavefocus.gui.scene.document import build_draft
-    from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
     from wavefocus.rendering.drive.quiet_scene import MISSED_DB
-    from wavefocus.rendering.drive.rendering import render_with_report
+    from wavefocus.rendering.drive.rendering import SceneRenderer
     from wavefocus.rendering.field.prediction import field_unit
     from wavefocus.rendering.field.quiet_levels import quiet_levels
     from wavefocus.rendering.report.movie import Foci
@@ -256,11 +255,12 @@ def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) 
         found = rig_of(Path(rig), bank) if rig else None
         limited = scene if found is None else within(scene, found)
         # In double precision: where loud rows saturate, single is mostly refused, and all would be made twice.
-        drive, report = render_with_report(limited, bank, on_progress=_checks(number))
+        renderer = SceneRenderer(limited, bank)
+        drive, report = renderer.collect(_checks(number)), renderer.report
         facts = {
             "scale": drive.scale, "limited_by": report.limiting.decided_by, "warnings": report.warnings,
-            "peak_v": float(peaks(drive.drive_v).max()), "response_unit": field_unit(bank),
-            "dynamic_range_db": dynamic_range_db(report.relative_rms_drive),
+            "peak_v": renderer.peak_v, "response_unit": field_unit(bank),
+            "dynamic_range_db": report.dynamic_range_db,
             "quiet": [
                 {**level.plain, "missed": level.reached_db > level.track.level_db + MISSED_DB}
                 for level in quiet_levels(drive, bank)

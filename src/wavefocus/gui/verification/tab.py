@@ -287,14 +287,10 @@ class VerificationTab(Tab):
         self.run.poll()
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
-        if self.run.running:
-            return
-        if kind is FileKind.BANK:
-            self.form.take_bank(path)
-        elif kind is FileKind.RIG:
-            self.form.rig.show_path(path)
-        elif kind is FileKind.SCENE:
-            self.form.scene.show_path(path)
+        form = self.form
+        taken = {FileKind.BANK: form.take_bank, FileKind.RIG: form.rig.show_path, FileKind.SCENE: form.scene.show_path}
+        if kind in taken and not self.run.running:
+            taken[kind](path)
 
     def draw(self) -> None:
         missing = self.form.missing()
