@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QFrame, QSizePolicy
 
-from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.surface_view import SurfaceView, map_colours
 from wavefocus.gui.theme import Theme, Themed, theme_axes
 from wavefocus.rendering.arrays import Float64Array
@@ -161,10 +160,6 @@ class FieldMap(SurfaceView):
         super().__init__(name)
         self._colour_map = _signed_map(self.theme)
         self.bar = ColourBar(self._colour_map)
-
-    def show_surface(self, surface: PlotSurface | None) -> None:
-        self.values = np.zeros(0)
-        super().show_surface(surface)
 
     def show_scale(self, title: str, largest: float, unit: str) -> None:
         """Set what the colours mean; values are shown anew by the owner.

@@ -87,6 +87,8 @@ def use_desktop_theme(application: QApplication) -> None:
         f"QToolButton:checked {{ background: {theme.accent}; color: {theme.window}; border: 1px solid {theme.accent};"
         " border-radius: 3px; padding: 3px 4px; }"
         f"QLabel[role='faint'] {{ color: {theme.faint}; }}"
+        f"QLabel[role='warning'] {{ color: {theme.warning}; }}"
+        f"QLabel[role='fault'] {{ color: {theme.fault}; }}"
         f"QLabel[role='strong'] {{ font-weight: 600; }}"
     )
     if sheet != application.styleSheet():  # the same again would polish every widget anew

@@ -193,7 +193,7 @@ def label(
     any_width: bool = False,
     selectable: bool = False,
 ) -> QtWidgets.QLabel:
-    """Make a label; `role` is ``"faint"`` or ``"strong"``, one of `any_width` never widens its parent."""
+    """Make a label; `role` is one of the theme's sheet, as ``"faint"``; one of `any_width` never widens its parent."""
     label = QtWidgets.QLabel(text)
     label.setAccessibleName(name)
     label.setProperty("role", role)
@@ -246,16 +246,16 @@ def tool_button(
 
 
 def exclusive_buttons(
-    choices: Sequence[tuple[str, str, str, str]], act: Callable[[str], object]
+    choices: Sequence[tuple[str, str, str]], act: Callable[[str], object]
 ) -> dict[str, QtWidgets.QToolButton]:
     """Make buttons of which one is down, the first one at first; `act` receives the choice that was pressed.
 
-    choices: Each choice, with its button's text, tooltip and accessible name.
+    choices: Each choice, with its button's text and tooltip.
     act: Receives a choice.
     """
     buttons = {}
-    for choice, text, tip, name in choices:
-        button = buttons[choice] = tool_button(text, tip, partial(act, choice), name, checkable=True)
+    for choice, text, tip in choices:
+        button = buttons[choice] = tool_button(text, tip, partial(act, choice), checkable=True)
         button.setAutoExclusive(True)
         button.setChecked(len(buttons) == 1)
     return buttons

@@ -163,9 +163,7 @@ class Follower:
         identity = (found.st_dev, found.st_ino)
         if identity != self._identity:
             with open_bank(self.bank) as bank:
-                surface = surface_of(bank)
-                self._found.put(lambda campaign: campaign.open(surface))
-                self._put_ledger(bank)
+                self._put_ledger(bank, surface=surface_of(bank))
             self._put_drift()
             self._identity = identity
         owner = bank_owner(self.bank)
@@ -185,12 +183,12 @@ class Follower:
     def _put_drift(self) -> None:
         self._put(drift=read_drift(self.bank))
 
-    def _put_ledger(self, bank: Bank) -> None:
+    def _put_ledger(self, bank: Bank, **facts: object) -> None:
         began_s = time.monotonic()
         status = bank.status
         figures = per_position(bank.quality, status > 0)
         status[bank.broken] = DAMAGED
-        self._put(status=status, figures=figures)
+        self._put(status=status, figures=figures, **facts)
         took_s = time.monotonic() - began_s
         self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
         self._stale = False

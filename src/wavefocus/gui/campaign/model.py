@@ -228,10 +228,6 @@ class CampaignModel:
     """When owner and heartbeat were asked for, on the monotonic clock."""
     _logged_s: float = 0.0
 
-    def open(self, surface: PlotSurface) -> None:
-        """Show the bank, for the first time or after it was replaced."""
-        self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
-
     def add_records(self, records: Sequence[events.Logged | EventLine], *, anew: bool) -> None:
         """Add new records of the log; `anew` when the log was replaced."""
         if anew:

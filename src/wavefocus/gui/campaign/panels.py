@@ -79,8 +79,7 @@ class ProgressRow(Themed, QtWidgets.QWidget):
         self.reason = ui.label("Reason of the state", any_width=True)
         self.bar = ui.progress_bar("Progress of the campaign", "%v of %m positions (%p %)")
         self.figures = ui.label("Rate, remaining time and finish time")
-        self.faults = ui.label("Lasting faults", wraps=True, selectable=True)
-        self.faults.setStyleSheet(f"color: {self.theme.fault};")
+        self.faults = ui.label("Lasting faults", role="fault", wraps=True, selectable=True)
         row = ui.row(self.state, (self.reason, 3), (self.bar, 3), self.figures, spacing=10)
         ui.column(row, self.faults, owner=self)
 

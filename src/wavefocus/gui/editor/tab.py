@@ -148,7 +148,7 @@ class _Colours(QtGui.QSyntaxHighlighter):
                 self.setFormat(match.capturedStart(), match.capturedLength(), style)
 
 
-class TextPanel(Themed, QtWidgets.QWidget):
+class TextPanel(QtWidgets.QWidget):
     """The text with a line to search in it, and its mistakes below, each with its line."""
 
     def __init__(self, document: TextDocument) -> None:
@@ -157,7 +157,7 @@ class TextPanel(Themed, QtWidgets.QWidget):
         self.text = _TomlEdit(document)
         self.search = ui.named(QtWidgets.QLineEdit(), "Enter: next place with this text (Ctrl+F)", "Search in the text")
         self.search.setPlaceholderText("search: Enter finds the next place")
-        self.problem = ui.label("Mistakes of the text", wraps=True, selectable=True)
+        self.problem = ui.label("Mistakes of the text", role="fault", wraps=True)
         self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.LinksAccessibleByMouse)
         self.problem.linkActivated.connect(lambda line: self.text.go_to_line(int(line)))
         ui.column(self.search, (self.text, 1), self.problem, owner=self, spacing=4)
@@ -167,7 +167,6 @@ class TextPanel(Themed, QtWidgets.QWidget):
         find.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
         self.addAction(find)
         document.changed.connect(self._show_mistakes)
-        self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
         self._show_mistakes()
 
     def _find_next(self) -> None:

@@ -213,8 +213,7 @@ class SurfacePanel(Themed, QWidget):
         super().__init__()
         self._document, self._live = document, live
         self.canvas = SceneCanvas(document, live)
-        choices = [(kind, text, tip, f"Tool: {text}") for kind, text, tip in _TOOLS]
-        self.tools = ui.exclusive_buttons(choices, self.use_tool)
+        self.tools = ui.exclusive_buttons(_TOOLS, self.use_tool)
         self.colours = ColourBar(self.canvas.colour_map)
         self.hint = ui.label("Hint, or problem of the scene", wraps=True, selectable=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)

@@ -63,7 +63,7 @@ class SceneTab(Tab):
         self.live_surface = LiveSurface(self.live_run, self.live)
         self.live_panel = LivePanel(context, self.document, self.live_run)
         self._stacks = QStackedWidget(), QStackedWidget()
-        self.modes = ui.exclusive_buttons([(mode, text, tip, text) for mode, text, tip in _MODES], self.use_mode)
+        self.modes = ui.exclusive_buttons(_MODES, self.use_mode)
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
         self.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))

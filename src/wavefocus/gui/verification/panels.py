@@ -115,8 +115,7 @@ class VerdictPanel(Themed, QWidget):
         super().__init__()
         self.verdict = ui.Badge("Verdict")
         self.summary = ui.label("Summary", any_width=True)
-        self.findings = ui.label("Findings", wraps=True, selectable=True)
-        self.findings.setStyleSheet(f"color: {self.theme.fault};")
+        self.findings = ui.label("Findings", role="fault", wraps=True, selectable=True)
         ui.column(ui.row(self.verdict, (self.summary, 1), spacing=8), self.findings, owner=self, spacing=2)
 
     def show_results(self, results: Results) -> None:
