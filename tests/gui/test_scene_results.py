@@ -125,9 +125,15 @@ def test_drives_field_and_figures_follow_edits_and_nothing_older_is_shown(qtbot,
     wait(qtbot, lambda: view.slider.sample > 0)
     at_s = view.slider.time_s
     view.slider.pause()
-    bench.edit(line_scene(amplitude=2.0))
+    edit(bench.document, line_scene(amplitude=2.0))
+    panel.poll()
+    assert panel.calculation.stage == "drives"  # it has waited for the last key: nothing waits again
+    wait(qtbot, lambda: panel.calculation.complete)
     assert view.slider.time_s >= at_s - 1e-9
     assert view.map.marked == 6
+    drawn = [np.ptp(line.yData) for line in panel.drives.getPlotItem().listDataItems()]
+    drive_v = panel.calculation.results.drive.drive_v
+    np.testing.assert_allclose(drawn, 0.45 * np.ptp(drive_v, axis=1) / np.abs(drive_v).max(), rtol=1e-6)
 
 
 @pytest.mark.timeout(500)
