@@ -21,17 +21,14 @@ from wavefocus.rendering.greens.interpolation.base import (
     OffGridError,
     SparseError,
     kept,
-    near,
     show_mm,
 )
 from wavefocus.rendering.greens.interpolation.path_nodes import (
     PATH_ERROR,
-    REACH_SPACINGS,
     AddedRows,
     PathInterpolation,
     node_spacing_mm,
 )
-from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, RowReader, well_measured
 from wavefocus.storage.errors import InputError
 
@@ -149,17 +146,17 @@ class _KernelRows(AddedRows):
         self._spectrum = lru_cache(max(2 * (NEIGHBOURS + 1), (160 * 2**20) // row_bytes))(self._transform)
 
     def add(self, points_mm: Float64Array) -> Int64Array:
-        """Add rows at points, float64 (n, 2), and return their numbers; a point is added once."""
-        nearest, _ = self._neighbourhoods.nearest(points_mm)
-        numbers = np.empty(len(points_mm), dtype=np.int64)
-        for place, (x, y) in enumerate(points_mm.tolist()):
-            anchor = int(nearest[place])
-            self._neighbourhoods.patch(anchor)  # says at once where there is none
-            number, new = self.number(x, y)
-            if new:
+        anchors = self._neighbourhoods.nearest(points_mm)[0].tolist()
+        for point, anchor in enumerate(anchors):
+            try:
+                self._neighbourhoods.patch(anchor)
+            except SparseError as error:
+                raise OffGridError(point, f"lies at {show_mm(points_mm[point])} mm, but {error}") from error
+        numbers = super().add(points_mm)
+        for number, anchor in zip((numbers - self.measured.positions).tolist(), anchors, strict=True):
+            if number == len(self._anchor):  # a new one
                 self._at_anchor.setdefault(anchor, []).append(number)
                 self._anchor.append(anchor)
-            numbers[place] = self.measured.positions + number
         return numbers
 
     def _plan(self, waves: WaveModel) -> None:
@@ -247,14 +244,10 @@ class KernelInterpolation(PathInterpolation):
     name = "kernel"
     neighbourhoods: Neighbourhoods
     waves: WaveModel
-    rows: _KernelRows
 
     def __init__(self, bank: GreenSource, around_mm: Float64Array) -> None:
-        self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
-        allowed = well_measured(bank)
-        self.neighbourhoods = Neighbourhoods(self._position_mm, allowed)
-        self.grid = PositionGrid(self._position_mm[allowed])
-        self.grid_row = np.flatnonzero(allowed).astype(np.int64)
+        self.neighbourhoods = Neighbourhoods(np.asarray(bank.position_mm, dtype=np.float64), well_measured(bank))
+        super().__init__(bank)
         read = lru_cache(max(1, _MEASURED_BYTES // (8 * bank.actuators * bank.taps)))(RowReader(bank).read)
         # What chooses an interpolation and what judges it mostly ask at the same frequencies.
         self._values_at = lru_cache(1)(lambda *hertz: _RowValues(bank, read, np.array(hertz)))
@@ -276,16 +269,6 @@ class KernelInterpolation(PathInterpolation):
         """Its own values and errors, or another interpolation's."""
         with one_blas_thread():
             return _left_out_estimate(self, points_mm, self._values_at(*frequency_hz.tolist()), other)
-
-    def add(self, points_mm: Float64Array) -> Int64Array:
-        near(self.grid, points_mm, REACH_SPACINGS)
-        try:
-            return self.rows.add(points_mm)
-        except SparseError as error:
-            nearest, _ = self.neighbourhoods.nearest(points_mm)
-            sparse = np.array([self._is_sparse(int(row)) for row in nearest])
-            point = int(np.argmax(sparse))
-            raise OffGridError(point, f"lies at {show_mm(points_mm[point])} mm, but {error}") from error
 
     def _is_sparse(self, row: int) -> bool:
         try:

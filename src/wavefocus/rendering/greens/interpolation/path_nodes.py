@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import Follow, Interpolation, Nodes, near
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.greens.source import GreenSource, well_measured
 from wavefocus.rendering.scene.paths import Circle, Path
 from wavefocus.storage.bank.ledger import Status
 
@@ -168,13 +168,16 @@ class AddedRows(ABC):
     def _make(self, number: int) -> dict[int, Float64Array]:
         """Make an added row, and others with it."""
 
-    def number(self, x_mm: float, y_mm: float) -> tuple[int, bool]:
-        """Row of a point, counted from the first that was added, and whether it is new; a point is added once."""
-        key = (round(x_mm / _SAME_MM), round(y_mm / _SAME_MM))
-        if new := key not in self._index:
-            self._index[key] = len(self._points_mm)
-            self._points_mm.append((x_mm, y_mm))
-        return self._index[key], new
+    def add(self, points_mm: Float64Array) -> Int64Array:
+        """Add rows at points, float64 (n, 2), and return their numbers; a point is added once. Raises OffGridError."""
+        numbers = np.empty(len(points_mm), dtype=np.int64)
+        for place, (x_mm, y_mm) in enumerate(points_mm.tolist()):
+            key = (round(x_mm / _SAME_MM), round(y_mm / _SAME_MM))
+            if key not in self._index:
+                self._index[key] = len(self._points_mm)
+                self._points_mm.append((x_mm, y_mm))
+            numbers[place] = self.measured.positions + self._index[key]
+        return numbers
 
     @property
     def added(self) -> int:
@@ -206,13 +209,16 @@ class PathInterpolation(Interpolation):
     """
 
     rows: AddedRows
-    grid: PositionGrid
-    grid_row: Int64Array
     node_spacing_mm: float
 
-    @abstractmethod
+    def __init__(self, bank: GreenSource) -> None:
+        self.grid_row: Int64Array = np.flatnonzero(well_measured(bank)).astype(np.int64)
+        self.grid = PositionGrid(np.asarray(bank.position_mm, dtype=np.float64)[self.grid_row])
+
     def add(self, points_mm: Float64Array) -> Int64Array:
         """Add rows at points (n, 2) and return their numbers. Raises OffGridError."""
+        near(self.grid, points_mm, REACH_SPACINGS)
+        return self.rows.add(points_mm)
 
     def nodes(self, points_mm: Float64Array) -> Nodes:
         nearest, rows = self._nearest(points_mm), self.add(points_mm)

@@ -20,15 +20,13 @@ from wavefocus.calibration.estimator.noise_error import bank_noise_error_db, noi
 from wavefocus.calibration.evidence import MOST
 from wavefocus.calibration.numerics import on_a_line, one_blas_thread
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.greens.interpolation.base import Estimate, kept, near
+from wavefocus.rendering.greens.interpolation.base import Estimate, kept
 from wavefocus.rendering.greens.interpolation.path_nodes import (
     PATH_ERROR,
-    REACH_SPACINGS,
     AddedRows,
     PathInterpolation,
     node_spacing_mm,
 )
-from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, RowReader, is_check, usable_checks, well_measured
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.errors import InputError
@@ -64,11 +62,6 @@ class _WaveRows(AddedRows):
         super().__init__(measured, ROWS_AT_ONCE)
         self._waves = waves
 
-    def add(self, points_mm: Float64Array) -> Int64Array:
-        """Add rows at points, float64 (n, 2), and return their numbers; a point is added once."""
-        numbers = [self.number(x, y)[0] for x, y in points_mm.tolist()]
-        return np.array(numbers, dtype=np.int64) + self.measured.positions
-
     def _make(self, number: int) -> dict[int, Float64Array]:
         # Rows are mostly read in the order in which they were added.
         numbers = range(number, min(number + ROWS_AT_ONCE, self.added))
@@ -87,24 +80,17 @@ class WavesInterpolation(PathInterpolation):
     """
 
     name = "waves"
-    rows: _WaveRows
 
     def __init__(self, bank: GreenSource) -> None:
-        allowed = well_measured(bank)
-        _require_modelled(bank, allowed)
+        _require_modelled(bank, well_measured(bank))
+        super().__init__(bank)
         self.waves = _bank_waves(bank)
-        self.grid = PositionGrid(np.asarray(bank.position_mm, dtype=np.float64)[allowed])
-        self.grid_row = np.flatnonzero(allowed).astype(np.int64)
         self.rows = _WaveRows(bank, self.waves)
         self.node_spacing_mm = node_spacing_mm(float(np.abs(self.waves.model.wavenumber).max()), PATH_ERROR)
 
     @classmethod
     def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
         return cls(bank)
-
-    def add(self, points_mm: Float64Array) -> Int64Array:
-        near(self.grid, points_mm, REACH_SPACINGS)
-        return self.rows.add(points_mm)
 
     def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
         """At the modelled frequencies nearest to those given."""
