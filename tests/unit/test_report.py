@@ -60,7 +60,7 @@ def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(
     report = build_report(
         tmp_path / "made", verification=compare(prediction, scan, drive, flawed), scene=scene_of(NASTY), drive=drive,
         prediction=prediction, scan=scan, bank=flawed, campaign={"hours simulated": 30.0, NASTY: NASTY}, drift=points,
-        outline_mm=outline, save_pictures=True,
+        outline_mm=outline,
     )  # fmt: skip
     html = report.read_text(encoding="utf-8")
     assert report.name == "report.html"
@@ -157,11 +157,11 @@ def test_given_foci_then_the_movie_is_of_them_and_of_what_was_asked_for_else(tmp
         assert (plan.sample[0], plan.sample[-1]) == (60 + 50 - 20, 150 + 50 + 20)
         assert plan.slowed == pytest.approx(rate_hz / 25)
         assert colour_limit(read_frames(field, plan.sample), Foci.of(drive).seen(field)[2]) == 100.0
-        whole = plan_frames(field, None, frame_rate_hz=10.0)
+        whole = plan_frames(field, None)
         assert (whole.sample[0], whole.sample[-1]) == (0, samples - 2)
-        some = plan_frames(field, drive, from_s=0.0, to_s=0.1, slow=10.0, frame_rate_hz=20.0)
+        some = plan_frames(field, drive, from_s=0.0, to_s=0.1, slow=8.0)
         assert some.sample.tolist() == list(range(50, 151, 5))
-        assert some.slowed == pytest.approx(10.0)
+        assert some.slowed == pytest.approx(8.0)
         for options, words in (({"from_s": 5.0}, "nothing to show"), ({"slow": 1e5}, "lower --slow")):
             with pytest.raises(InputError, match=words):
                 plan_frames(field, None, **options)

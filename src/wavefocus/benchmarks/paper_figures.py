@@ -268,7 +268,7 @@ def _figure_4d(paper: Paper) -> Picture:
     bank = paper.bank
     line = [row_at(bank, x, 0.0) for x in np.arange(-58.0, 60.0, 4.0)]
     speeds = [10.0 * speed for speed in SPEEDS_CM_S]
-    table = crosstalk_table(bank, line, 4.0, speeds, STEPS, None, Regularisation(saturation=SATURATION))
+    table = crosstalk_table(bank, line, 4.0, speeds, STEPS, Regularisation(saturation=SATURATION))
     near = [row_at(bank, x, y) for x in np.arange(-58.0, 60.0, 4.0) for y in (-4.0, 0.0, 4.0)]
     correlation = correlation_over_distance(bank, np.arange(2.0, 62.0, 4.0).tolist(), near)
     for speed, step in ((16.0, 1), (100.0, 4)):

@@ -199,7 +199,7 @@ class _Work:
             build_report(
                 out, verification=verification, scene=self.scene, drive=drive, prediction=prediction, scan=measured,
                 bank=bank, campaign=_facts(self.configuration, bank, scan_s), outline_mm=outline_mm,
-                drift=read_drift(bank.path), drift_limits=drift_limits, save_pictures=True,
+                drift=read_drift(bank.path), drift_limits=drift_limits,
             )  # fmt: skip
             record = files.write_record(
                 out, verification=verification, scene=self.scene, prediction=prediction, bank=bank, names=names,

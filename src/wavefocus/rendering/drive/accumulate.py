@@ -64,9 +64,8 @@ class BlockAccumulator:
             frequency_hz = np.fft.rfftfreq(self.block_samples, 1.0 / rows.bank.sample_rate_hz)
             edges = np.searchsorted(frequency_hz, [band_hz[0], np.nextafter(band_hz[1], np.inf)])
             self._inside = slice(*edges.tolist())
-        self.statistics = np.zeros((len(self._emissions), 3))
-        """Of each source, of all blocks given so far: rows multiplied, energy of the windows in the bank's band, and in
-        all."""
+        self.statistics = np.zeros((len(self._emissions), 2))
+        """Of each source, of all blocks given so far: energy of the windows in the bank's band, and in all."""
 
     def blocks(self, ahead: int = BLOCKS_AHEAD) -> Iterator[Float64Array]:
         """Yield finished drives in order, (actuators, some samples), from the lead-in's first sample to the last.
@@ -133,7 +132,7 @@ class BlockAccumulator:
     def _sum(self, block: Sequence[Windows | None], spectra: RowSpectra, *, loaded: bool) -> _Block:
         """Windows times their time-reversed rows, added up and transformed back."""
         xp, band, actuators = self._device.xp, spectra.band, self._rows.bank.actuators
-        figures, coherent = np.zeros((len(block), 3)), 0.0
+        figures, coherent, pairs = np.zeros((len(block), 2)), 0.0, 0
         total = xp.zeros((actuators, band.bins), dtype=self._device.dtype(band.complex))
         at_once = WINDOWS_AT_ONCE if loaded else min(WINDOWS_AT_ONCE, spectra.most_rows)
         for source, windows in enumerate(block):
@@ -146,7 +145,8 @@ class BlockAccumulator:
                     spectra.load(list(dict.fromkeys(rows)))
                 emitted = windows.spectra(first, last, self.block_samples, self._piece_spectra[source])
                 power = np.square(emitted.real) + np.square(emitted.imag)
-                figures[source] += last - first, power[:, self._inside].sum(), power.sum()
+                figures[source] += power[:, self._inside].sum(), power.sum()
+                pairs += last - first
                 driven = xp.asarray(emitted.astype(band.complex, copy=False))
                 for place, (row, by) in enumerate(zip(rows, windows.regularised_by[first:last].tolist(), strict=True)):
                     values, norm = spectra[row]
@@ -158,7 +158,6 @@ class BlockAccumulator:
                         # Saturation only lessens a row.
                         # Bounds what a window loses where single precision underflows.
                         coherent += (math.sqrt(float(power[place].max())) + 2.0**-100) * norm
-        pairs = int(figures[:, 0].sum())
         if not pairs:
             return np.zeros((actuators, self.block_samples)), 0.0, figures
         samples = self._device.to_host(self._device.fft(single=band.single).irfft(total, n=self.block_samples, axis=1))

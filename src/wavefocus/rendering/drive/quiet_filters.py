@@ -11,8 +11,6 @@ so do all sources and instants of a scene. With A = I + q* diag(m) q:
 
     z = A^-1 h*,   d = h z,   w = z a / d.
 
-For any m, no filters that meet the bounds have less energy than ``sum S a^2 / d - sum_k m_k E_k`` (weak duality).
-
 Actuators that saturate (eq. 14) count as in time reversal: with s the diagonal of their factors, w -> s^(1/2) w,
 h -> h s^(1/2) and q -> q s^(1/2), so that w is s h* where nothing is quiet.
 
@@ -108,7 +106,6 @@ class Multipliers:
 
     of_place, float64 (places,): Multiplier m of each place.
     energy: Of the drives over plain time reversal's.
-    bound: No drives that reach the levels have less, where the sources' signals are not alike.
     level, uncut_level, plain_level, float64 (places,): Energy of the response at each place over that at the loudest
         focus: with the filters, before they were cut to their length, and with plain time reversal.
     focus: Energy of the response at the loudest focus.
@@ -117,7 +114,6 @@ class Multipliers:
 
     of_place: Float64Array
     energy: float
-    bound: float
     level: Float64Array
     uncut_level: Float64Array
     plain_level: Float64Array
@@ -204,7 +200,6 @@ def find_multipliers(
         if capped or (excess < 10 ** (0.1 * CLOSE_DB)).all():
             break
         wanted = wanted / np.clip(excess, 1.0, 10.0)
-    bound = uncut.drive + float((relative * unit) @ (uncut.place - level * uncut.focus))
     # Where the energy that is allowed lowers no place by 1 dB, none is spent.
     if capped and (after.level > 10**-0.1 * plain.level).all():
         # Plain time reversal, but for what rounding leaves of the smallest multipliers.
@@ -214,7 +209,6 @@ def find_multipliers(
     return Multipliers(
         relative * unit,
         after.drive * of_plain,
-        bound * of_plain,
         after.level,
         uncut.level,
         plain.level,

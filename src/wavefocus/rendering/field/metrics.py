@@ -174,22 +174,16 @@ def focal_width_mm(position_mm: Float64Array, field: RealArray, peak_row: int, s
     return math.sqrt(4.0 * float(np.count_nonzero(region)) * cell**2 / math.pi)
 
 
-def artefact_level_db(
-    position_mm: Float64Array, field: RealArray, near_mm: Place, radius_mm: float, others_mm: Float64Array | None = None
-) -> float:
-    """Largest ``|field|`` further than `radius_mm` from every focus over the largest within it of one, in dB.
+def artefact_level_db(position_mm: Float64Array, field: RealArray, near_mm: Place, radius_mm: float) -> float:
+    """Largest ``|field|`` further than `radius_mm` from a focus over the largest within it, in dB.
 
-    `others_mm`, shape (foci, 2), are further foci of the same instant. NaN when there is no position on either side of
-    the circles, or no field within.
+    NaN when there is no position on either side of the circle, or no field within.
     """
     within = np.hypot(*(position_mm - np.asarray(near_mm)).T) <= radius_mm
-    beyond = ~within
-    for other_mm in () if others_mm is None else others_mm:
-        beyond &= np.hypot(*(position_mm - other_mm).T) > radius_mm
-    if not within.any() or not beyond.any():
+    if within.all() or not within.any():
         return math.nan
     inside = float(np.max(np.abs(field[within])))
-    return level_db(float(np.max(np.abs(field[beyond]))) / inside) if inside > 0.0 else math.nan
+    return level_db(float(np.max(np.abs(field[~within]))) / inside) if inside > 0.0 else math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -238,25 +238,20 @@ class CrosstalkTable:
 
 
 def path_responses(
-    bank: GreenSource,
-    rows: Sequence[int],
-    signal: Float64Array | None = None,
-    regularisation: Regularisation | None = None,
+    bank: GreenSource, rows: Sequence[int], regularisation: Regularisation | None = None
 ) -> Float64Array:
-    """Response at each of some rows to the focus at each of them, float64 (rows, rows, samples).
+    """Response at each of some rows to the focus of an impulse at each of them, float64 (rows, rows, samples).
 
-    A focus emits its first sample at sample L - 1, L the bank's taps. With normalisation a response is in the source's
-    unit, without it in the square of the bank's.
+    A focus emits its impulse at sample L - 1, L the bank's taps. With normalisation a response is in the source's unit,
+    without it in the square of the bank's.
 
     rows: Rows of the path's points, at most some dozens.
-    signal, float64 (samples,): Emitted by every focus, at the bank's rate; by default an impulse.
     regularisation: Saturation and normalisation; by default normalised, without saturation.
 
     Raises InputError: a row is not measured, or the responses do not fit into memory.
     """
-    emitted = np.ones(1) if signal is None else signal
     regularisation = regularisation or Regularisation()
-    length = fast_length(2 * bank.taps - 1 + len(emitted) - 1)
+    length = fast_length(2 * bank.taps - 1)
     if 8 * len(rows) ** 2 * length > 2**29:
         raise InputError(f"{len(rows)} path points are too many for a crosstalk table; choose fewer")
     keep = np.ones(length // 2 + 1)
@@ -277,21 +272,20 @@ def path_responses(
         greens[place] = spectrum
         driven[place] = factors[:, None] * spectrum.conj()
     responses = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
-    responses *= keep[bins] * np.fft.rfft(emitted, length)[bins]
     # Lags from -(taps - 1) on.
-    responses *= np.exp(-2j * np.pi * bins * (bank.taps - 1) / length)
+    responses *= keep[bins] * np.exp(-2j * np.pi * bins * (bank.taps - 1) / length)
     whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
     whole[..., bins] = responses
     return np.fft.irfft(whole, length, axis=2)
 
 
-def _energy_ratio(values: Float64Array, instants: Int64Array, lead: int, emitted: int) -> float:
+def _energy_ratio(values: Float64Array, instants: Int64Array, lead: int) -> float:
     """Crosstalk ratio of a source that moves from point to point; NaN with fewer than two points.
 
-    Point m emits at sample n_m of `instants`, (points + 1,). Over a window as long as the emissions are apart, its
-    middle that of point m's emission of so many samples (a focus converges as long as it diverges), the energy that all
-    other points' foci together cause at point m is divided by that of its own focus; energies are summed over the
-    points before they are divided. The paper (section IV.C) names the ratio of these energies and no window.
+    Point m emits an impulse at sample n_m of `instants`, (points + 1,). Over a window as long as the impulses are
+    apart, about that of point m (a focus converges as long as it diverges), the energy that all other points' foci
+    together cause at point m is divided by that of its own focus; energies are summed over the points before they are
+    divided. The paper (section IV.C) names the ratio of these energies and no window.
 
     values, (points, points, samples): As `path_responses` gives them, a focus emitting from sample `lead` on.
     """
@@ -301,7 +295,7 @@ def _energy_ratio(values: Float64Array, instants: Int64Array, lead: int, emitted
     own_energy = others_energy = 0.0
     for m in range(points):
         period = max(int(instants[m + 1] - instants[m]), 1)
-        window = instants[m] + (emitted - period) // 2 + np.arange(period)
+        window = instants[m] + (1 - period) // 2 + np.arange(period)
         own, others = np.zeros((2, period))
         for other in range(points):
             lag = window - instants[other] + lead
@@ -319,19 +313,18 @@ def crosstalk_table(
     row_step_mm: float,
     speeds_mm_s: Sequence[float],
     every: Sequence[int],
-    signal: Float64Array | None = None,
     regularisation: Regularisation | None = None,
 ) -> CrosstalkTable:
     """Crosstalk along one line of `rows` that are `row_step_mm` apart, over speeds v and path sample distances d.
 
-    The latter are `every`, in steps of the rows; point m emits at ``round(m d / v rate)``. For `signal` and
+    The latter are `every`, in steps of the rows; point m emits at ``round(m d / v rate)``. For
     `regularisation` see `path_responses`.
     """
-    values, emitted = path_responses(bank, rows, signal, regularisation), 1 if signal is None else len(signal)
+    values = path_responses(bank, rows, regularisation)
     speeds, steps = np.asarray(speeds_mm_s, dtype=np.float64), row_step_mm * np.asarray(every, dtype=np.float64)
     ratio = np.empty((len(speeds), len(steps)))
     for (row, column), _ in np.ndenumerate(ratio):
         own = values[:: every[column], :: every[column]]
         instants = np.arange(len(own) + 1) * steps[column] / speeds[row] * float(bank.sample_rate_hz)
-        ratio[row, column] = _energy_ratio(own, np.rint(instants).astype(np.int64), bank.taps - 1, emitted)
+        ratio[row, column] = _energy_ratio(own, np.rint(instants).astype(np.int64), bank.taps - 1)
     return CrosstalkTable(speeds, steps, ratio)

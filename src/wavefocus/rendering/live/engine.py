@@ -16,6 +16,8 @@ from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.blocks import CrossfadedBlocks
 from wavefocus.rendering.live.finer import finer_rows
 from wavefocus.rendering.live.lives import (
+    FADE_S,
+    HOLD_S,
     JUMP_MM_S,
     LOOK_S,
     VELOCITY_S,
@@ -91,14 +93,11 @@ class LiveEngine:
     regularisation, interpolation: As of a scene; sources that are independent are as
         `wavefocus.rendering.live.finer` has them. Of "kernel", "waves" and "auto" the rows between positions are
         made before the first block.
-    hold_s: For how long a source goes on at its last velocity without a position.
-    fade_s: Duration of each fade.
-    most_sources: Names that may sound at a time.
     signal: Of sources that were given none; by default noise of the bank's band, 1 s, repeating.
     record: Whether knots are kept for `take_record`.
     frame_rate_hz: Rate of the blocks that come out; by default the bank's.
 
-    Raises InputError: a value is out of range, or the bank does not allow the interpolation or regularisation.
+    Raises InputError: the bank does not allow the interpolation or regularisation.
     """
 
     interpolation: str
@@ -114,22 +113,13 @@ class LiveEngine:
         look_ahead_samples: int,
         regularisation: Regularisation | None = None,
         interpolation: str = "nearest",
-        hold_s: float = 0.25,
-        fade_s: float = 0.01,
-        most_sources: int = MAX_SOURCES,
         signal: Signal | None = None,
         record: bool = False,
         frame_rate_hz: float | None = None,
     ) -> None:
-        for key, value, least in (
-            ("block_samples", block_samples, 1), ("look_ahead_samples", look_ahead_samples, 0),
-            ("most_sources", most_sources, 1), ("hold_s", hold_s, 0), ("fade_s", fade_s, 0),
-        ):  # fmt: skip
-            if not least <= value < math.inf:
-                raise InputError(f"{key} is {value}; it must be a finite number, {least} or more")
         self.rate_hz, self.actuators, self.block_samples = float(bank.sample_rate_hz), bank.actuators, block_samples
         self.frame_rate_hz = self.rate_hz if frame_rate_hz is None else frame_rate_hz
-        self._look_ahead, self._most_sources = look_ahead_samples, most_sources
+        self._look_ahead = look_ahead_samples
         regularisation = Regularisation() if regularisation is None else regularisation
         default = default_signal(bank) if signal is None else signal
         default_samples = live_samples(default, self.rate_hz)
@@ -147,8 +137,8 @@ class LiveEngine:
         self._reach = self.sufficient_samples + block_samples
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
         self._timing = Timing(
-            look=max(1, round(LOOK_S * self.rate_hz)), fade=max(1, round(fade_s * self.rate_hz)),
-            hold=max(1, round(hold_s * self.rate_hz)), velocity=round(VELOCITY_S * self.rate_hz),
+            look=max(1, round(LOOK_S * self.rate_hz)), fade=max(1, round(FADE_S * self.rate_hz)),
+            hold=max(1, round(HOLD_S * self.rate_hz)), velocity=round(VELOCITY_S * self.rate_hz),
             jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
         )  # fmt: skip
         self._default = Emitted(default, default_samples, repeat=True)
@@ -182,8 +172,8 @@ class LiveEngine:
             )
         place, due = (float(at_mm[0]), float(at_mm[1])), self.next_sample + self._look_ahead
         sounding = self._active(due)
-        if name not in sounding and len(sounding) >= self._most_sources:
-            raise InputError(f"source {name!r} is one too many; at most {self._most_sources} may sound at a time")
+        if name not in sounding and len(sounding) >= MAX_SOURCES:
+            raise InputError(f"source {name!r} is one too many; at most {MAX_SOURCES} may sound at a time")
         former = self._sources[name] if name in sounding else None
         loudness = (1.0 if former is None else former.amplitude) if amplitude is None else float(amplitude)
         life = None if former is None else former.life
@@ -369,7 +359,7 @@ class LiveEngine:
         source = _Source(self._default if emitted is None else emitted)
         active = self._active(self.next_sample + self._look_ahead)
         # Names whose signals are kept; of more, those that were silent longest are forgotten.
-        while len(self._sources) >= max(64, self._most_sources + 1):
+        while len(self._sources) >= 64:
             del self._sources[next(name for name in self._sources if name not in active)]
         self._sources[name] = source
         return source

@@ -65,6 +65,8 @@ VELOCITY_S = 0.03
 """Time over which the velocity is taken: two positions of a 60 Hz screen, for the jitter of one."""
 JUMP_MM_S = 2000.0
 """No finger that stays on a surface is as fast."""
+HOLD_S, FADE_S = 0.25, 0.01
+"""For so long a source goes on at its last velocity without a position; duration of each fade."""
 LOOK_S = 0.0025
 """A course is looked at so often; closer where the rows change."""
 

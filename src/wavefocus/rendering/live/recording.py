@@ -45,18 +45,15 @@ class SessionRecording(Closing):
 
     folder: Made where missing; it must not hold files of a record, which would be written over.
     rate_hz: The bank's.
-    about: One line that the scene file begins with.
 
     Raises InputError: the folder holds files of a record, or cannot be written.
     """
 
-    def __init__(
-        self, folder: Path, *, rate_hz: float, regularisation: Regularisation, interpolation: str, about: str = ""
-    ) -> None:
+    def __init__(self, folder: Path, *, rate_hz: float, regularisation: Regularisation, interpolation: str) -> None:
         self._folder, self._rate_hz = folder, rate_hz
         self._head = "\n".join(
             [
-                f"# {printable(about) or 'Recorded by wavefocus live'}\n",
+                "# Recorded by wavefocus live\n",
                 toml_table("[scene]", SceneTable(name="live")),
                 regularisation_toml(regularisation),
                 toml_table("[output]", Output(interpolation=interpolation)),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -44,11 +44,11 @@ AROUND_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class FramePlan:
-    """Samples of the field, (frames,), at even distances of `step_s`, and the movie's frames a second."""
+    """Samples of the field, (frames,), at even distances of `step_s`."""
 
+    frame_rate_hz: ClassVar[float] = 25.0
     sample: Int64Array
     step_s: float
-    frame_rate_hz: float
 
     @property
     def slowed(self) -> float:
@@ -63,7 +63,6 @@ def plan_frames(
     from_s: float | None = None,
     to_s: float | None = None,
     slow: float | None = None,
-    frame_rate_hz: float = 25.0,
 ) -> FramePlan:
     """Choose the instants of a movie. Raises InputError: nothing is left to show, or there would be too many frames."""
     rate_hz = field.sample_rate_hz
@@ -82,7 +81,7 @@ def plan_frames(
     if slow is None:
         step_s = max(1.0, round((end_s - begin_s) * rate_hz / 240)) / rate_hz
     else:
-        step_s = 1.0 / (slow * frame_rate_hz)
+        step_s = 1.0 / (slow * FramePlan.frame_rate_hz)
     frames = math.floor((end_s - begin_s) / step_s * (1 + 1e-12)) + 1
     if frames > MAX_FRAMES:
         raise InputError(
@@ -90,7 +89,7 @@ def plan_frames(
             " allowed; lower --slow, or choose --from-s and --to-s"
         )
     sample = np.rint((begin_s - field.start_s + step_s * np.arange(frames)) * rate_hz).astype(np.int64)
-    return FramePlan(np.minimum(sample, field.samples - 1), step_s, frame_rate_hz)
+    return FramePlan(np.minimum(sample, field.samples - 1), step_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +216,7 @@ def write_movie(
                     on_progress(frame + 1, len(frames))
 
         pictures = drawn()
-        milliseconds = 10 * max(2, round(100 / plan.frame_rate_hz))  # GIF counts in hundredths of a second, at least 2
+        milliseconds = round(1000 / plan.frame_rate_hz)
         with replacement(path) as temporary, temporary.open("wb") as file:
             next(pictures).save(
                 file, "GIF", save_all=True, append_images=pictures, duration=milliseconds, loop=0, disposal=1

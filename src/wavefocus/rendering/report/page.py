@@ -52,11 +52,10 @@ def build_report(
     outline_mm: Float64Array | None = None,
     drift: Sequence[tuple[datetime, Drift]] = (),
     drift_limits: DriftLimits | None = None,
-    save_pictures: bool = False,
 ) -> Path:
-    """Write ``report.html``: verdict, pictures, figures with definitions, what to do.
+    """Write ``report.html``: verdict, pictures, figures with definitions, what to do; the pictures as files, too.
 
-    The file holds everything it shows: no network, scripts or fonts of others.
+    The report holds everything it shows: no network, scripts or fonts of others.
 
     Returns the report.
     """
@@ -85,10 +84,9 @@ def build_report(
         **captions,
     )
     out_dir.mkdir(parents=True, exist_ok=True)
-    if save_pictures:
-        for picture in pictures.values():
-            if picture is not None:
-                write_whole(out_dir / f"{picture.name}.png", picture.png)
+    for picture in pictures.values():
+        if picture is not None:
+            write_whole(out_dir / f"{picture.name}.png", picture.png)
     report = out_dir / REPORT_NAME
     write_whole(report, html)
     return report

@@ -114,7 +114,6 @@ class RenderReport:
     out_of_band: Per source, the share of the emitted windows' energy outside the bank's band; None where it is unknown.
     omitted_bound: Proved bound on the relative error of the drives.
     single: Computed in single precision.
-    pairs: (Block, row) pairs that were multiplied: the cost of the render.
     interpolation_errors: Estimated error of the Green's functions between the bank's positions, by band; None where the
         paths keep to the positions, or the bank has too few of them.
     tail: Ends of some of the Green's functions, and an estimate of the response beyond them.
@@ -128,7 +127,6 @@ class RenderReport:
     out_of_band: tuple[float | None, ...]
     omitted_bound: float
     single: bool
-    pairs: int
     interpolation_errors: InterpolationErrors | None = None
     tail: ResponseTail | None = None
     quiet: QuietFigures | None = None
@@ -165,7 +163,7 @@ def report_render(
     """Collect the figures and warnings of a render; `statistics` are those of `BlockAccumulator`."""
     measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
     peak = float(norms.max())
-    outside = tuple(1.0 - within / energy if energy > 0 else None for _, within, energy in statistics.tolist())
+    outside = tuple(1.0 - within / energy if energy > 0 else None for within, energy in statistics.tolist())
     bank_rows = [row for row in rows.used if row < measured.positions]
     tail = _response_tail(measured, bank_rows)
     warnings = [
@@ -188,7 +186,6 @@ def report_render(
         out_of_band=outside,
         omitted_bound=omitted_bound,
         single=omitted_bound > 0,
-        pairs=int(statistics[:, 0].sum()),
         interpolation_errors=errors,
         tail=tail,
         quiet=quiet,
