@@ -77,18 +77,18 @@ def test_maps_of_rms_and_focus_gain_are_equations_14_and_15_over_measured_positi
         threshold = np.inf if saturation is None else saturation * np.median(rms[measured])
         assert saturation_threshold(Regularisation(saturation=saturation or 0.0), bank) == pytest.approx(threshold)
         gain = 1 / np.sum(np.where(rms < threshold, 1, threshold / rms) * power, axis=1)
-        found = focus_gain_map(bank, saturation)
+        found = focus_gain_map(bank, Regularisation(saturation=saturation or 0.0))
         assert np.isnan(found[[2, 3, 5]]).all()
         np.testing.assert_allclose(found[measured], gain[measured], rtol=1e-13)
-        absolute = focus_gain_map(bank, saturation_absolute=0.0 if saturation is None else threshold)
-        np.testing.assert_array_equal(absolute, found)
+        absolute = Regularisation(saturation_absolute=0.0 if saturation is None else threshold)
+        np.testing.assert_array_equal(focus_gain_map(bank, absolute), found)
 
 
 def test_silent_banks_rows_not_measured_and_gains_beyond_float64_are_refused():
     with pytest.raises(InputError, match="median is 0"):
         saturation_threshold(Regularisation(saturation=0.5), uneven_bank([1] * 6, 0.0))
     with pytest.raises(InputError, match="give the bank a unit in which its values are nearer to 1"):
-        focus_gain_map(uneven_bank([1] * 6, 1e-200))
+        focus_gain_map(uneven_bank([1] * 6, 1e-200), Regularisation())
     bank = decaying_bank(3)
     assert np.isnan(crosstalk_table(bank, [0], 4.0, [10.0], [1]).energy_ratio).all()
     bank.values[1] = 0.0

@@ -134,7 +134,7 @@ def test_row_7_a_value_that_is_not_finite_is_refused_by_position_and_actuator(ba
     for use in (
         lambda: rendered(STILL, bank),
         lambda: rendered(elsewhere, bank, SATURATED),
-        lambda: focus_gain_map(bank),
+        lambda: focus_gain_map(bank, Regularisation()),
         lambda: predict(drive, bank),
     ):
         with pytest.raises(InputError, match="position 8, actuator 2"):
@@ -143,9 +143,9 @@ def test_row_7_a_value_that_is_not_finite_is_refused_by_position_and_actuator(ba
 
 def test_rows_8_to_9_no_positive_saturation_is_refused_and_a_huge_one_is_none():
     for threshold in (-1.0, np.nan, np.inf, -np.inf):
-        for use in (lambda one: Regularisation(saturation_absolute=one), lambda one: focus_gain_map(make_bank(), one)):
+        for kind in ("saturation_absolute", "saturation"):
             with pytest.raises(ValueError, match="saturation"):
-                use(threshold)
+                Regularisation(**{kind: threshold})
     free, *held = (
         rendered(CONTINUOUS, make_bank(VALUES * 1e3), one)[0].drive_v
         for one in (None, Regularisation(saturation=1e308), Regularisation(saturation_absolute=1e308))

@@ -102,8 +102,8 @@ def _figure_3b(paper: Paper) -> Picture:
 def _figure_3c(paper: Paper) -> Picture:
     """Normalisation n(x) over the surface."""
     bank, surface = paper.bank, paper.surface()
-    gains = {"range of n(x) with saturation": focus_gain_map(bank, SATURATION),
-             "range of n(x) without": focus_gain_map(bank)}  # fmt: skip
+    gains = {"range of n(x) with saturation": focus_gain_map(bank, Regularisation(saturation=SATURATION)),
+             "range of n(x) without": focus_gain_map(bank, Regularisation())}  # fmt: skip
     for name, gain in gains.items():
         whole, clear = (
             metrics.gain_range_db(gain, bank.position_mm, bank.actuator_mm, clear_mm) for clear_mm in (0.0, CLEAR_MM)

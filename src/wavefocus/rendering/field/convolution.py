@@ -156,24 +156,23 @@ class Convolution:
     ) -> None:
         self._drive_v, self._reader, self._dtype, self._device = drive_v, reader, dtype, device
         self._decimation, self._kept, factor = decimation, kept, decimation.factor
-        self.samples = -(-(drive_v.shape[1] + reader.taps - 1) // factor)
+        self.samples = -(-(drive_v.shape[1] + reader.bank.taps - 1) // factor)
         """Samples of a response."""
         self._length = self._fft_samples() if kept is None else kept.band.fft_samples
-        hop = self._length - (reader.taps + decimation.kernel_samples - 1) + 1
+        hop = self._length - (reader.bank.taps + decimation.kernel_samples - 1) + 1
         self._hop = hop - hop % factor
         self._lower_length, self._lower_hop = self._length // factor, self._hop // factor
         self._blocks = -(-drive_v.shape[1] // self._hop)
-        bins = self._lower_length // 2 + 1
-        self.band = Band(self._length, bins, single=dtype == np.float32) if kept is None else kept.band
-        self._drive_bins = bins
+        single = dtype == np.float32
+        self.band = Band(self._length, self._lower_length // 2 + 1, single) if kept is None else kept.band
         # The drive's spectra are kept up to this size, else made anew for every part of the field.
-        self._keeps = 16 * bins * drive_v.shape[0] * self._blocks <= 96 * 2**20
+        self._keeps = 16 * self.band.kept * drive_v.shape[0] * self._blocks <= 96 * 2**20
 
     @property
     def rows_at_once(self) -> int:
         """Rows to ask for at a time."""
         blocks = min(self._blocks, BLOCKS_AT_ONCE)
-        each = self.band.kept * blocks + (0 if self._kept else self.band.bins * self._reader.actuators)
+        each = self.band.kept * blocks + (0 if self._kept else self.band.bins * self._reader.bank.actuators)
         row_bytes = each * np.dtype(self.band.complex).itemsize + 8 * self.samples
         # Memory of one part of a field on this processor; the call of a matrix product costs about as much as ten
         # rows.
@@ -192,8 +191,8 @@ class Convolution:
         for begin in range(0, self._blocks, BLOCKS_AT_ONCE):
             group = range(begin, min(begin + BLOCKS_AT_ONCE, self._blocks))
             spectra = self._spectra[:, :, group.start : group.stop] if self._keeps else self._made(group)
-            kept = xp.asarray(spectra[: band.kept, :, :], dtype=self._device.dtype(band.complex))
-            product = xp.moveaxis(xp.matmul(rows, kept), 0, 2)
+            driven = xp.asarray(spectra, dtype=self._device.dtype(band.complex))
+            product = xp.moveaxis(xp.matmul(rows, driven), 0, 2)
             parts = self._device.to_host(self._device.fft(single=band.single).irfft(product, n=length, axis=2))
             for place, block in enumerate(group):
                 first = block * self._lower_hop
@@ -213,7 +212,7 @@ class Convolution:
         xp = self._device.xp
         cut = xp.asarray(cut.reshape(len(self._drive_v), len(group), self._hop))
         whole = self._device.fft(single=False).rfft(xp.moveaxis(cut, 2, 0), n=self._length, axis=0)
-        spectra = whole[: self._drive_bins, :, :]
+        spectra = whole[: self.band.kept, :, :]
         if self._decimation.factor == 1:
             return spectra
         return spectra * xp.asarray(self._decimation.weights(self._length))[:, None, None]
@@ -228,7 +227,7 @@ class Convolution:
 
     def _fft_samples(self) -> int:
         """Transform length that costs least per row: a transform per actuator, a product and one back per block."""
-        taps, (actuators, samples), factor = self._reader.taps, self._drive_v.shape, self._decimation.factor
+        taps, (actuators, samples), factor = self._reader.bank.taps, self._drive_v.shape, self._decimation.factor
         reach = taps + self._decimation.kernel_samples - 1 + factor
 
         def cost(length: int) -> float:

@@ -90,18 +90,12 @@ def row_weights(green: Float64Array, threshold: float, *, normalise: bool) -> Ro
     return sigma, 1.0 / total
 
 
-def focus_gain_map(
-    bank: GreenSource, saturation: float | None = None, saturation_absolute: float = 0.0
-) -> Float64Array:
+def focus_gain_map(bank: GreenSource, regularisation: Regularisation) -> Float64Array:
     """n(x) of eq. (15) over the surface, the paper's figure 3C.
-
-    saturation: C as a fraction of the bank's median rms; None or 0: off.
-    saturation_absolute: C in the bank's unit; 0: off.
 
     Returns float64 (positions,): NaN where nothing was measured. Raises InputError: the saturation is not allowed, or
     n(x) does not fit into float64.
     """
-    regularisation = Regularisation(saturation=saturation or 0.0, saturation_absolute=saturation_absolute)
     threshold = saturation_threshold(regularisation, bank)
     reader, gain = RowReader(bank), np.full(bank.positions, np.nan)
     for position in np.flatnonzero(usable(bank)).tolist():

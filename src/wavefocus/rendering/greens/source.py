@@ -160,16 +160,6 @@ class RowReader:
         self.bank = bank
         self._asking = threading.Lock()
 
-    @property
-    def actuators(self) -> int:
-        """Number of actuators."""
-        return self.bank.actuators
-
-    @property
-    def taps(self) -> int:
-        """Taps of a Green's function."""
-        return self.bank.taps
-
     def read(self, position: int) -> Float64Array:
         """Read one row, (actuators, taps).
 
@@ -177,10 +167,9 @@ class RowReader:
         """
         with self._asking:
             raw = np.asarray(self.bank.green(position))
-        if raw.shape != (self.actuators, self.taps):
-            raise InputError(
-                f"row {position} of the bank has shape {raw.shape}; expected {(self.actuators, self.taps)}"
-            )
+        expected = (self.bank.actuators, self.bank.taps)
+        if raw.shape != expected:
+            raise InputError(f"row {position} of the bank has shape {raw.shape}; expected {expected}")
         if raw.dtype.kind not in "fiu":
             raise InputError(f"row {position} of the bank is of type {raw.dtype}; allowed are real numbers")
         values = np.array(raw, dtype=np.float64, order="C")

@@ -118,7 +118,6 @@ class LiveEngine:
         frame_rate_hz: float | None = None,
     ) -> None:
         self.rate_hz, self.actuators, self.block_samples = float(bank.sample_rate_hz), bank.actuators, block_samples
-        self.frame_rate_hz = self.rate_hz if frame_rate_hz is None else frame_rate_hz
         self._look_ahead = look_ahead_samples
         regularisation = Regularisation() if regularisation is None else regularisation
         default = default_signal(bank) if signal is None else signal
@@ -128,7 +127,7 @@ class LiveEngine:
         self._blocks = CrossfadedBlocks(
             BankRows(bank, regularisation),
             block_samples,
-            self.frame_rate_hz,
+            self.rate_hz if frame_rate_hz is None else frame_rate_hz,
             self._surface.nearest_nodes,
             independent=regularisation.independent,
             finer=finer,

@@ -61,7 +61,7 @@ def build_report(
     """
     paths_mm = [path_line_mm(source, PATH_POINTS if source.path.length_mm > 0.0 else 1) for source in scene.sources]
     surface = ReportSurface.of(bank, paths_mm, outline_mm)
-    gain = focus_gain_map(bank, scene.regularisation.saturation, scene.regularisation.saturation_absolute)
+    gain = focus_gain_map(bank, scene.regularisation)
     pictures, captions = _pictures(surface, verification, drive, gain)
     if drift:
         pictures["drift"] = drift_over_time(drift, drift_limits or DriftLimits())

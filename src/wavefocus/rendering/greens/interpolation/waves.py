@@ -212,7 +212,7 @@ def _spectral_noise(bank: GreenSource, reader: RowReader, rows: Int64Array) -> F
 
 def _spectra(reader: RowReader, rows: Int64Array, samples: int, bins: Int64Array) -> Complex128Array:
     """Transfer functions of rows, (bins, rows, actuators)."""
-    found = np.empty((len(bins), len(rows), reader.actuators), dtype=np.complex128)
+    found = np.empty((len(bins), len(rows), reader.bank.actuators), dtype=np.complex128)
     for place, row in enumerate(rows.tolist()):
         found[:, place] = scipy_fft.rfft(reader.read(row), samples, axis=1)[:, bins].T
     return found
