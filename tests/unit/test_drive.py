@@ -283,7 +283,7 @@ def test_a_written_drive_is_the_one_in_memory_scaled_by_the_same_limits(sources,
     assert streamed.peak_v == pytest.approx(np.abs(written.drive_v).max(), rel=1e-12)
 
 
-STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)
+STRICT = Device(array_api_strict, np.from_dlpack, 2**16)
 
 
 @settings(max_examples=5)

@@ -23,7 +23,6 @@ class Device:
     memory_bytes: Memory that row spectra may take; one part of a computation takes about as much again.
     """
 
-    name: str
     xp: Any
     to_host: Callable[[Any], NDArray[Any]]
     memory_bytes: int
@@ -62,7 +61,7 @@ def fast_length(least: int) -> int:
 
 def host_device() -> Device:
     """The processor that runs this, by NumPy."""
-    return Device("cpu", np, np.asarray, 256 * 2**20)
+    return Device(np, np.asarray, 256 * 2**20)
 
 
 def cuda_device() -> Device:
@@ -78,7 +77,7 @@ def cuda_device() -> Device:
         raise InputError(f"--device cuda: CUDA says {' '.join(str(error).split())}; {REMEDY}") from None
     if not count:
         raise InputError(f"--device cuda: there is no GPU; {REMEDY}")
-    return Device("cuda", cupy, cupy.asnumpy, free_bytes // 8)
+    return Device(cupy, cupy.asnumpy, free_bytes // 8)
 
 
 Item = TypeVar("Item")

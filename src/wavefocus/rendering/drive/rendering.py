@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -211,19 +211,11 @@ class SceneRenderer:
 
 
 def render_with_report(
-    scene: Scene,
-    bank: GreenSource,
-    *,
-    method: Method | None = None,
-    tolerance_db: float | None = None,
-    interface: Interface | None = None,
-    device: Device | None = None,
-    on_progress: OnProgress | None = None,
+    scene: Scene, bank: GreenSource, on_progress: OnProgress | None = None, **options: Any
 ) -> tuple[Drive, RenderReport]:
-    """Render a scene into the drives of all actuators, in memory; see `SceneRenderer`.
+    """Render a scene into the drives of all actuators, in memory; options as of `SceneRenderer`.
 
     on_progress: Called with samples done and samples in all.
     """
-    renderer = SceneRenderer(scene, bank, method=method, tolerance_db=tolerance_db, interface=interface, device=device)
-    drive = renderer.collect(on_progress)
-    return drive, renderer.report
+    renderer = SceneRenderer(scene, bank, **options)
+    return renderer.collect(on_progress), renderer.report

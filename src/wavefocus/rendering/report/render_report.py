@@ -108,7 +108,6 @@ class RenderWarning(UserWarning):
 class RenderReport:
     """Figures of one render.
 
-    rows: Bank rows that were used, for interpolation or for regularisation.
     relative_rms_drive, float64 (actuators,): RMS of each actuator's drive relative to the largest (the paper's figure
         3B, right).
     out_of_band: Per source, the share of the emitted windows' energy outside the bank's band; None where it is unknown.
@@ -121,7 +120,6 @@ class RenderReport:
     """
 
     warnings: tuple[str, ...]
-    rows: tuple[int, ...]
     limiting: Limiting
     relative_rms_drive: Float64Array
     out_of_band: tuple[float | None, ...]
@@ -164,8 +162,7 @@ def report_render(
     measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
     peak = float(norms.max())
     outside = tuple(1.0 - within / energy if energy > 0 else None for within, energy in statistics.tolist())
-    bank_rows = [row for row in rows.used if row < measured.positions]
-    tail = _response_tail(measured, bank_rows)
+    tail = _response_tail(measured, [row for row in rows.used if row < measured.positions])
     warnings = [
         *_silent(rows),
         *_doubtful(rows),
@@ -180,7 +177,6 @@ def report_render(
         warnings.append("the drive is silent: every amplitude is 0")
     return RenderReport(
         warnings=tuple(warnings),
-        rows=tuple(bank_rows),
         limiting=limiting,
         relative_rms_drive=norms / peak if peak > 0 else norms,
         out_of_band=outside,
