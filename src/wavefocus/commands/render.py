@@ -19,7 +19,7 @@ from wavefocus.rendering.drive.rendering import MAX_WHOLE_BYTES, SceneRenderer
 from wavefocus.rendering.drive.wav import stream_wav
 from wavefocus.rendering.field.foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import field_unit
-from wavefocus.rendering.field.quiet_levels import levels_json, quiet_levels, rendered_levels
+from wavefocus.rendering.field.quiet_levels import quiet_levels, rendered_levels
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rig.limits import (
     DEFAULT_FULL_SCALE_V,
@@ -90,7 +90,7 @@ def render(
         if facts.interpolation_errors is not None:
             figures["interpolation"] = facts.interpolation_errors.facts
         if facts.quiet is not None:
-            figures["quiet"] = levels_json(quiet, facts.quiet.plain_db, facts.quiet.multiplier)
+            figures["quiet"] = [level.plain for level in quiet]
             figures["quiet_energy"] = facts.quiet.energy
     for warning in facts.warnings:
         say(f"warning: {warning}")

@@ -106,8 +106,8 @@ class Multipliers:
 
     of_place, float64 (places,): Multiplier m of each place.
     energy: Of the drives over plain time reversal's.
-    level, uncut_level, plain_level, float64 (places,): Energy of the response at each place over that at the loudest
-        focus: with the filters, before they were cut to their length, and with plain time reversal.
+    level, uncut_level, float64 (places,): Energy of the response at each place over that at the loudest focus: with the
+        filters, and before they were cut to their length.
     focus: Energy of the response at the loudest focus.
     capped: The levels cost more than the energy that is allowed.
     """
@@ -116,7 +116,6 @@ class Multipliers:
     energy: float
     level: Float64Array
     uncut_level: Float64Array
-    plain_level: Float64Array
     focus: float
     capped: bool
 
@@ -211,7 +210,6 @@ def find_multipliers(
         after.drive * of_plain,
         after.level,
         uncut.level,
-        plain.level,
         after.focus,
         capped,
     )

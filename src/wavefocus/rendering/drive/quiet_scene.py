@@ -60,7 +60,6 @@ class QuietFigures:
     """Figures of the quiet places of a scene.
 
     levels: The places, with the levels of the finished drive; of the filters where there is no drive in memory.
-    plain_db, float64 (places,): Levels of plain time reversal.
     multiplier, float64 (places,): Of the equations in `wavefocus.rendering.drive.quiet_filters`, for rows in the bank's
         unit.
     energy: Of the drives over plain time reversal's.
@@ -68,7 +67,6 @@ class QuietFigures:
     """
 
     levels: tuple[QuietLevel, ...]
-    plain_db: Float64Array
     multiplier: Float64Array
     energy: float
     warnings: tuple[str, ...]
@@ -193,9 +191,7 @@ class QuietRows(BankRows):
         places = [self.plan.places[number] for number in kept.tolist()]
         # Instants at which a place that moves is kept in drive files, and those of all places together.
         instants = min(32, max(2, 1000 // max(len(places), 1)))
-        reached_db, plain_db = (
-            10.0 * np.log10(np.maximum(level[kept], 1e-30)) for level in (found.level, found.plain_level)
-        )
+        reached_db = 10.0 * np.log10(np.maximum(found.level[kept], 1e-30))
         tracks = [self._track(*pair, instants) for pair in zip(places, reached_db.tolist(), strict=True)]
         levels = rendered_levels(tuple(tracks))
         if drive is not None and drive.drive_v.any():
@@ -210,7 +206,7 @@ class QuietRows(BankRows):
                 warnings.append(
                     f"{place.words} reaches {level.reached_db:.1f} dB of {place.level_db:g} dB asked; {why}"
                 )
-        return QuietFigures(levels, plain_db, found.of_place[kept], found.energy, tuple(warnings))
+        return QuietFigures(levels, found.of_place[kept], found.energy, tuple(warnings))
 
     def _track(self, place: PlannedPlace, level_db: float, instants: int) -> QuietTrack:
         knots = self.plan.knots if changes_place(place.path) else self.plan.knots[:1]

@@ -61,16 +61,6 @@ class QuietLevel:
         }
 
 
-def levels_json(
-    levels: tuple[QuietLevel, ...], plain_db: Float64Array, multiplier: Float64Array
-) -> list[dict[str, Any]]:
-    """Levels as JSON holds them, with those of plain time reversal and the multipliers of the equations."""
-    return [
-        {**level.plain, "plain_db": round(before_db, 3), "multiplier": m}
-        for level, before_db, m in zip(levels, plain_db.tolist(), multiplier.tolist(), strict=True)
-    ]
-
-
 def rendered_levels(tracks: tuple[QuietTrack, ...]) -> tuple[QuietLevel, ...]:
     """The levels that the renderer found while it made the filters, for drives that are not in memory."""
     return tuple(QuietLevel(track, track.rendered_db) for track in tracks)
