@@ -3,6 +3,7 @@
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Self
 
@@ -270,17 +271,13 @@ class KernelInterpolation(PathInterpolation):
         with one_blas_thread():
             return _left_out_estimate(self, points_mm, self._values_at(*frequency_hz.tolist()), other)
 
-    def _is_sparse(self, row: int) -> bool:
-        try:
-            self.neighbourhoods.patch(row)
-        except SparseError:
-            return True
-        return False
-
     def _patches(self, around_mm: Float64Array) -> Sequence[Patch]:
         """Some patches around the points, of the commonest shape if it is common; the rim shows waves less well."""
         anchors = np.unique(self.neighbourhoods.nearest(around_mm)[0]).tolist()
-        patches = [self.neighbourhoods.patch(row) for row in anchors if not self._is_sparse(row)]
+        patches = []
+        for row in anchors:
+            with suppress(SparseError):
+                patches.append(self.neighbourhoods.patch(row))
         if not patches:
             return [self.neighbourhoods.patch(anchors[0])]  # which says what is wrong
         shapes = Counter(patch.key for patch in patches).most_common(4)
