@@ -16,6 +16,7 @@ from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_rat
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import MAX_ENERGY, finer_rows, independent_filters
+from wavefocus.rendering.live.lives import emitted_by
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.rendering.scene.trajectory import Trajectory
 
@@ -74,9 +75,9 @@ def test_given_sufficient_look_ahead_then_the_drives_are_those_of_the_recorded_s
             engine.move("thumb", (18.0 if block > 50 else -17.0, 0.1 * block - 5.0))  # jumps
         if block == 40:
             engine.end_source("finger")
-            engine.set_signal("thumb", Sine(90.0, 0.05), repeat=False)
+            engine.set_signal("thumb", emitted_by(Sine(90.0, 0.05), RATE_HZ, repeat=False))
         if block == 70:
-            engine.set_signal("thumb", Impulse())
+            engine.set_signal("thumb", emitted_by(Impulse(), RATE_HZ))
 
     with SessionRecording(tmp_path, rate_hz=RATE_HZ, regularisation=HELD, interpolation=interpolation) as recording:
         drive_v, lives = run(engine, 150, order, recording)
@@ -143,7 +144,7 @@ def test_a_jump_an_end_or_a_hole_on_the_way_then_one_life_fades_and_another_appe
 def test_order_takes_effect_with_next_block_even_where_that_was_computed_before():
     orders = (
         lambda engine: engine.move("finger", (-3.0, 6.0)),
-        lambda engine: engine.set_signal("finger", Sine(90.0, 0.1)),
+        lambda engine: engine.set_signal("finger", emitted_by(Sine(90.0, 0.1), RATE_HZ)),
         lambda engine: engine.end_source("finger"),
         lambda engine: engine.limit_sources(0),
     )
@@ -179,7 +180,7 @@ def test_of_more_names_than_are_kept_one_that_moved_lately_keeps_its_signal():
     engine, own = engine_of(), Sine(100.0, 0.1)
     for names in (["finger"], range(40), range(40, 80)):
         for name in names:
-            engine.set_signal(str(name), own)
+            engine.set_signal(str(name), emitted_by(own, RATE_HZ))
         engine.move("finger", (0.0, 0.0))
         engine.next_block()
         engine.end_source("finger")

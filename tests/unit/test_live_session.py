@@ -32,6 +32,7 @@ from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.limiter import LiveLimiter
+from wavefocus.rendering.live.lives import emitted_by
 from wavefocus.rendering.live.recording import SessionRecording
 
 INTERFACE_HZ = round(RATE_HZ)
@@ -111,7 +112,7 @@ def end(session):
 
 def test_with_sufficient_look_ahead_the_recorded_scene_renders_to_what_was_played(tmp_path):
     script: dict[int, Callable] = {piece: move("a", 0.5 * piece, 3.0) for piece in range(30)}
-    script[7] = lambda session: (script_move(session), session.order(UseSignal("a", SINE, VALUES, True), 0.0))
+    script[7] = lambda session: (script_move(session), session.order(UseSignal("a", emitted_by(SINE, RATE_HZ)), 0.0))
     script_move, second = move("a", 3.0, 3.0), move("b", -9.0, 8.0, 0.5 * AMPLITUDE)
     script |= {20: lambda session: (move("a", 10.0, 3.0)(session), second(session)), 30: end}
     recording = SessionRecording(
@@ -152,7 +153,6 @@ def test_given_orders_just_before_the_end_then_they_are_answered_before_it():
 
 
 SINE = Sine(120.0, 0.3)
-VALUES = SINE.samples(RATE_HZ)
 
 
 def test_given_limits_then_no_frame_is_beyond_them_and_it_is_said():

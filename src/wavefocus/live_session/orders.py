@@ -14,11 +14,9 @@ from wavefocus.config.messages.live import ORDERS, EndLive, EndSource, MoveSourc
 from wavefocus.config.scene import SignalTable
 from wavefocus.console import one_line
 from wavefocus.json_lines import read_order
-from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.live.engine import MAX_NAME
-from wavefocus.rendering.live.lives import live_samples
+from wavefocus.rendering.live.lives import Emitted, emitted_by
 from wavefocus.rendering.scene.model import build_signal
-from wavefocus.rendering.scene.signals import Signal
 from wavefocus.storage.errors import InputError
 
 MAX_WAITING = 1000
@@ -29,9 +27,7 @@ class UseSignal:
     """The order `SetSignal` as the session carries it out; the samples are made before, so that no block waits."""
 
     name: str
-    signal: Signal
-    values: Float64Array
-    repeat: bool
+    emitted: Emitted
 
 
 Order = MoveSource | UseSignal | EndSource | EndLive
@@ -55,7 +51,7 @@ def order_of(content: Mapping[str, object], rate_hz: float, folder: Path) -> Ord
     if isinstance(order, SetSignal):
         table = validated(_SignalOrder, {"signal": order.signal}, "order signal")
         signal = build_signal(table.signal, folder / "order signal", "signal")
-        return UseSignal(order.name, signal, live_samples(signal, rate_hz), order.repeat)
+        return UseSignal(order.name, emitted_by(signal, rate_hz, repeat=order.repeat))
     assert isinstance(order, MoveSource | EndSource | EndLive)
     return order
 

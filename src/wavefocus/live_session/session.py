@@ -189,8 +189,8 @@ class LiveSession:
                 self.engine.move(name, at_mm, self._gain * amplitude)
                 self._amplitudes[name] = amplitude
                 self._late.discard(name)
-            case UseSignal(name, signal, values, repeat):
-                self.engine.set_signal(name, signal, repeat=repeat, values=values)
+            case UseSignal(name, emitted):
+                self.engine.set_signal(name, emitted)
             case EndSource(name):
                 self.engine.end_source(name)
                 self._amplitudes.pop(name, None)

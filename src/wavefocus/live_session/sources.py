@@ -29,7 +29,7 @@ from wavefocus.options import LiveOptions
 from wavefocus.rendering.greens.source import is_check, usable
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.limiter import LiveLimiter
-from wavefocus.rendering.live.lives import live_samples
+from wavefocus.rendering.live.lives import emitted_by
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.signals import Signal
@@ -251,8 +251,7 @@ class LiveSources:
         Raises InputError: The signal cannot be made at the bank's rate, or is longer than a minute.
         """
         check_name(name)
-        values = live_samples(signal, self._session.engine.rate_hz)
-        self._order(UseSignal(name, signal, values, repeat))
+        self._order(UseSignal(name, emitted_by(signal, self._session.engine.rate_hz, repeat=repeat)))
 
     @checked
     def end_source(self, name: str) -> None:

@@ -25,7 +25,7 @@ from wavefocus.rendering.live.lives import (
     Life,
     Timing,
     default_signal,
-    live_samples,
+    emitted_by,
     trajectory,
 )
 from wavefocus.rendering.live.surface import PlayableSurface
@@ -120,9 +120,8 @@ class LiveEngine:
         self.rate_hz, self.actuators, self.block_samples = float(bank.sample_rate_hz), bank.actuators, block_samples
         self._look_ahead = look_ahead_samples
         regularisation = Regularisation() if regularisation is None else regularisation
-        default = default_signal(bank) if signal is None else signal
-        default_samples = live_samples(default, self.rate_hz)
-        self.interpolation, finer = finer_rows(bank, interpolation, default_samples)
+        self._default = emitted_by(default_signal(bank) if signal is None else signal, self.rate_hz)
+        self.interpolation, finer = finer_rows(bank, interpolation, self._default.values)
         self._surface = PlayableSurface(bank, self.interpolation, self._read, finer)
         self._blocks = CrossfadedBlocks(
             BankRows(bank, regularisation),
@@ -140,7 +139,6 @@ class LiveEngine:
             hold=max(1, round(HOLD_S * self.rate_hz)), velocity=round(VELOCITY_S * self.rate_hz),
             jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
         )  # fmt: skip
-        self._default = Emitted(default, default_samples, repeat=True)
         self._record, self._positions = record, bank.positions
         self._most: int | None = None  # sources that sound, the first ones
         self._sources: dict[str, _Source] = {}
@@ -196,17 +194,11 @@ class LiveEngine:
             life.finish(due)
         source.life = self._begin(name, source, due, place)
 
-    def set_signal(self, name: str, signal: Signal, *, repeat: bool = True, values: Float64Array | None = None) -> None:
-        """Give a source another signal; what sounds with the former one fades while the new one appears.
-
-        values: Its `live_samples`, where they were made before.
-
-        Raises InputError: the signal cannot be made at the bank's rate, or is too long.
-        """
+    def set_signal(self, name: str, emitted: Emitted) -> None:
+        """Give a source another signal; what sounds with the former one fades while the new one appears."""
         known = self._sources.get(name)
-        if known is not None and (signal, repeat) == (known.emitted.signal, known.emitted.repeat):
+        if known and (emitted.signal, emitted.repeat) == (known.emitted.signal, known.emitted.repeat):
             return
-        emitted = Emitted(signal, live_samples(signal, self.rate_hz) if values is None else values, repeat)
         source = self._named(name, emitted)
         source.emitted = emitted
         due, before = self.next_sample + self._look_ahead, source.life

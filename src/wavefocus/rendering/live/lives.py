@@ -41,8 +41,8 @@ class Emitted:
         return np.pad(values, (0, samples - len(values)))
 
 
-def live_samples(signal: Signal, rate_hz: float) -> Float64Array:
-    """Samples of a signal for a live source.
+def emitted_by(signal: Signal, rate_hz: float, *, repeat: bool = True) -> Emitted:
+    """What a live source emits of a signal.
 
     Raises InputError: the signal cannot be made at this rate, or is too long.
     """
@@ -51,7 +51,7 @@ def live_samples(signal: Signal, rate_hz: float) -> Float64Array:
         raise InputError(
             f"a signal of {samples / rate_hz:.4g} s is too long; live sources take up to {MAX_SIGNAL_S:g} s"
         )
-    return signal.samples(rate_hz)
+    return Emitted(signal, signal.samples(rate_hz), repeat)
 
 
 def default_signal(bank: GreenSource) -> Signal:
