@@ -13,7 +13,6 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.config.messages.campaign import Subscriber
 from wavefocus.config.run import QualityLimits
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.field.metrics import band_weights
@@ -87,13 +86,13 @@ def sweep_plan(
     return Plan(position_mm, actuator_mm, np.arange(len(position_mm)), sweep, TAPS, "0" * 64, quality, staggered=signal)
 
 
-def measure_bank(path: Path, plan: Plan, setup: Setup, on_event: Subscriber = lambda event: None) -> None:
+def measure_bank(path: Path, plan: Plan, setup: Setup) -> None:
     """Carry out a plan, into a new bank."""
     band_hz = plan.excitation.band_hz
     places = (plan.position_mm, plan.actuator_mm)
     create_bank(path, BankHeader(RATE_HZ, TAPS, band_hz, *places, "{}", "{}", plan.sha256, "wavefocus bench"))
     with BankWriter.open(path, plan_sha256=plan.sha256) as writer:
-        Campaign(plan, setup, writer, on_event, StopRequest()).run()
+        Campaign(plan, setup, writer, lambda event: None, StopRequest()).run()
 
 
 def true_bank(rig: VirtualRig, position_mm: Float64Array, error_db: float | None) -> GreenArray:

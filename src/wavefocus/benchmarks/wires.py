@@ -1,4 +1,4 @@
-"""Production drivers on emulated wires: what a position costs beyond its records, and how well clocks are recovered.
+"""Production drivers on emulated wires: how well clocks are recovered.
 
 The emulated instruments (serial mirror, gRPC Device Server, JACK server on a dummy driver) run in processes of their
 own, all in real time.
@@ -8,23 +8,18 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wavefocus.acquisition.plan import Plan
-from wavefocus.acquisition.setup import Setup, record_samples, take_record
+from wavefocus.acquisition.setup import Setup, take_record
 from wavefocus.benchmarks.harness import Entry, Findings, Mark
-from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, measure_bank
+from wavefocus.benchmarks.rig_bank import RATE_HZ
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.calibration.timing import ClockFitter
-from wavefocus.config.messages.campaign import Event, Fault, PositionStarted
 from wavefocus.drivers.audio.resampling import HALF_STEP, converted, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream.player import StreamPlayer
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
@@ -56,14 +51,14 @@ def excitation(sweep_s: float, averages: int) -> PlayedExcitation:
     return PlayedExcitation(RATE_HZ, 20.0, 500.0, sweep_s, 0.2, SWEEP_V, averages)
 
 
-def _serve_instruments(period_frames: int) -> None:
+def _serve_instruments() -> None:
     """Be the emulated instruments until standard input ends; a line asks for the starts received since the last."""
     from wavefocus.mocks.wire.emulated_rig import EmulatedRig, Wiring
 
     virtual = settings()
     wiring = Wiring(
         mirror_dialect="asi-tiger", mirror_port="socket://127.0.0.1:0", mirror_full_scale_mrad=virtual.limit_mrad,
-        ni_product="USB-6211", ni_device="Dev1", ni_address="localhost:0", period_frames=period_frames,
+        ni_product="USB-6211", ni_device="Dev1", ni_address="localhost:0", period_frames=PERIOD_FRAMES,
         full_scale_v=(FULL_SCALE_V,) * virtual.player_channels, interface_rate_hz=INTERFACE_RATE_HZ,
     )  # fmt: skip
     with EmulatedRig(virtual, wiring) as sides:
@@ -78,9 +73,9 @@ def _serve_instruments(period_frames: int) -> None:
 class EmulatedInstruments:
     """The emulated instruments in a process of their own."""
 
-    def __init__(self, period_frames: int = PERIOD_FRAMES) -> None:
+    def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "wavefocus.benchmarks.wires", str(period_frames)],
+            [sys.executable, "-m", "wavefocus.benchmarks.wires"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -107,7 +102,7 @@ class EmulatedInstruments:
 
 
 @contextmanager
-def opened(sides: EmulatedInstruments, post_roll_s: float = 0.4) -> Iterator[Setup]:
+def opened(sides: EmulatedInstruments) -> Iterator[Setup]:
     """Production drivers on the emulated instruments."""
     virtual, clock = settings(), WallClock()
     of_mirror = MirrorSettings(
@@ -127,7 +122,7 @@ def opened(sides: EmulatedInstruments, post_roll_s: float = 0.4) -> Iterator[Set
         instruments=Instruments(mirror, recorder, player, clock), mirror_map=MirrorMap.straight(1000.0),
         actuator_channels=virtual.channel_of_actuator, loopback_channel=virtual.channel_of_loopback,
         range_v=(5.0, 10.0), response_per_volt=virtual.sensitivity_m_s_per_v, inter_channel_delay_s=1.4e-5,
-        post_roll_s=post_roll_s,
+        post_roll_s=0.4,
     )  # fmt: skip
     try:
         yield setup
@@ -135,31 +130,10 @@ def opened(sides: EmulatedInstruments, post_roll_s: float = 0.4) -> Iterator[Set
         setup.close()
 
 
-def _positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple[NDArray[np.float64], int]:
-    """Seconds from one undisturbed position's start to the next, and of how many a record was repeated."""
-    position_mm = np.column_stack([4.0 * np.arange(positions), np.zeros(positions)])
-    plan = Plan(position_mm, np.array(ACTUATOR_MM), np.arange(positions), sweep, TAPS, "0" * 64)
-    starts: dict[int, float] = {}
-    disturbed: set[int] = set()
-
-    def note(event: Event) -> None:
-        match event:
-            case PositionStarted(position=position):
-                starts[position] = time.monotonic()
-            case Fault(position=position) if position is not None:
-                disturbed.add(position)
-
-    with tempfile.TemporaryDirectory() as folder:
-        measure_bank(Path(folder) / "bank.h5", plan, setup, note)
-    # The last position has no next; one with a repeated record says nothing of the overhead.
-    quiet = [row for row in range(positions - 1) if row not in disturbed and row + 1 in starts]
-    return np.array([starts[row + 1] - starts[row] for row in quiet]), len(disturbed)
-
-
 def _clock_errors(
     setup: Setup, sides: EmulatedInstruments, records: int, sweep: PlayedExcitation
-) -> tuple[Float64Array, Float64Array]:
-    """Errors of the clock ratio in ppm and of the start offset in samples, of each record."""
+) -> tuple[Float64Array, Float64Array, int]:
+    """Errors of the clock ratio in ppm and of the start offset in samples, of each record; how many were repeated."""
     signal_v = sweep.signal_v()
     fitter = ClockFitter(signal_v)
     # The first frame that is received is the first one that the player does not leave out as silence, near sample 0.
@@ -168,6 +142,7 @@ def _clock_errors(
     first = (frames[0] - lead_samples(ratio)) / INTERFACE_RATE_HZ * RATE_HZ * settings().clock_ratio
     ratio_ppm: list[float] = []
     offset: list[float] = []
+    repeated = 0
     sides.received()
     while len(offset) < records:
         signals_v = {setup.actuator_channels[0]: signal_v, setup.loopback_channel: signal_v}
@@ -175,50 +150,35 @@ def _clock_errors(
             recording = take_record(setup, signals_v, RATE_HZ, RecordLabel(0, 1, len(offset)))
         except TransientInstrumentError:
             sides.received()
+            repeated += 1
             continue
         fit = fitter.fit(recording.volts[0].astype(np.float64))
         ratio_ppm.append(1e6 * (fit.ratio - settings().clock_ratio))
         offset.append(fit.offset_samples + first - sides.received()[-1])
-    return np.array(ratio_ppm), np.array(offset)
+    return np.array(ratio_ppm), np.array(offset), repeated
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> Findings:
-    """Measure positions, clocks and wall time on the wires."""
-    positions, records, averages, sweep_s = (3, 2, 1, 0.3) if quick else (13, 12, 3, 1.0)
-    short, sweep = excitation(0.3, 1), excitation(sweep_s, averages)
+    """Measure clocks on the wires."""
+    records, averages, sweep_s = (2, 1, 0.3) if quick else (12, 3, 1.0)
     with closing(EmulatedInstruments()) as sides, opened(sides) as setup:
-        position_s, repeated = _positions_s(setup, positions, short)
-        samples = record_samples(setup, short.averages * short.period_samples, RATE_HZ)
-        beyond_s = position_s - len(ACTUATOR_MM) * samples / RATE_HZ
-        ratio_ppm, offset = _clock_errors(setup, sides, records, sweep)
-    # The interface answers within four periods, so a record needs no long post-roll.
-    with closing(EmulatedInstruments(1024)) as sides, opened(sides, 0.1) as setup:
-        position_s, _ = _positions_s(setup, 3 if quick else 5, sweep)
-    sounding = position_s / (len(ACTUATOR_MM) * sweep.averages * sweep.period_samples / RATE_HZ)
+        ratio_ppm, offset, repeated = _clock_errors(setup, sides, records, excitation(sweep_s, averages))
     return Findings(
         [
-            _point("a position beyond its records", "median_s", beyond_s, 0.150),
-            _point("wall time over that of sweeps and decay", "median", sounding, 1.03),
             _point("clock ratio, reference at 60 dB", "rms_ppm", ratio_ppm, 0.1),
             _point("start offset, reference at 60 dB", "rms_samples", offset, 0.01),
         ],
         "the clocks of the emulated instruments",
-        [
-            f"{positions} positions x {len(ACTUATOR_MM)} actuators, {records} records, {averages} x {sweep_s:g} s"
-            f" sweeps; positions of which a record was repeated (the audio server ran dry): {repeated}."
-        ],
+        [f"{records} records, {averages} x {sweep_s:g} s sweeps; repeated as the audio server ran dry: {repeated}."],
     )
 
 
 def _point(method: str, figure: str, values: Float64Array, limit: float) -> Entry:
-    """Median or rms of some values and the worst of them; none where every position was disturbed."""
-    figures: dict[str, float] = {}
-    if len(values):
-        typical = np.median(values) if figure.startswith("median") else np.sqrt(np.mean(values**2))
-        figures = {figure: float(typical), "worst": float(np.abs(values).max())}
+    """Rms of some values and the worst of them."""
+    figures = {figure: float(np.sqrt(np.mean(values**2))), "worst": float(np.abs(values).max())}
     marks = (Mark(figure, limit, at_most=True),)
     return Entry(work="production drivers on emulated wires", method=method, figures=figures, marks=marks)
 
 
 if __name__ == "__main__":
-    _serve_instruments(int(sys.argv[1]))
+    _serve_instruments()
