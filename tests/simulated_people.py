@@ -13,9 +13,10 @@ from wavefocus.trials.analysis.results import psychometric_of
 from wavefocus.trials.analysis.statistics import table_of
 from wavefocus.trials.answers import AnswersFile
 from wavefocus.trials.design import load_trials
-from wavefocus.trials.order import Experiment, share_right
+from wavefocus.trials.order import share_right
 from wavefocus.trials.presentation import Onset
 from wavefocus.trials.session import TrialsSession
+from wavefocus.trials.stimuli import Prepared
 
 PEOPLE = 200
 STROKES = """
@@ -113,9 +114,10 @@ def simulate(design, participant, observer, folder, seed):
     Returns the answers that the folder then holds.
     """
     simulated = SimulatedParticipant(design, observer, np.random.default_rng(seed))
-    experiment = Experiment(design, dict.fromkeys(design.stimuli, "0" * 64), "0" * 64)
+    prepared = Prepared(folder, "0" * 64, dict.fromkeys(design.stimuli, "0" * 64))
     with AnswersFile(folder) as answers:
-        TrialsSession(experiment, participant, answers, simulated, simulated, simulated.receive, hurried=True).run()
+        receive = simulated.receive
+        TrialsSession(design, prepared, participant, answers, simulated, simulated, receive, hurried=True).run()
         return answers.rows
 
 

@@ -8,15 +8,16 @@ import pytest
 from scipy.signal import welch
 
 from tests.lab_files import rig_fault, setup_of
+from wavefocus.config.trials import MaskingTable
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual import label_share
 from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
-from wavefocus.trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
+from wavefocus.trials.presentation import MASKING_CREST, RigPresenter, Sound, pink_noise, presented_v
 
 RATE_HZ = 10_000.0
-MASKING = Masking(output=5, rms_v=0.3, around_s=0.4, seed=2)
+MASKING = MaskingTable(output=5, rms_v=0.3, around_s=0.4)
 SETTINGS = VirtualSettings(actuator_mm=((60.0, 0.0), (-60.0, 0.0), (0.0, 40.0)), outputs=6)
 STIMULUS = Sound(np.vstack([np.sin(np.arange(4000) / 8.0), np.zeros(4000), np.cos(np.arange(4000) / 8.0)]), 1500, 2)
 
@@ -26,7 +27,7 @@ def presenter(*faults, masking=None):
 
 
 def presenter_on(rig, masking=None):
-    return RigPresenter(setup_of(rig), lambda name: STIMULUS, RATE_HZ, 0.3, masking)
+    return RigPresenter(setup_of(rig), lambda name: STIMULUS, RATE_HZ, 0.3, masking, 2)
 
 
 def true_error_ms(label):

@@ -2,6 +2,7 @@
 
 import itertools
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -12,9 +13,9 @@ from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, read_answers
 from wavefocus.trials.design import load_trials
-from wavefocus.trials.order import Experiment
 from wavefocus.trials.presentation import Onset
 from wavefocus.trials.session import TrialsSession
+from wavefocus.trials.stimuli import Prepared
 
 TRIALS = f"""{WHICH_WAY}keys = ["Left", "Right"]
 repetitions = 4
@@ -74,12 +75,12 @@ def experiment(tmp_path):
 def made(folder, text):
     (folder / "trials.toml").write_text(text, encoding="utf-8")
     design = load_trials(folder / "trials.toml")
-    return Experiment(design, dict.fromkeys(design.stimuli, "a" * 64), "b" * 64)
+    return design, Prepared(folder, "b" * 64, dict.fromkeys(design.stimuli, "a" * 64))
 
 
 def run(experiment, folder, program, presenter, participant="P1"):
     with AnswersFile(folder) as answers:
-        session = TrialsSession(experiment, participant, answers, presenter, program, program, hurried=True)
+        session = TrialsSession(*experiment, participant, answers, presenter, program, program, hurried=True)
         return session.run(), session
 
 
@@ -153,10 +154,10 @@ def test_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_count
 
 def test_given_something_else_than_the_participant_began_with_then_it_is_refused(experiment, tmp_path):
     run(experiment, tmp_path, Program({(2, "playing"): [None]}), InMemory())
-    design, stimuli = experiment.design, experiment.stimulus_sha256
+    design, prepared = experiment
     others = {
-        "the bank": Experiment(design, stimuli, "c" * 64),
-        "stimulus": Experiment(design, dict.fromkeys(stimuli, "c" * 64), "b" * 64),
+        "the bank": (design, replace(prepared, bank_sha256="c" * 64)),
+        "stimulus": (design, replace(prepared, sha256=dict.fromkeys(prepared.sha256, "c" * 64))),
         "trials file": made(tmp_path, TRIALS + "\n"),
     }
     for word, other in others.items():

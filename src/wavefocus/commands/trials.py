@@ -14,6 +14,7 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.config.messages import Message, tag
 from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from wavefocus.config.rig import RigConfig
+from wavefocus.config.trials import MaskingTable
 from wavefocus.console import Exit, progress, say
 from wavefocus.ending import ending_at_once, interrupt
 from wavefocus.input_files import require_sound
@@ -25,8 +26,8 @@ from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, check_participant, write_facts
 from wavefocus.trials.design import FACTS_OF_A_STIMULUS, TrialsDesign, load_trials
-from wavefocus.trials.order import Experiment, resume_sequence
-from wavefocus.trials.presentation import MASKING_CREST, Masking, Onset, RigPresenter, Sound
+from wavefocus.trials.order import resume_sequence
+from wavefocus.trials.presentation import MASKING_CREST, Onset, RigPresenter, Sound
 from wavefocus.trials.session import TrialsSession
 from wavefocus.trials.stimuli import Prepared, prepare
 
@@ -59,24 +60,23 @@ def trials(trials_file: Path, bank: Path, rig_file: Path, out: Path, options: Tr
             raise InputError(f"{rig_file}: --fast is for a virtual rig")
         _masking(design, rig)  # refused before anything is rendered
         if line is not None:
-            resume_sequence(Experiment(design), participant, answers.rows)
+            resume_sequence(design, participant, answers.rows)
             line.start()
         with nullcontext() if line is None else line.breakable():
             prepared = _prepared(design, view, rig, out, line, anew=not answers.rows)
-        experiment = Experiment(design, prepared.sha256, prepared.bank_sha256)
         if line is None:
             say(f"{out}: {len(design.stimuli)} stimuli are ready")
             if options.as_json:
                 print(json.dumps({"bank_sha256": prepared.bank_sha256, "stimuli": dict(prepared.sha256)}))
             return Exit.DONE
-        resume_sequence(experiment, participant, answers.rows)
+        resume_sequence(design, participant, answers.rows, prepared)
         write_facts(out, _facts(design, view, rig, prepared))
-        return _carried_out(line, experiment, prepared, view, rig, answers, participant, fast=fast)
+        return _carried_out(line, design, prepared, view, rig, answers, participant, fast=fast)
 
 
 def _carried_out(
     line: _Line,
-    experiment: Experiment,
+    design: TrialsDesign,
     prepared: Prepared,
     bank: Bank,
     rig: RigConfig,
@@ -87,7 +87,7 @@ def _carried_out(
 ) -> Exit:
     """Carry out a session on the instruments, by JSON lines."""
     run = None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).run
-    design, masking = experiment.design, _masking(experiment.design, rig)
+    masking, table = _masking(design, rig), design.config.trials
     outputs = 0 if masking is None else masking.output + 1
     complete, session = False, None
 
@@ -98,9 +98,9 @@ def _carried_out(
 
     try:
         with ending_at_once(), open_setup(rig, run, realtime=not fast, outputs=outputs) as setup:
-            pause_s = design.config.trials.pause_s
-            line.presenter = RigPresenter(setup, sound, float(bank.sample_rate_hz), pause_s, masking)
-            session = TrialsSession(experiment, participant, answers, line, line, line.publish, hurried=fast)
+            rate_hz = float(bank.sample_rate_hz)
+            line.presenter = RigPresenter(setup, sound, rate_hz, table.pause_s, masking, table.seed)
+            session = TrialsSession(design, prepared, participant, answers, line, line, line.publish, hurried=fast)
             complete = session.run()
     except KeyboardInterrupt:
         pass
@@ -178,7 +178,7 @@ class _Line:
                 interrupt()
 
 
-def _masking(design: TrialsDesign, rig: RigConfig) -> Masking | None:
+def _masking(design: TrialsDesign, rig: RigConfig) -> MaskingTable | None:
     """The masking noise, checked against the rig."""
     table, player = design.config.masking, rig.player
     if table is None:
@@ -191,7 +191,7 @@ def _masking(design: TrialsDesign, rig: RigConfig) -> Masking | None:
     if table.rms_v * MASKING_CREST > full_scale_v:
         allowed = f"must be at most {full_scale_v / MASKING_CREST:g} V, a fifth of the output's full scale"
         raise design.wrong("masking.rms_v", table.rms_v, allowed)
-    return Masking(table.output, table.rms_v, table.around_s, design.config.trials.seed)
+    return table
 
 
 def _prepared(

@@ -120,7 +120,7 @@ class AdaptiveTable(Table):
         return self
 
 
-class _MaskingTable(Table):
+class MaskingTable(Table):
     """Pink noise that plays with every stimulus on an output of its own, for headphones."""
 
     output: Annotated[Whole, Field(ge=0, le=1023)] = Field(
@@ -139,7 +139,7 @@ class TrialsConfig(Table):
     quiet: Annotated[dict[Name, QuietTable], Field(default_factory=dict, max_length=1000)]
     stimuli: Annotated[tuple[_StimuliTable, ...], Field(min_length=1, max_length=1000)]
     adaptive: AdaptiveTable | None = None
-    masking: _MaskingTable | None = None
+    masking: MaskingTable | None = None
     regularisation: Regularisation = Regularisation()
     output: Output = Output()
 

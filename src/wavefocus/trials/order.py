@@ -10,9 +10,10 @@ from __future__ import annotations
 import hashlib
 import random
 from bisect import bisect
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,9 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import Row
 from wavefocus.trials.design import TrialsDesign
+
+if TYPE_CHECKING:
+    from wavefocus.trials.stimuli import Prepared
 
 
 def share_right(
@@ -296,15 +300,6 @@ class _AdaptiveOrder:
         return Trial(self._number, 1, sides[side], track)
 
 
-@dataclass(frozen=True, slots=True)
-class Experiment:
-    """An experiment; SHA-256 of each stimulus by its name, and of the bank, once they are prepared."""
-
-    design: TrialsDesign
-    stimulus_sha256: Mapping[str, str] = field(default_factory=dict)
-    bank_sha256: str | None = None
-
-
 Order = FixedOrder | _AdaptiveOrder
 """Trials of a participant, one after another."""
 
@@ -316,15 +311,20 @@ def order_of(design: TrialsDesign, participant: str) -> Order:
     return _AdaptiveOrder(design, participant)
 
 
-def resume_sequence(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tuple[Order, int]:
+def resume_sequence(
+    design: TrialsDesign, participant: str, rows: Sequence[Row], prepared: Prepared | None = None
+) -> tuple[Order, int]:
     """Make the order of a participant, at the trial after those that are answered, and count these.
 
     rows: Answers of all participants.
+    prepared: The stimuli; until they are prepared, answers are held against the trials file alone.
 
     Raises InputError: the participant is complete, has a code that differs from another's only in case,
     or has answered trials of another trials file, bank or order.
     """
-    design, order, done = experiment.design, order_of(experiment.design, participant), 0
+    order, done = order_of(design, participant), 0
+    bank_sha256 = None if prepared is None else prepared.bank_sha256
+    stimulus_sha256 = {} if prepared is None else prepared.sha256
     for row in rows:
         if row.participant != participant:
             if row.participant.casefold() == participant.casefold():
@@ -334,8 +334,8 @@ def resume_sequence(experiment: Experiment, participant: str, rows: Sequence[Row
         where = f"participant {participant} answered trial {row.trial}"
         for what, then, now in (
             (f"{design.file}, the trials file,", row.trials_sha256, design.sha256),
-            ("the bank", row.bank_sha256, experiment.bank_sha256),
-            (f"the stimulus {row.stimulus}", row.stimulus_sha256, experiment.stimulus_sha256.get(row.stimulus)),
+            ("the bank", row.bank_sha256, bank_sha256),
+            (f"the stimulus {row.stimulus}", row.stimulus_sha256, stimulus_sha256.get(row.stimulus)),
         ):
             if now is not None and then != now:
                 raise InputError(

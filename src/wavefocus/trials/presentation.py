@@ -17,6 +17,7 @@ from wavefocus.acquisition.setup import Setup, Step, naming_role, silence, take_
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, State
+from wavefocus.config.trials import MaskingTable
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.rendering.arrays import Float64Array
@@ -42,16 +43,6 @@ class Sound:
     drive_v: Float64Array
     onset_samples: int
     plays: int
-
-
-@dataclass(frozen=True, slots=True)
-class Masking:
-    """Pink noise on an output of its own, in volts rms, from `around_s` before the stimulus to as long after it."""
-
-    output: int
-    rms_v: float
-    around_s: float
-    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +95,7 @@ class RigPresenter:
     sound_of: The stimulus of a name.
     rate_hz: Rate of the drives.
     pause_s: Between the plays of a stimulus.
+    masking, seed: Noise that plays with every stimulus, and the design's seed, from which it follows.
     """
 
     def __init__(
@@ -112,10 +104,11 @@ class RigPresenter:
         sound_of: Callable[[str], Sound],
         rate_hz: float,
         pause_s: float,
-        masking: Masking | None = None,
+        masking: MaskingTable | None,
+        seed: int,
     ) -> None:
         self._setup, self._sound_of, self._rate_hz, self._pause_s = setup, sound_of, rate_hz, pause_s
-        self._masking = masking
+        self._masking, self._seed = masking, seed
         # Long enough for a fit to a few microseconds, short beside any stimulus.
         self._marker_v = marker_v(setup, round(0.1 * rate_hz), rate_hz)
         self._clock_fit = ClockFitter(self._marker_v)
@@ -178,7 +171,7 @@ class RigPresenter:
         signals[setup.loopback_channel] = np.zeros(samples)
         signals[setup.loopback_channel][onset : onset + self._marker_v.size] = self._marker_v
         if (masking := self._masking) is not None:
-            seed = f"{masking.seed}/{label.position}/{label.attempt}".encode()
+            seed = f"{self._seed}/{label.position}/{label.attempt}".encode()
             signals[masking.output] = pink_noise(samples, rate_hz, masking.rms_v, seed)
         return signals, onset
 

@@ -25,9 +25,10 @@ from wavefocus.config.messages.trials import (
 )
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import ANSWERS, AnswersFile, Row, check_participant
-from wavefocus.trials.design import FACTS_OF_A_STIMULUS
-from wavefocus.trials.order import Experiment, Trial, resume_sequence
+from wavefocus.trials.design import FACTS_OF_A_STIMULUS, TrialsDesign
+from wavefocus.trials.order import Trial, resume_sequence
 from wavefocus.trials.presentation import Onset
+from wavefocus.trials.stimuli import Prepared
 
 # An answer's instant may lie so far in the future of this process: clocks are read one after the other.
 AHEAD_S = 0.05
@@ -71,6 +72,7 @@ class _EndedError(Exception):
 class TrialsSession:
     """A session of one participant.
 
+    prepared: The design's stimuli.
     participant: The code.
     answers: File that gets an answer before it counts.
     publish: Receives every event.
@@ -92,7 +94,8 @@ class TrialsSession:
 
     def __init__(
         self,
-        experiment: Experiment,
+        design: TrialsDesign,
+        prepared: Prepared,
         participant: str,
         answers: AnswersFile,
         presenter: _Presenter,
@@ -101,13 +104,10 @@ class TrialsSession:
         *,
         hurried: bool = False,
     ) -> None:
-        assert experiment.bank_sha256 is not None
-        self._experiment, self._participant, self._answers = experiment, check_participant(participant), answers
-        self._bank_sha256 = experiment.bank_sha256
+        self._prepared, self._participant, self._answers = prepared, check_participant(participant), answers
         self._presenter, self._orders, self._publish, self._hurried = presenter, orders, publish, hurried
-        self._design = experiment.design
-        self._table = experiment.design.config.trials
-        self._order, self.done = resume_sequence(experiment, participant, answers.rows)
+        self._design, self._table = design, design.config.trials
+        self._order, self.done = resume_sequence(design, participant, answers.rows, prepared)
         self._resumed_at = self.done
         self._state = _SessionStep.WELCOME
         self._trial = self._order.next_trial()
@@ -238,7 +238,7 @@ class TrialsSession:
             reaction_s=answer.at_s - onset.at_s, onset_error_ms=onset.error_ms, onset_within_ms=onset.within_ms,
             replays=replays, attempts=attempts, by=answer.by,
             answered_at=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
-            stimulus_sha256=self._experiment.stimulus_sha256[stimulus.name], bank_sha256=self._bank_sha256,
+            stimulus_sha256=self._prepared.sha256[stimulus.name], bank_sha256=self._prepared.bank_sha256,
             trials_sha256=self._design.sha256,
         )  # fmt: skip
 

@@ -97,14 +97,14 @@ def _standing(trials: Path, out: Path, participant: str) -> tuple[str, bool]:
     """
     from wavefocus.trials.answers import ANSWERS, check_participant, read_answers  # loads SciPy, and runs in a thread
     from wavefocus.trials.design import load_trials
-    from wavefocus.trials.order import Experiment, resume_sequence
+    from wavefocus.trials.order import resume_sequence
 
     design = load_trials(trials)
     of = "" if design.trials is None else f" of {design.trials}"
     if not participant:
         return f"{design.config.trials.name}: {len(design.stimuli)} stimuli; type the participant's code", False
     rows = read_answers(out) if (out / ANSWERS).exists() else ()
-    order, done = resume_sequence(Experiment(design), check_participant(participant), rows)
+    order, done = resume_sequence(design, check_participant(participant), rows)
     trial, blocks = order.next_trial(), design.config.trials.blocks
     assert trial is not None
     left = blocks - trial.block + 1
