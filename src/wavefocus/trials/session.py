@@ -1,15 +1,14 @@
 """One participant's session: familiarisation, trials with their answers, breaks; goes on where the answers end."""
 
 import time
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from enum import Enum
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 from msgspec.structs import replace
 
-from wavefocus.acquisition.engine.session import IllegalStateError
 from wavefocus.config.messages import Message, Refused, tag
 from wavefocus.config.messages.trials import (
     Answer,
@@ -80,17 +79,6 @@ class TrialsSession:
 
     Raises InputError: the participant is complete, or has answered trials of another trials file, bank or order.
     """
-
-    _FOLLOWS: ClassVar[Mapping[_SessionStep, Set[_SessionStep]]] = {
-        _SessionStep.WELCOME: {_SessionStep.FAMILIARISATION, _SessionStep.READY, _SessionStep.PLAYING},
-        _SessionStep.FAMILIARISATION: {_SessionStep.FAMILIARISING},
-        _SessionStep.FAMILIARISING: {_SessionStep.FAMILIARISING, _SessionStep.READY},
-        _SessionStep.READY: {_SessionStep.PLAYING},
-        _SessionStep.PLAYING: {_SessionStep.ASKING},
-        _SessionStep.ASKING: {_SessionStep.PLAYING, _SessionStep.READY, _SessionStep.BREAK, _SessionStep.DONE},
-        _SessionStep.BREAK: {_SessionStep.READY, _SessionStep.PLAYING},
-        _SessionStep.DONE: set(),
-    }
 
     def __init__(
         self,
@@ -276,9 +264,7 @@ class TrialsSession:
         self._publish(Refused(sentence))
 
     def _enter(self, state: _SessionStep) -> None:
-        """Change the state; raises IllegalStateError where the table does not have this change."""
-        if state not in self._FOLLOWS[self._state]:
-            raise IllegalStateError(f"{state} cannot follow {self._state}")
+        """Change the state, and publish it."""
         self._state = state
         self._publish_state()
 
