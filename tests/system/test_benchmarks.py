@@ -42,9 +42,6 @@ def test_the_plates_benchmark_converges():
     assert all(one.error < 1e-6 for one in points if one.method.startswith("table"))
 
 
-def test_the_commands_benchmark_times_whole_commands_and_a_tolerance_s_error():
+def test_the_commands_benchmark_times_whole_commands():
     points = commands.run(quick=True).points
     assert all(one.timing.wall_s > 0 and one.timing.peak_mb > 10 for one in points)
-    found = {one.parameters.get("tolerance_db"): one.error for one in points if one.parameters}
-    assert set(found) == {-80.0, -60.0, -40.0}
-    assert all(error <= 10 ** (db / 20) for db, error in found.items())
