@@ -9,13 +9,12 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import MISSING, fields
-from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from wavefocus.config.fields import FREE, explanation, fields_of, plan_mark
+from wavefocus.config.fields import FREE, explanation, fields_of, plan_mark, tables_of
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.rig_instruments import DriverTable
 from wavefocus.config.run import RunConfig
@@ -44,7 +43,7 @@ def columns() -> str:
 
 def table(file: str, heading: str = "") -> str:
     """The keys of a table of a file; ``rig``, ``watch.room``. Those that a plan's hash includes are marked #."""
-    section = _section(FILES[file], heading)
+    section = next(iter(tables_of(FILES[file], heading)), None) if heading else None
     drivers = section.drivers if section is not None and issubclass(section, DriverTable) else {}
     defaults = _defaults(section)
     whole = FILES[file].model_fields.get(heading.partition(".")[0])
@@ -68,23 +67,6 @@ def table(file: str, heading: str = "") -> str:
         cells = [f"`{key}`{mark}", default, *([", ".join(owners)] if drivers else []), meaning]
         lines.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
     return "\n".join(lines)
-
-
-def _section(model: type[BaseModel], heading: str) -> type[BaseModel] | None:
-    """The model of a table; None of the file itself, and where a key is no table."""
-    found: type[BaseModel] | None = None
-    for name in heading.split(".") if heading else ():
-        found = _model(model.model_fields[name].annotation)
-        if found is None:
-            return None
-        model = found
-    return found
-
-
-def _model(annotation: Any) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_model, get_args(annotation))), None)
 
 
 def _defaults(section: type[BaseModel] | None) -> dict[str, object]:
