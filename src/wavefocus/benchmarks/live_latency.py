@@ -23,7 +23,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -84,7 +83,7 @@ def run(out: Path | None = None, *, quick: bool = False, seconds: float | None =
     notes = [
         f"Blocks of {1e3 * BLOCK_S:g} ms, 20 actuators, {POSITIONS_HZ:g} positions a second of each source, which move"
         f" at {SPEED_MM_S:g} mm/s, look-ahead {1e3 * LOOK_AHEAD_S:g} ms; the audio server's period is {PERIOD_FRAMES}"
-        " frames at 48 kHz. Load: largest of each fifth of a second, the median."
+        " frames at 48 kHz."
     ]
     return Findings(points, notes=notes)
 
@@ -229,10 +228,8 @@ def _figures(
     found = {
         "latency_p999_ms": float(ended["latency_p999_ms"]),
         "latency_largest_ms": float(max(latencies, default=math.nan)),
-        "positions": float(ended["positions"]),
         "underruns": float(ended["underruns"]),
         "stall_ms": 1e3 * stall_s,
-        "load": float(median(state["load"] for state in states)),
         "degraded_share": sum(state["degradation"] != "none" for state in states) / len(states),
     }
     return found | ({"memory_growth_mb": settled[-1] - settled[0]} if settled and settled[0] else {})

@@ -59,17 +59,13 @@ def clear_rows(bank: GreenArray, clear_mm: float) -> Int64Array:
     return np.flatnonzero(usable(bank) & (gap_mm > clear_mm))
 
 
-def focus_fields(
-    bank: GreenArray, rows: Sequence[int], saturation: float | None, plate: GreenArray | None = None
-) -> Float64Array:
+def focus_fields(bank: GreenArray, rows: Sequence[int], saturation: float | None) -> Float64Array:
     """Fields at the focus instant of impulses focused at some rows, normalised, (rows, positions).
 
     At that instant ``y(x) = n sum_i sigma_i sum_k g_i(x)[k] g_i(x0)[k]``: an inner product of bank rows.
-
-    plate: Green's functions that the drives meet; by default those of the bank, which makes it a prediction.
     """
     threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
-    flat = (plate or bank).values.reshape(bank.positions, -1)
+    flat = bank.values.reshape(bank.positions, -1)
     fields = np.empty((len(rows), bank.positions))
     for place, row in enumerate(rows):
         green = bank.values[row].astype(np.float64)
@@ -81,18 +77,18 @@ def focus_fields(
 
 
 def focus_figures(bank: GreenArray, rows: Sequence[int], fields: FloatArray) -> dict[str, Float64Array]:
-    """Width, distance of the peak from its place, artefact level and response of each focus, (foci,) each.
+    """Width, distance of the peak from its place, and artefact level of each focus, (foci,) each.
 
     Artefacts are further than 15 mm from the focus. NaN where a spot reaches beyond the positions.
     """
     spacing_mm = metrics.grid_spacing_mm(bank.position_mm)
-    figures = np.full((4, len(rows)), np.nan)
+    figures = np.full((3, len(rows)), np.nan)
     for place, (row, values) in enumerate(zip(rows, fields, strict=True)):
         at_mm = bank.position_mm[row]
         spot = metrics.focus_spot(bank.position_mm, values, at_mm, FOCUS_RADIUS_MM, spacing_mm)
         if spot is not None:
-            figures[:, place] = spot.width_mm, spot.off_mm, spot.artefact_db, values[row]
-    return dict(zip(("width_mm", "off_mm", "artefact_db", "at_focus"), figures, strict=True))
+            figures[:, place] = spot.width_mm, spot.off_mm, spot.artefact_db
+    return dict(zip(("width_mm", "off_mm", "artefact_db"), figures, strict=True))
 
 
 def fields_at(drive: Drive, bank: GreenArray, samples: Sequence[int]) -> Float32Array:

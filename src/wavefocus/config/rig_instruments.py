@@ -385,19 +385,14 @@ class PlayerSection(DriverTable):
         return min(self.limit_v, *(self.output_full_scale_v[channel] for channel in self.channels))
 
     @property
-    def _largest_rms_v(self) -> float | None:
-        """Largest rms that any actuator may get over a second: its limit, or what makes the coil's power; None: any."""
-        return None if (rms := self.rms_limit) is None else rms[1]
-
-    @property
     def largest_sine_v(self) -> float:
         """Largest peak of a sine or a sweep that any actuator may get for as long as one likes."""
-        rms_v = self._largest_rms_v
-        return self.largest_v if rms_v is None else min(self.largest_v, 2**0.5 * rms_v)
+        rms = self.rms_limit
+        return self.largest_v if rms is None else min(self.largest_v, 2**0.5 * rms[1])
 
     @property
     def rms_limit(self) -> tuple[str, float] | None:
-        """The stricter limit on the rms, with the key that it comes from."""
+        """The stricter limit on the rms over a second, with the key that it comes from; None: any rms."""
         limits = []
         if self.limit_rms_v is not None:
             limits.append(("player.limit_rms_v", self.limit_rms_v))
