@@ -380,8 +380,8 @@ def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_so
 
 def test_figures_then_latency_underruns_limiter_and_what_is_left_out_are_marked():
     ready = LiveReady("player", "bank", 3, 5.0, 50.0, 215.0, 12.0, (0.0, 4.5), (0.0, 3.0))
-    good = LiveState(2.0, 6.0, 9.0, 0.4, 0, "none", None, (), 0.0, ())
-    late = LiveState(2.0, 30.0, 25.0, 1.3, 2, "sources", None, ("finger 2",), -3.0, ())
+    good = LiveState(2.0, 6.0, 9.0, 0.4, 0, "none", (), 0.0, ())
+    late = LiveState(2.0, 30.0, 25.0, 1.3, 2, "sources", ("finger 2",), -3.0, ())
     assert not any(wrong for _, wrong in live_figures(ready, good))
     assert [words for words, wrong in live_figures(ready, late) if wrong] == [
         "latency: 25.0 ms", "underruns: 2", "left out: source finger 2", "limiter: -3.0 dB",

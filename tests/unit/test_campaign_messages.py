@@ -73,7 +73,7 @@ AT_THE_TERMINAL: tuple[told.Event, ...] = (
     told.PassStarted(0.0, (3, 4, 5)),
     told.Fault(0.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True),
     told.ReconnectTried(0.0, "mirror", "mirror", 2, False, "no answer", 5.0, 60.0),
-    told.CrosstalkMeasured(0.0, -30.0, 0.0, 0.03, 9.0, True, (), (1, 2), "a cable leaks"),
+    told.CrosstalkMeasured(0.0, -30.0, 0.0, 0.03, 9.0, True, (1, 2), "a cable leaks"),
     told.Drift(0.0, 0, -0.7, 0.1, 0.99, "warn", "run", "the level changed", ()),
     told.ConditionsSeen(0.0, {"temperature": 30.0}, False, "temperature is 30"),
     told.SessionEnded(0.0, State.FINISHED, 6, 6, {"valid": 6}),

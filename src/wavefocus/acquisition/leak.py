@@ -164,7 +164,7 @@ class LeakWatch:
         level_db = leak.level_db if leak.is_seen else leak.visible_db
         figures = level_db, leak.delay_s, leak.share, min(abs(leak.share) / max(leak.error, 1e-300), 1e6)
         reason = "" if self.found is None else sentence(self.found, limit)
-        session.publish(CrosstalkMeasured, *figures, self.found is not None, (), marked, reason)
+        session.publish(CrosstalkMeasured, *figures, self.found is not None, marked, reason)
         return marked
 
     def _judge(self, leak: Crosstalk) -> tuple[float | None, tuple[int, ...]]:

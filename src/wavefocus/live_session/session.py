@@ -248,7 +248,6 @@ class LiveSession:
                 round(self._load, 3),
                 self._underruns,
                 "none" if self._pace.most_sources is None else "sources",
-                None,
                 tuple(source.name for source in sources if source.dropped),
                 round(self._limited_db, 2),
                 tuple(

@@ -224,7 +224,6 @@ class CrosstalkMeasured(Event, frozen=True):
     `level_db` is re the loopback (what it is below, where `sigmas` are under 5), `share` in V per V, `sigmas` in
     standard errors of it. `named` says that it makes 1 % of the median row; then the `marked` positions, measured since
     the last clean look, became poor, `reason` says what to do, and what follows is poor as long as it lasts.
-    `actuators` has meaning in logs of earlier versions only: those whose rows show it, where not all do.
     """
 
     level_db: Number
@@ -232,7 +231,6 @@ class CrosstalkMeasured(Event, frozen=True):
     share: Number
     sigmas: Number
     named: bool
-    actuators: tuple[int, ...] = ()
     marked: tuple[int, ...] = ()
     reason: str = ""
 

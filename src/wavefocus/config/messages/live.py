@@ -95,8 +95,7 @@ class LiveState(EventMessage, frozen=True, tag="state"):
         since the last line; 99.9th percentile of the session.
     load: Time to compute a block over the block's, largest since the last line.
     underruns: Blocks that came too late, in all.
-    degradation: What is left out to keep pace; `dropped`: names of sources that are left out. `bound_db` is None: no
-        frequencies are left out any more.
+    degradation: What is left out to keep pace; `dropped`: names of sources that are left out.
     limited_db: Least gain of the limiter since the last line, 0 where it did nothing.
     """
 
@@ -106,7 +105,6 @@ class LiveState(EventMessage, frozen=True, tag="state"):
     load: Number
     underruns: int
     degradation: Degradation
-    bound_db: float | None
     dropped: tuple[str, ...]
     limited_db: Number
     sources: tuple[SoundingSource, ...]
