@@ -22,7 +22,7 @@ from wavefocus.campaign.blueprint import (
 from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, raw_path, unvouched_rows
 from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Fault, ScheduleSettled, Subscriber
 from wavefocus.configuration import DEFAULT_CHECKS, Configuration, check_rows, named_rig, plan_differences, with_rig
-from wavefocus.console import say
+from wavefocus.console import say, spinner
 from wavefocus.rig.calibration_validity import with_one_calibration
 from wavefocus.rig.setup import open_setup, with_stated_delay
 from wavefocus.storage.bank.layout import create_bank
@@ -176,9 +176,11 @@ def _compared_schedules(blueprint: Blueprint, source: str) -> tuple[ScheduleSett
         return ()
     from wavefocus.acquisition.engine.station import compare_schedules
 
-    say("one position is measured by both schedules first, to state what staggered capture loses")
     try:
-        with open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup:
+        with (
+            spinner("measuring one position by both schedules, to state what staggered capture loses"),
+            open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
+        ):
             found = compare_schedules(blueprint.plan, setup, _say_fault)
     except InputError as error:
         raise InputError(f"{source}: capture: {error}") from None

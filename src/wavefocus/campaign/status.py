@@ -228,8 +228,8 @@ class CampaignView:
         match event:
             case SessionStarted():
                 say(sentence(event))
-                for instrument in event.instruments:
-                    say(f"  {instrument}")
+                if event.instruments:
+                    say(f"instruments: {'; '.join(event.instruments)}")
             case StateChanged():
                 self._show_state(event, former)
             case Progress():

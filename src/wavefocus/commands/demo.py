@@ -50,8 +50,7 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
     run, bank, scene, drive = out / "run.toml", out / "plate.h5", out / "scene.toml", out / "drive.h5"
     some = "0-9" if quick else "700-709"
     steps: dict[str, Callable[[], object]] = {
-        "Configuration": lambda: _configure(out, plate, quick=quick),
-        "Compute the plate, or read it from the cache": lambda: _rig(run),
+        "Configuration, and the plate from it": lambda: _configure(out, plate, quick=quick),
         "Plan": lambda: plan.plan(run, as_json=False),
         "Capture, until the power is cut half-way": lambda: _capture_and_kill(run, bank),
         "What the bank says after the power cut": lambda: status.status(bank, as_json=False),
@@ -68,13 +67,11 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
     }
     worst, begun_s = Exit.DONE, time.monotonic()
     for name, work in steps.items():
-        people().rule(name, align="left")
-        started_s = time.monotonic()
+        people().rule(f"{time.monotonic() - begun_s:.1f} s: {name}", align="left")
         outcome = work()
         worst = max(worst, outcome) if isinstance(outcome, Exit) else worst
-        say(f"{time.monotonic() - started_s:.1f} s")
-    people().rule(f"Done in {time.monotonic() - begun_s:.1f} s", align="left")
-    say(f"open {out / 'verify' / 'report.html'} in a browser; wavefocus gui {bank} shows the bank")
+    done = f"done in {time.monotonic() - begun_s:.1f} s"
+    say(f"{done}: open {out / 'verify' / 'report.html'} in a browser; wavefocus gui {bank} shows the bank")
     return worst
 
 
@@ -88,6 +85,7 @@ def _configure(out: Path, plate: str, *, quick: bool) -> None:
     for old, new in changes.items():
         text = text.replace(old, new)
     (out / "run.toml").write_text(text, encoding="utf-8")
+    _rig(out / "run.toml")  # computes the plate, or reads it from the cache
 
 
 def _rig(run: Path) -> VirtualRig:

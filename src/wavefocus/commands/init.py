@@ -18,15 +18,14 @@ from wavefocus.storage.output_files import replacement
 
 def init(folder: Path, rig: str) -> None:
     """Write rig.toml, run.toml, scene.toml and two trials files into `folder`; existing files are never touched."""
-    for path in write_templates(folder, rig):
-        say(f"wrote {path}")
+    names = ", ".join(path.name for path in write_templates(folder, rig))
     rig_file = folder / "rig.toml"
     nexts = {
         "virtual": f"wavefocus plan {folder / 'run.toml'}",
         "template": f"fill in {rig_file}, then wavefocus doctor {rig_file}",
         "emulated": f"wavefocus emulate {rig_file}, and wavefocus doctor {rig_file} in another terminal",
     }
-    say(f"next: {nexts[rig]}")
+    say(f"wrote {names} to {folder}; next: {nexts[rig]}")
 
 
 def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:

@@ -96,7 +96,8 @@ def render(
         say(f"warning: {warning}")
     say(
         f"{out}: {sampled.method}, {renderer.shape[0]} actuators, {renderer.shape[1] / view.sample_rate_hz:.3f} s, "
-        f"{focus_points} focus points, largest drive {quantity(f'{renderer.peak_v:.3g}', view.drive_unit)}"
+        f"{focus_points} focus points, largest drive {quantity(f'{renderer.peak_v:.3g}', view.drive_unit)}, "
+        f"rms of the actuators up to {facts.dynamic_range_db:.1f} dB apart"
     )
     if focus_peak is not None:
         say(f"predicted response at the focus: up to {focus_peak:.3g} {unit}")
@@ -105,7 +106,6 @@ def render(
     if options.tolerance_db is not None:
         what = "" if facts.single else ": double precision"
         say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
-    say(f"rms of the drives: actuators differ by up to {facts.dynamic_range_db:.1f} dB")
     for level in quiet:
         say(f"quiet: {level}")
     if facts.interpolation_errors is not None:

@@ -123,9 +123,9 @@ def _bank_sentences(facts: Mapping[str, Any]) -> Iterator[str]:
             f"wavefocus resume {bank}"
         )
     if (snr_db := facts["median_snr_db"]) is not None:
-        yield f"median signal-to-noise ratio of the records {snr_db:.1f} dB over all pairs"
-    if (error_db := facts["median_noise_error_db"]) is not None:
-        yield f"error of the rows from white noise, as it follows from that: median {error_db:.1f} dB"
+        error_db = facts["median_noise_error_db"]
+        follows = "" if error_db is None else f"; error from white noise, which follows from it, {error_db:.1f} dB"
+        yield f"medians over all pairs: signal-to-noise ratio of the records {snr_db:.1f} dB{follows}"
     if moved := facts["moved_positions"]:
         yield f"measured up to {facts['moved_mm']:.2g} mm off their position, where there was light: {moved}"
 
@@ -148,12 +148,13 @@ def _campaign_sentences(facts: Mapping[str, Any], beat: Heartbeat | None, stands
     if owner is not None:
         yield from _running_sentences(f"process {owner['pid']} on {owner['host']}", stands, beat, to_go)
         return
+    last = ""
     if beat is not None and beat.state not in ("finished", "idle"):
         # The heartbeat of a process that was killed keeps its last state.
-        yield f"last sign of life {beat.age_words()}: {beat.state}: {beat.reason}"
-    if not facts["import_report"]:
+        last = f" (last sign of life {beat.age_words()}: {beat.state}: {beat.reason})"
+    if last or not facts["import_report"]:
         left = f"; go on with: {resume_line(Path(bank), None)}" if to_go else ""
-        yield f"no process owns the bank: no process is measuring{left}"
+        yield f"no process owns the bank and none is measuring{last}{left}"
 
 
 def _running_sentences(who: str, stands: CampaignStatus, beat: Heartbeat | None, to_go: int) -> Iterator[str]:
