@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -291,6 +292,17 @@ def test_device_is_away_then_reconnecting_says_so_until_it_is_back_and_then_it_p
     wait_until(lambda: not alive(player.process_id), "the end of the stream's process")
     with pytest.raises(InstrumentLostError):
         heard_of(server, player, signals)
+
+
+@pytest.mark.nightly
+def test_given_an_interface_that_comes_a_moment_later_then_it_is_opened(slow):
+    server = slow.serve()
+    server.kill()
+    switched_on = threading.Timer(1.0, server.restart)
+    switched_on.start()
+    signals = noise(4800)
+    assert_ends_with(heard_of(server, slow.player(server), signals), signals)
+    switched_on.join()
 
 
 @pytest.mark.nightly

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, TypeVar
@@ -22,6 +23,10 @@ Value = TypeVar("Value")
 
 _OVERDUE_S = 5.0
 """A play that has not ended this long after it should have, plus a tenth of its length, has failed."""
+
+_TRIED_AGAIN_AFTER_S = (0.5, 1.5, 3.0)
+"""When a device that is not there yet is opened once more: an interface that was just switched on, one that another
+program is about to give up, or a server that lets nobody in for a moment."""
 
 _LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
 
@@ -69,7 +74,7 @@ class StreamPlayer(Player):
         self._closed = False
         self._plays = 0
         self._written_s = -math.inf
-        self._open("opening", InstrumentError)
+        self._open_at_first()
         # Loaded now: records are short, and the first play must not come after its own.
         import_module("scipy.signal")
 
@@ -226,6 +231,13 @@ class StreamPlayer(Player):
             self._closed = True
             self._stream.process.close()
 
+    def _open_at_first(self) -> None:
+        for wait_s in _TRIED_AGAIN_AFTER_S:
+            with suppress(_NotThereYetError):
+                return self._open("opening", _NotThereYetError)
+            time.sleep(wait_s)
+        return self._open("opening", InstrumentError)
+
     def _open(self, doing: str, refusal: type[InstrumentError]) -> None:
         """Open the device in a fresh process. Raises InstrumentError, of the kind `refusal` where it may pass."""
         self._stream = stream = _Stream(self._environment)
@@ -294,6 +306,10 @@ class StreamPlayer(Player):
     def _check_open(self, doing: str) -> None:
         if self._closed:
             raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
+
+
+class _NotThereYetError(InstrumentError):
+    """A device that cannot be opened now, and may be in a moment."""
 
 
 @dataclass
