@@ -71,6 +71,7 @@ def test_plain_h5py_reads_contract_section_2_and_during_a_run_what_is_measured(t
         assert file["quality/attempts"][...].tolist() == [1, 1, 1, 1]
 
 
+@pytest.mark.long  # xarray, and with it dask, takes seconds to load
 def test_a_bank_opened_by_xarray_then_shows_labelled_dimensions_and_units(tmp_path):
     import xarray
 

@@ -80,6 +80,7 @@ def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path):
                 assert file[key].attrs["sha256"] == hashlib.sha256(values.tobytes()).hexdigest(), key
 
 
+@pytest.mark.long  # xarray, and with it dask, takes seconds to load
 @pytest.mark.parametrize(("engine", "foci"), [("h5netcdf", 3), ("netcdf4", 0)])
 def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(tmp_path, engine, foci):
     import xarray

@@ -134,6 +134,7 @@ def test_given_arrays_under_other_names_and_in_another_order_then_they_are_mappe
 # netCDF and HDF5; tests/system/test_import_packed.py has packed and masked values.
 
 
+@pytest.mark.long  # xarray, and with it dask, takes seconds to load
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4", "scipy"])
 def test_a_dimension_without_values_and_words_for_units_are_read_as_xarray_writes(tmp_path, engine, imported):
     import xarray
