@@ -24,7 +24,7 @@ Value = TypeVar("Value")
 _OVERDUE_S = 5.0
 """A play that has not ended this long after it should have, plus a tenth of its length, has failed."""
 
-_TRIED_AGAIN_AFTER_S = (0.5, 1.5, 3.0)
+_TRIED_AGAIN_AFTER_S = (0.5, 1.5)
 """When a device that is not there yet is opened once more: an interface that was just switched on, one that another
 program is about to give up, or a server that lets nobody in for a moment."""
 
