@@ -88,6 +88,16 @@ def test_packed_values_and_limits_then_are_refused_by_name(tmp_path, capsys, kin
     assert told in refused(capsys, "import", tmp_path / "a.nc", "--bank", tmp_path / "a.h5")
 
 
+def test_packing_that_changes_nothing_and_limits_of_the_status_then_are_passed_over(tmp_path):
+    write(tmp_path / "a.nc", "f4", "NETCDF4", {"scale_factor": 1.0, "add_offset": 0.0, "_Unsigned": "false"})
+    with h5py.File(tmp_path / "a.nc", "r+") as file:
+        status = file.create_dataset("status", data=np.ones(POSITIONS, np.uint8))
+        status.attrs.update(valid_min=np.uint8(0), valid_max=np.uint8(31))
+    with wf.open_bank(tmp_path / "a.nc") as bank:
+        assert bank.status.tolist() == [1] * POSITIONS
+        assert np.array_equal(bank.green(2), VALUES[2].astype(np.float32))
+
+
 @pytest.mark.parametrize(
     ("kind", "form"),
     [

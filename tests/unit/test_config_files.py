@@ -116,6 +116,7 @@ RIG_MISTAKES = [
 RUN_MISTAKES = [
     ("[virtual]\nplate = 'thin'", 'virtual.plate = "thin": needs kind = "rectangle"'),
     ("[virtual]\nquality = 3", 'virtual.quality = 3.0: belongs to plate = "thin"'),
+    ("[virtual]\nplate = 'solid'\nshear_speed_m_s = 9", "virtual.pressure_speed_m_s = 9.4: must be above 10.39, 2 /"),
     ("[grid]\nspacing_m = 4", "grid.spacing_m = 4: unknown key; did you mean spacing_mm?"),
     ("[grid]\ntaps = 4", "grid.taps = 4: unknown key; it belongs to [capture]"),
     ("[grid]\ncolour = 4", "grid.colour = 4: unknown key; allowed: lattice, spacing_mm, margin_mm, positions_file"),

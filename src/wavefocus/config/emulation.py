@@ -27,6 +27,8 @@ from wavefocus.config.fields import (
 FINGER_MM = 3.0
 """Half the width of a finger, and a little."""
 _OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
+GEL_SPEED_M_S, GEL_PRESSURE_SPEED_M_S = 4.7072696192, 9.4
+"""Of waves in the gel (see `mocks.plates.soft`), and twice that: pressure waves of a thin free layer of it."""
 _GONE = (
     ("loss", "springpot", 'is gone: the loss of the plate "soft" is nearly the same at all frequencies'),
     ("edge", "infinite", 'is gone: the plate "soft" has no rim'),
@@ -100,6 +102,9 @@ class PlateKeys(Table):
                 raise mistake(key, value, f'belongs to plate = "{plate}"')
         if self.gone is not None and info.context is not KEPT:
             raise mistake(*self.gone)
+        shear, pressure = self.shear_speed_m_s or GEL_SPEED_M_S, self.pressure_speed_m_s or GEL_PRESSURE_SPEED_M_S
+        if not pressure > (slowest := 2 / 3**0.5 * shear) and info.context is not KEPT:
+            raise mistake("pressure_speed_m_s", pressure, f"must be above {slowest:.4g}, 2 / sqrt(3) shear_speed_m_s")
         return self
 
 

@@ -16,15 +16,8 @@ from wavefocus.storage.errors import InputError
 def virtual_rig(
     rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False, outputs: int = 0
 ) -> VirtualRig:
-    """Build the virtual rig that a configuration describes; `realtime` and `outputs` as of its settings.
-
-    Raises InputError: there is no such plate, or the package that computes it is missing.
-    """
-    settings = replace(virtual_settings(rig, virtual), realtime=realtime, outputs=outputs)
-    try:
-        return VirtualRig(settings)
-    except ValueError as refused:
-        raise InputError(f"the virtual rig: {refused}") from None
+    """Build the virtual rig that a configuration describes; `realtime` and `outputs` as of its settings."""
+    return VirtualRig(replace(virtual_settings(rig, virtual), realtime=realtime, outputs=outputs))
 
 
 def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualSettings:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.missing import DEFAULT_FILL, KEYS, missing_as_nan, missing_numbers
+from wavefocus.storage.missing import DEFAULT_FILL, KEYS, LIMITS, missing_as_nan, missing_numbers
 from wavefocus.storage.text_file import permission_words, require_regular
 
 BARE_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
@@ -144,7 +144,7 @@ def plain_dataset(
         raise _refusal("holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
         raise _refusal(f"has shape {dataset.shape}; {shape} is needed")
-    if missing_in(dataset, written=True) and not gaps:
+    if missing_in(dataset, written=True, limits=gaps) and not gaps:
         raise _refusal("has a _FillValue or missing_value; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
@@ -179,12 +179,13 @@ def _stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
     return pieces
 
 
-def missing_in(dataset: h5py.Dataset, *, written: bool = False) -> tuple[Any, ...]:
+def missing_in(dataset: h5py.Dataset, *, written: bool = False, limits: bool = True) -> tuple[Any, ...]:
     """Stored numbers that stand for missing values; raises InputError where the dataset is packed.
 
     written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
+    limits: Whether a range of valid values is refused, or passed over.
     """
-    stated = set(dataset.attrs)
+    stated = set(dataset.attrs) if limits else set(dataset.attrs) - {*LIMITS}
     attributes = {key: dataset.attrs[key] for key in KEYS if key in stated and holds_attribute(dataset, key)}
     fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
     if fill is not None and dataset.fillvalue != fill:

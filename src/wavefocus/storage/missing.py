@@ -14,9 +14,10 @@ DEFAULT_FILL: Mapping[str, Any] = {
 }  # fmt: skip
 """What netCDF's library writes where nothing was written (netcdf.h, NC_FILL_...), by type; bytes have none."""
 _FILLS = ("_FillValue", "missing_value")
-_LIMITS = ("valid_range", "valid_min", "valid_max")
-_PACKED = ("scale_factor", "add_offset", "_Unsigned")
-KEYS = (*_FILLS, *_LIMITS, *_PACKED)
+LIMITS = ("valid_range", "valid_min", "valid_max")
+_PACKED: Mapping[str, tuple[Any, ...]] = {"scale_factor": (1,), "add_offset": (0,), "_Unsigned": ("false", b"false")}
+"""Attributes of packed numbers, and their values that change nothing."""
+KEYS = (*_FILLS, *LIMITS, *_PACKED)
 """Attributes of a variable that say which values its stored numbers stand for (CF conventions 1.11, 2.5 and 8.1)."""
 
 
@@ -29,13 +30,13 @@ def missing_numbers(attributes: Mapping[str, Any], what: str, default_fill: Any 
 
     Raises InputError: other stored numbers are not the values, or an attribute is no number.
     """
-    for key in _LIMITS:
+    for key in LIMITS:
         if key in attributes:
             raise InputError(
                 f"{what} has a {key}; set the stored numbers outside of it to its _FillValue, and delete the attribute"
             )
-    for key in _PACKED:
-        if key in attributes:
+    for key, harmless in _PACKED.items():
+        if key in attributes and np.asarray(attributes[key]).reshape(-1).tolist() not in [[one] for one in harmless]:
             raise InputError(
                 f"{what} is packed ({key}); save it unpacked, in Python: ds = xarray.load_dataset(FILE), then "
                 "v.encoding = {} for each v in ds.variables.values(), then ds.to_netcdf(NEW)"

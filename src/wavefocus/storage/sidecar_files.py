@@ -287,4 +287,4 @@ def _clear(folder: Path, name: str, owner: PositionedFile | None) -> None:
 
 def _is_ours(name: str, made: str) -> bool:
     """Whether a maker's folder holds files of this name; libraries add endings to the one that is made."""
-    return name in {_OWNER, _PREVIOUS} or name.startswith(made)
+    return name in {_OWNER, _PREVIOUS, "last"} or name.startswith(made)  # "last" is of earlier versions

@@ -21,6 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from wavefocus.config.emulation import GEL_PRESSURE_SPEED_M_S, GEL_SPEED_M_S
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates import (
     MAGNET_RADIUS_MM,
@@ -113,7 +114,7 @@ def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: flo
     return mean
 
 
-SOFT_PLATE = DampedWave(speed_m_s=4.7072696192, damping_per_s=421.33369835)
+SOFT_PLATE = DampedWave(speed_m_s=GEL_SPEED_M_S, damping_per_s=421.33369835)
 """The paper's impulses (section IV.A) travel on it: by test_plates.py 4.8 m/s and 3.8 dB/cm in 50 to 450 Hz."""
 
 UNIT_FORCE_N = 1000.0 * SOFT_PLATE.speed_m_s**2 * 0.013
@@ -131,10 +132,6 @@ class SoftPlate(InfinitePlate):
         self, actuator_mm: Float64Array, outline: Outline, chain: Chain, *, change: PlateChange = UNCHANGED
     ) -> None:
         super().__init__(actuator_mm, outline, change.softened(chain), (SOFT_PLATE.changed(change),))
-
-
-_PRESSURE_SPEED_M_S = 9.4
-"""Twice the shear speed: pressure waves of a thin free layer of an incompressible gel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +190,8 @@ class SolidPlate(InfinitePlate):
         outline: Outline,
         chain: Chain,
         *,
-        shear_speed_m_s: float = SOFT_PLATE.speed_m_s,
-        pressure_speed_m_s: float = _PRESSURE_SPEED_M_S,
+        shear_speed_m_s: float = GEL_SPEED_M_S,
+        pressure_speed_m_s: float = GEL_PRESSURE_SPEED_M_S,
         damping_per_s: float = SOFT_PLATE.damping_per_s,
         force_deg: float = 0.0,
         oscillation_deg: float = 0.0,

@@ -318,10 +318,6 @@ class Elements:
             np.add.at(loads[:, actuator], nodes, weights * share[:, None] * sign)
         return loads
 
-    def is_free(self, is_odd: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which nodes (nodes,) move in functions of one parity (1, 2): odd ones rest on an axis of the plate."""
-        return np.asarray(((self.basis.doflocs.T > 1e-9) | ~is_odd).all(axis=1))
-
     def inverse(
         self, wave: DampedWave, admittance: float, frequency_hz: float, is_odd: NDArray[np.bool_] = _EVEN
     ) -> Callable[[NDArray[Any]], Complex128Array]:

@@ -143,7 +143,8 @@ def _quality(file: h5py.File, path: Path, name: str, positions: int, actuators: 
     dataset = hdf5_reading.plain_dataset(file, f"/quality/{name}")
     if dataset.shape not in (full, (positions,)):
         raise InputError(f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed")
-    figures = np.asarray(missing_as_nan(hdf5_reading.read_whole(dataset), hdf5_reading.missing_in(dataset)), np.float32)
+    missing = hdf5_reading.missing_in(dataset, limits=False)
+    figures = np.asarray(missing_as_nan(hdf5_reading.read_whole(dataset), missing), np.float32)
     if figures.shape != full:  # one figure per position stands for all its actuators
         figures = np.repeat(figures[:, None], actuators, axis=1)
     return figures
