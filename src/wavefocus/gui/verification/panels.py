@@ -40,17 +40,18 @@ class Results:
     film: Film
 
 
-def read_results(record_file: Path) -> Results:
+def read_results(record_file: Path, wanted: Callable[[], bool]) -> Results:
     """Read a verification; takes a second for some hundred megabytes.
 
-    Raises InputError: A file is missing, damaged or of another verification; the message names it.
+    Raises InputError: A file is missing, damaged or of another verification; the message names it. Raises
+    CancelledError: `wanted` returned False.
     """
     from wavefocus.rendering.verify.field_pair import read_pair  # the window starts without scipy
     from wavefocus.rendering.verify.record import read_record
 
     record = read_record(record_file)
     folder = record_file.parent
-    pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz)
+    pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz, wanted)
     if not np.array_equal(pair.position_index, record.position_index):
         raise InputError(
             f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"

@@ -298,6 +298,9 @@ class VerificationTab(Tab):
         self.row.start.setEnabled(not self.run.running and not missing)
         self.row.show_run(self.run, self._reading or missing)
 
+    def shut_down(self) -> None:
+        self._reading = ""  # ends the reading
+
     def _lay_out(self) -> None:
         waveforms, shown = QWidget(), QWidget()
         ui.column(self.maps.legend, (self.maps.response, 1), owner=waveforms, spacing=2)
@@ -332,8 +335,9 @@ class VerificationTab(Tab):
     def _open_record(self, record: Path) -> None:
         """Read a verification and show it when it is there."""
         self.context.settings.opened(record)
-        self._reading = f"reading {record.parent.name}…"
-        self.context.background.ask("verification", partial(read_results, record), self._show, self._fail)
+        reading = self._reading = f"reading {record.parent.name}…"
+        work = partial(read_results, record, lambda: self._reading is reading)
+        self.context.background.ask("verification", work, self._show, self._fail)
 
     def _show(self, results: Results) -> None:
         self._reading = ""

@@ -1,5 +1,6 @@
 """Prediction and scan within the bank's band, at any instant or position."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,6 +62,10 @@ class BandLimit:
         return float(peak - most + parabola_vertex(*near[peak - 1 : peak + 2]))
 
 
+class CancelledError(Exception):
+    """Reading was cancelled."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPair:
     """Two fields of equal positions, rate, start and length, limited to one band.
@@ -98,10 +103,16 @@ def _loud(magnitude: Float32Array) -> float:
     return float(np.quantile(known, 0.999)) if known.size else 0.0
 
 
-def read_pair(prediction: Path, scan: Path, band_hz: tuple[float, float] | None) -> FieldPair:
+def read_pair(
+    prediction: Path,
+    scan: Path,
+    band_hz: tuple[float, float] | None,
+    wanted: Callable[[], bool] = lambda: True,
+) -> FieldPair:
     """Read two field files and limit them to a band.
 
-    Raises InputError: a file is missing, damaged or no field, or they do not belong together.
+    Raises InputError: a file is missing, damaged or no field, or they do not belong together. Raises
+    CancelledError: reading was cancelled.
     """
     with FieldRowReader(prediction) as predicted, FieldRowReader(scan) as scanned:
         _require_one_grid(predicted, scanned)
@@ -118,6 +129,8 @@ def read_pair(prediction: Path, scan: Path, band_hz: tuple[float, float] | None)
             for first, values in reader.blocks():
                 # Blocks of a reader are sized for its own memory; a transform takes some times that.
                 for start in range(0, len(values), _AT_ONCE):
+                    if not wanted():
+                        raise CancelledError
                     part = values[start : start + _AT_ONCE]
                     here = reader.position_index[first + start : first + start + len(part)]
                     field[[place[int(row)] for row in here]] = (
