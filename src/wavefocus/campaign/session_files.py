@@ -178,8 +178,8 @@ def _compared_schedules(blueprint: Blueprint, source: str) -> tuple[ScheduleSett
 
     try:
         with (
-            spinner("measuring one position by both schedules, to state what staggered capture loses"),
             open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
+            spinner("measuring one position by both schedules, to state what staggered capture loses"),
         ):
             found = compare_schedules(blueprint.plan, setup, _say_fault)
     except InputError as error:

@@ -152,6 +152,8 @@ class TrialsSession:
 
     def _familiarise(self) -> None:
         felt = [stimulus.name for stimulus in self._design.stimuli.values() if stimulus.amplitude]
+        if not felt:
+            return
         self._shown = 1, len(felt)
         self._enter(_SessionStep.FAMILIARISATION)
         self._expect(GoOn)

@@ -362,10 +362,6 @@ def _with_silence(
     reference, taps = first.reference_v[0], header.taps
     found = _find_sweeps(reference, header)
     sweep, period, averages, _, ratio = found
-    report(
-        f"{averages} sweeps of {sweep / header.sample_rate_hz:g} s, {header.law}; "
-        f"clocks differ by {1e6 * (ratio - 1):.2f} ppm"
-    )
     comparable = header.averages is not None
     silence = period - sweep if comparable else header.samples - sweep
     if taps > silence or not header.schedule.is_sequential:
@@ -373,6 +369,10 @@ def _with_silence(
             f"taps is {taps} and the silence after a sweep {silence} samples: one actuator in each record, without "
             "delay, and no more taps than that are needed, or same_clock = true where one clock played and recorded"
         )
+    report(
+        f"{averages} sweeps of {sweep / header.sample_rate_hz:g} s, {header.law}; "
+        f"clocks differ by {1e6 * (ratio - 1):.2f} ppm"
+    )
     sweeps = _learn_sweeps(found, reference, header)
     return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=comparable)
 

@@ -102,8 +102,12 @@ class DriftPlot(QWidget):
             plot.setYRange(-span if plot is not last else -0.04 * span, span, padding=0)
             item.addLine(y=0.0, pen=pyqtgraph.mkPen(theme.grid))
             plot.line(at_s, values, theme.faint)
-            symbols, colours = [symbol for symbol, _ in looks], [pyqtgraph.mkBrush(colour) for _, colour in looks]
-            item.addItem(pyqtgraph.ScatterPlotItem(at_s, values, symbol=symbols, brush=colours, pen=None, size=8))
+            marks = [
+                {"pos": at, "symbol": symbol, "brush": pyqtgraph.mkBrush(colour)}
+                for at, (symbol, colour) in zip(zip(at_s, values, strict=True), looks, strict=True)
+                if math.isfinite(at[1])
+            ]
+            item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
         none = "the sentinel position has not been measured again yet"
         self.plots[0].title("● steady, ▼ step (warn), ✕ stop; dashed: limits of a stop" if points else none)
         if points:

@@ -148,9 +148,14 @@ class Calculation(QObject):
 
     def _submit(self, stage: str, work: Callable[..., SceneResults], *arguments: object) -> None:
         assert self._pool is not None
-        submit = partial(self._pool.submit, work, self._newest.value, *arguments)
+        try:
+            future = self._pool.submit(work, self._newest.value, *arguments)
+        except (BrokenProcessPool, OSError) as failure:
+            self.close()
+            self._refuse(LOST if isinstance(failure, BrokenProcessPool) else str(failure), stage)
+            return
         self._cancelled_s, self.stage = 0.0, stage
-        self._context.background.ask("scene", lambda: submit().result(), self._take, self._fail)
+        self._context.background.ask("scene", future.result, self._take, self._fail)
         self.changed.emit()
 
     def _fail(self, failure: Exception) -> None:
