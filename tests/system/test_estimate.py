@@ -135,14 +135,6 @@ def test_a_sweep_that_does_not_follow_the_stated_law_then_exit_2_names_the_remed
     assert not (tmp_path / "bank.h5").exists()
 
 
-def test_given_two_clocks_and_more_taps_than_silence_then_exit_2_names_the_remedy(tmp_path, capsys):
-    record = swept(Sweep((50.0, 4_000.0), 1.0), echoes(1, 500), 10_000.0, 40.0, tail_s=0.02)
-    raw = write(tmp_path / "a.raw.h5", [record], 600, 10_000.0, (50.0, 4_000.0))
-    message = refused(capsys, "estimate", raw, "--bank", tmp_path / "bank.h5")
-    assert "taps is 600" in message
-    assert "same_clock" in message
-
-
 def heard(excitation, green, snr_db, draw, first=0):
     """Reference and response of one clock, from sample `first` on."""
     response = scipy.signal.fftconvolve(excitation, green)[first : excitation.size]

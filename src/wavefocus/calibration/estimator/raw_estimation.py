@@ -362,19 +362,24 @@ def _with_silence(
     reference, taps = first.reference_v[0], header.taps
     found = _find_sweeps(reference, header)
     sweep, period, averages, _, ratio = found
-    comparable = header.averages is not None
-    silence = period - sweep if comparable else header.samples - sweep
-    if taps > silence or not header.schedule.is_sequential:
-        raise InputError(
-            f"taps is {taps} and the silence after a sweep {silence} samples: one actuator in each record, without "
-            "delay, and no more taps than that are needed, or same_clock = true where one clock played and recorded"
-        )
     report(
         f"{averages} sweeps of {sweep / header.sample_rate_hz:g} s, {header.law}; "
         f"clocks differ by {1e6 * (ratio - 1):.2f} ppm"
     )
-    sweeps = _learn_sweeps(found, reference, header)
-    return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=comparable)
+    is_whole = header.averages is not None or period <= header.samples
+    if header.schedule.is_sequential and taps <= period - sweep and is_whole:
+        sweeps = _learn_sweeps(found, reference, header)
+        comparable = header.averages is not None
+        return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=comparable)
+
+    def clock(reference_v: Float32Array) -> tuple[float, float]:
+        try:
+            *_, offset, ratio = _find_sweeps(reference_v, header)
+        except InputError as error:
+            raise ReferenceMissingError(str(error), advised=True) from error
+        return ratio, offset
+
+    return WholeRecordEstimator(records, clock_ratio=clock)
 
 
 def records_of(header: RawHeader) -> Records:

@@ -1,6 +1,6 @@
 """Green's functions from whole records of any excitation: hammer hits, noise, sweeps of any law, once or repeated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.fft
@@ -10,6 +10,7 @@ from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, RIDGE, circula
 from wavefocus.calibration.estimator.defect_finder import measure_levels, not_looked_at
 from wavefocus.calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
 from wavefocus.calibration.known_signal import ReferenceMissingError
+from wavefocus.calibration.resampling import resampled
 from wavefocus.storage.errors import InputError
 
 # Penalty outside of the band, as `RIDGE`.
@@ -30,15 +31,19 @@ class WholeRecordEstimator:
     same slots are fitted together, so that each counts by its energy. Conjugate gradients and transforms, no
     matrix. Safe to call from several threads.
 
-    records: What plays when, not periodic; one clock played and recorded.
+    records: What plays when, not periodic.
+    clock_ratio: DAQ rate over playback rate of a reference channel (samples,) in volts, and where it begins in samples;
+        both channels are then resampled to the playback clock. Without it one clock played and recorded.
 
     Raises InputError: a periodic schedule.
     """
 
-    def __init__(self, records: Records) -> None:
+    def __init__(
+        self, records: Records, *, clock_ratio: Callable[[Float32Array], tuple[float, float]] | None = None
+    ) -> None:
         if records.schedule.period_s > 0:
             raise InputError("period_s is above 0; records that begin and end by themselves are needed")
-        self._records = records
+        self._records, self._clock_ratio = records, clock_ratio
         groups: dict[bytes, list[int]] = {}
         for record in range(records.schedule.records):
             groups.setdefault(b"".join(part.tobytes() for part in records.schedule.slots(record)), []).append(record)
@@ -59,8 +64,10 @@ class WholeRecordEstimator:
         for record, peak_v in zip(group, levels.reference_v, strict=True):
             if peak_v == 0:
                 raise ReferenceMissingError(f"the reference of record {record} is silent", "silence")
+        clocks = [(1.0, 0.0)] * len(group) if self._clock_ratio is None else list(map(self._clock_ratio, reference_v))
         references, responses = (
-            [row - row.mean() for row in channel.astype(np.float64)] for channel in (reference_v, response_v)
+            [self._played(row, ratio) for row, (ratio, _) in zip(channel, clocks, strict=True)]
+            for channel in (reference_v, response_v)
         )
         green, shares, whole, left, noise, noise_v = _Fit(references, responses, self._records, group[0]).solve()
         channels = self._records.channels
@@ -74,9 +81,17 @@ class WholeRecordEstimator:
             peak_v=float(levels.response_v.max()),
             noise_v=noise_v,
             clip_count=int(levels.clip_count.sum()),
-            offset_samples=0.0,
-            clock_ratio=1.0,
+            offset_samples=clocks[0][1],
+            clock_ratio=clocks[0][0],
         )
+
+    @staticmethod
+    def _played(channel_v: Float32Array, ratio: float) -> Float64Array:
+        """A channel on the playback clock, without its constant voltage."""
+        channel = channel_v.astype(np.float64)
+        if ratio != 1:
+            channel = resampled(channel[None], 0.0, ratio, int(channel.size / ratio))[0]
+        return np.asarray(channel - channel.mean())
 
 
 class _Fit:
