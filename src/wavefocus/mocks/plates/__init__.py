@@ -4,12 +4,19 @@
 frequency.
 """
 
+import contextlib
+import hashlib
+import os
+import sys
+import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
+from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import scipy
@@ -265,3 +272,31 @@ def _product(part: Float64Array, table: NDArray[np.complexfloating]) -> NDArray[
     real = table.view(table.real.dtype)
     product = part.reshape(-1, len(table)).astype(real.dtype) @ real
     return np.asarray(product.view(table.dtype).reshape(*part.shape[:-1], table.shape[1]))
+
+
+def kept_arrays(name: str, facts: tuple[object, ...], compute: Callable[[], dict[str, Any]]) -> Mapping[str, Any]:
+    """Arrays from the disk, or computed and kept there; without a file that can be used, computed again."""
+    digest = hashlib.sha256(repr(facts).encode()).hexdigest()
+    path = _cache_dir() / f"{name}-{digest[:32]}.npz"
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
+            return dict(kept)
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        found = compute()
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".partial", delete=False) as written:
+            np.savez(written, **found)
+        Path(written.name).replace(path)
+    return found
+
+
+def _cache_dir() -> Path:
+    """Folder of computed plates: WAVEFOCUS_CACHE, or the user's cache folder of this system."""
+    if chosen := os.environ.get("WAVEFOCUS_CACHE"):
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData/Local")) / "wavefocus" / "cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library/Caches/wavefocus"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wavefocus"

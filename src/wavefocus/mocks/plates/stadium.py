@@ -18,19 +18,13 @@ Where the outline mirrors itself in both axes, elements cover a quarter of the p
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import os
-import sys
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from itertools import takewhile
-from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +40,7 @@ from wavefocus.mocks.plates import (
     ModalPlate,
     PlateChange,
     Smoothness,
+    kept_arrays,
 )
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
@@ -86,7 +81,7 @@ class StadiumPlate(ModalPlate):
         self._pairs = None
         if rim_admittance:
             pairs = partial(_damped_pairs, self._modes, self._wave, rim_admittance)
-            kept = _kept("damped", (self._wave, *facts), lambda: _arrays(pairs()))
+            kept = kept_arrays("damped", (_RECIPE, self._wave, *facts), lambda: _arrays(pairs()))
             self._pairs = _DampedPairs(*(kept[item.name] for item in fields(_DampedPairs)))
 
     def coefficients(self, place_mm: Float64Array) -> Float64Array:
@@ -157,41 +152,13 @@ def _elements_and_modes(
         modes = _ritz_modes(Elements(triangles), actuator_mm, SOFT_PLATE, admittance, _HIGHEST_HZ)
         return _arrays(triangles) | _arrays(replace(modes, shapes=modes.shapes.astype(np.float32)))
 
-    kept = _kept("stadium", facts, compute)
+    kept = kept_arrays("stadium", (_RECIPE, *facts), compute)
     triangles = _Triangles(*(kept[item.name] for item in fields(_Triangles)))
     return Elements(triangles), _RitzModes(*(kept[item.name] for item in fields(_RitzModes))), facts
 
 
 def _arrays(part: _Triangles | _RitzModes | _DampedPairs) -> dict[str, NDArray[Any]]:
     return {item.name: getattr(part, item.name) for item in fields(part)}
-
-
-def _kept(name: str, facts: tuple[object, ...], compute: Callable[[], dict[str, Any]]) -> Mapping[str, Any]:
-    """Arrays from the disk, or computed and kept there; without a file that can be used, computed again."""
-    digest = hashlib.sha256(repr((_RECIPE, *facts)).encode()).hexdigest()
-    path = _cache_dir() / f"{name}-{digest[:32]}.npz"
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-            return dict(kept)
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        found = compute()
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".partial", delete=False) as written:
-            np.savez(written, **found)
-        Path(written.name).replace(path)
-    return found
-
-
-def _cache_dir() -> Path:
-    """Folder of computed plates: WAVEFOCUS_CACHE, or the user's cache folder of this system."""
-    if chosen := os.environ.get("WAVEFOCUS_CACHE"):
-        return Path(chosen)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData/Local")) / "wavefocus" / "cache"
-    if sys.platform == "darwin":
-        return Path.home() / "Library/Caches/wavefocus"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wavefocus"
 
 
 @dataclass(frozen=True, slots=True)
