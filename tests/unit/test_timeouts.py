@@ -60,6 +60,29 @@ def test_a_failure_comes_with_its_role_and_closed_instruments_say_so_and_close_t
             instrument.identify()
 
 
+def test_without_a_new_thread_instruments_fall_silent_and_nothing_else_is_done(monkeypatch):
+    done = []
+
+    class Noting:
+        def __init__(self, name):
+            self.name = name
+
+        def __getattr__(self, what):
+            return lambda *_: done.append(f"{self.name} {what}")
+
+    def refuse(_thread):
+        raise RuntimeError("can't start new thread")
+
+    mirror, player = BoundedMirror(Noting("mirror"), 5.0), BoundedPlayer(Noting("player"), 5.0)
+    recorder = BoundedRecorder(Noting("recorder"), 5.0)
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    with pytest.raises(RuntimeError):
+        mirror.move_to(1.0, 1.0)
+    for fall_silent in (player.mute, recorder.abort, mirror.park, player.close, mirror.close):
+        fall_silent()
+    assert done == ["player mute", "recorder abort", "mirror park", "player close", "mirror close"]
+
+
 def test_given_answers_within_one_step_of_the_clock_then_the_process_is_asked_on(monkeypatch):
     answers, began_s, step_s = [], time.monotonic(), 60.0
     coarse = SimpleNamespace(monotonic=lambda: began_s + (time.monotonic() - began_s) // step_s * step_s)

@@ -3,12 +3,10 @@
 import atexit
 import re
 import socket
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from wavefocus.acquisition.setup import Openers
@@ -27,7 +25,7 @@ from wavefocus.drivers.registry import (
 from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
 from wavefocus.drivers.timeouts import RECONNECTING, in_time
-from wavefocus.storage.errors import BankBusyError, InputError
+from wavefocus.storage.errors import BankBusyError
 from wavefocus.storage.ledger.owner import claimed
 
 # A decoder's range is a round number; what differs by more is another range.
@@ -60,10 +58,8 @@ def openers_of(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool
 def open_instruments(openers: Openers) -> tuple[Instruments, VibrometerReading]:
     """Open every instrument, one after the other; when one fails, those before it are shut down.
 
-    Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile. Raises InputError: the
-    process's address space is limited to less than measuring needs.
+    Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile.
     """
-    _require_address_space()
     with ExitStack() as opened:
         vibrometer = in_time("vibrometer", "opening", openers.vibrometer, openers.limit_s)
         mirror = in_time("mirror", "opening", openers.mirror, openers.limit_s)
@@ -209,34 +205,3 @@ def _vibrometer(rig: RigConfig) -> VibrometerReading:
         )
     latency_s = reading.latency_s if vibrometer.latency_s is None else vibrometer.latency_s
     return replace(reading, latency_s=latency_s, identity=f"{reading.identity}, {reading.range_text}")
-
-
-# Work buffers of linear algebra, stacks of threads, one position's records: measured 180 MiB for 20 actuators. With
-# less, OpenBLAS waits for memory for ever, in a call that nothing can interrupt.
-MIN_BYTES = 256 << 20
-
-
-def spare_address_space() -> int | None:
-    """Bytes of address space that are left; None where there is no limit, or none that is known."""
-    if sys.platform != "linux":
-        return None
-    import resource
-
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit == resource.RLIM_INFINITY:
-        return None
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    return limit - pages * resource.getpagesize()
-
-
-def _require_address_space() -> None:
-    """Refuse to open instruments where there may not be enough to put them to rest again.
-
-    Raises InputError: less than `MIN_BYTES` are left.
-    """
-    spare = spare_address_space()
-    if spare is not None and spare < MIN_BYTES:
-        raise InputError(
-            f"{max(spare, 0) >> 20} MiB of address space are left to this process, and measuring needs "
-            f"{MIN_BYTES >> 20}: raise its limit (ulimit -v, or the batch queue's memory); no instrument was opened"
-        )

@@ -82,7 +82,7 @@ def setup_in_use(
 def open_rig(rig: RigConfig, openers: Openers) -> Setup:
     """Open every instrument of a rig, with its wiring, its calibration and what is watched.
 
-    Raises InstrumentError, InputError: see `wavefocus.rig.instruments.open_instruments`.
+    Raises InstrumentError: see `wavefocus.rig.instruments.open_instruments`.
     """
     opened, vibrometer = open_instruments(openers)
     setup = wired(rig, bounded(opened, rig.recovery.hung_after_s), vibrometer)
