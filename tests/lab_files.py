@@ -70,8 +70,8 @@ def setup_of(rig, **changes):
     """A virtual rig wired as it is, with a mirror a metre above the plate."""
     settings = rig.settings
     setup = Setup(
-        rig.instruments, MirrorMap.straight(1000.0), settings.channel_of_actuator, settings.channel_of_loopback,
-        (10.0, 10.0), settings.sensitivity_m_s_per_v,
+        rig.mirror, rig.recorder, rig.player, rig.clock, MirrorMap.straight(1000.0), settings.channel_of_actuator,
+        settings.channel_of_loopback, (10.0, 10.0), settings.sensitivity_m_s_per_v,
     )  # fmt: skip
     return replace(setup, **changes)
 

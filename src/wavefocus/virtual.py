@@ -209,12 +209,11 @@ class VirtualBench:
 
     @cached_property
     def _setup(self) -> Setup:
-        rig = self.configuration.rig
-        return open_rig(rig, openers_of(rig, self.configuration.run.virtual))
+        return open_rig(openers_of(self.configuration.rig, self.configuration.run.virtual))
 
     @cached_property
     def _station(self) -> Station:
-        session = Session(self._setup.instruments.clock, lambda event: None, StopRequest())
+        session = Session(self._setup.clock, lambda event: None, StopRequest())
         return Station(self._blueprint.plan, self._setup, session)
 
     @cached_property

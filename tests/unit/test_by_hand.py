@@ -60,7 +60,7 @@ def test_given_a_mute_while_a_signal_is_made_ready_then_it_never_sounds():
         except ShutError as shut:
             refused.append(shut)
 
-    gate = BoundedPlayer(Stating(VirtualRig().instruments.player, play=convert, mute=sounding.clear), 30.0)
+    gate = BoundedPlayer(Stating(VirtualRig().player, play=convert, mute=sounding.clear), 30.0)
     owner = threading.Thread(target=play)
     owner.start()
     assert converting.wait(30)

@@ -112,7 +112,7 @@ class LeakingSetup:
     def watch(self, share, unvouched=()):
         settings = VirtualSettings(crosstalk=share, actuator_mm=tuple(map(tuple, self.plan.actuator_mm.tolist())))
         setup = setup_of(VirtualRig(settings))
-        session = Session(setup.instruments.clock, self.events.append, StopRequest())
+        session = Session(setup.clock, self.events.append, StopRequest())
         return LeakWatch(Station(self.plan, setup, session), self.bank, unvouched)
 
     def commit(self, watch, count):

@@ -29,17 +29,16 @@ ACTUATORS = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0))
 def examined(bench, rig=None, *, play=True, **openers):
     """Findings about a bench; `rig` has tables of its rig file, `openers` other openers."""
     rig = {"actuators": {"position_mm": ACTUATORS}, **(rig or {})}
-    roles = bench.instruments
     sound = Openers(
-        clock=roles.clock,
-        mirror=lambda: roles.mirror,
-        recorder=lambda: roles.recorder,
-        player=lambda: roles.player,
+        rig=RigConfig.model_validate(rig),
+        clock=bench.clock,
+        mirror=lambda: bench.mirror,
+        recorder=lambda: bench.recorder,
+        player=lambda: bench.player,
         vibrometer=lambda: reading(None),
-        limit_s=60.0,
     )
     findings = []
-    examine(RigConfig.model_validate(rig), replace(sound, **openers), findings.append, play=play)
+    examine(replace(sound, **openers), findings.append, play=play)
     return findings
 
 
@@ -76,7 +75,7 @@ def test_given_a_sound_rig_then_all_is_well_looked_at_and_released():
         ("player", "loopback level"), ("player", "latency"), ("player", "clock ratio"), ("vibrometer", "response"),
     ):  # fmt: skip
         assert key in told
-    for role in (rig.instruments.mirror, rig.instruments.recorder, rig.instruments.player):
+    for role in (rig.mirror, rig.recorder, rig.player):
         with pytest.raises(InstrumentError, match="it is closed"):
             role.identify()
 
@@ -94,7 +93,7 @@ class Stating:
 @pytest.mark.parametrize(("device_s", "verdict"), [(14e-6, "warn"), (5.2e-6, "ok"), (None, None)])
 def test_given_a_stated_delay_then_it_is_compared_with_the_devices_own(device_s, verdict):
     rig = VirtualRig(SOUND)
-    recorder = Stating(rig.instruments.recorder, sampling_delay_s=lambda _rate_hz: device_s)
+    recorder = Stating(rig.recorder, sampling_delay_s=lambda _rate_hz: device_s)
     findings = examined(rig, recorder=lambda: recorder, play=False)
     assert verdicts(findings).get(("recorder", "input delay")) == verdict
     if verdict == "warn":
@@ -216,7 +215,7 @@ def test_records_of_every_output_count_in_the_time_that_pickup_may_take(monkeypa
     [(0.02, "ok", "read back within 0.020 mrad"), (3.0, "fail", "within 3.000"), (None, "ok", "not read back")],
 )
 def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(off_mrad, verdict, told):
-    mirror, sent_mrad = VirtualRig(SOUND).instruments.mirror, [(0.0, 0.0)]
+    mirror, sent_mrad = VirtualRig(SOUND).mirror, [(0.0, 0.0)]
 
     def move_to(*at_mrad):
         sent_mrad.append(at_mrad)
@@ -260,9 +259,10 @@ def opened(device_s, calibrated_s=None):
         record = measured().model_copy(update={"inputs": inputs}).model_dump()
         section["calibration"] = {"file": "cal.toml", "measured": record}
         section["recorder"] = {"inter_channel_delay_s": calibrated_s}
-    rig, roles = RigConfig.model_validate(section), VirtualRig(SOUND).instruments
-    roles = replace(roles, recorder=Stating(roles.recorder, sampling_delay_s=lambda _rate_hz: device_s))
-    return wired(rig, roles, VibrometerReading(0.1, "", None, None, "typed in")), rig
+    rig, bench = RigConfig.model_validate(section), VirtualRig(SOUND)
+    recorder = Stating(bench.recorder, sampling_delay_s=lambda _rate_hz: device_s)
+    vibrometer = VibrometerReading(0.1, "", None, None, "typed in")
+    return wired(rig, bench.mirror, recorder, bench.player, bench.clock, vibrometer), rig
 
 
 NO_BANK = -1.0

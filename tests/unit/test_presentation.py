@@ -51,7 +51,7 @@ def test_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisec
 
 def test_given_a_rig_in_the_walls_time_then_the_onset_is_that_of_the_machines_clock():
     rig = VirtualRig(replace(SETTINGS, realtime=True))
-    clock, player = rig.instruments.clock, rig.instruments.player
+    clock, player = rig.clock, rig.player
     assert isinstance(player, VirtualPlayer)
     onset = presenter_on(rig).present("any", 1, pytest.fail)
     (play,) = player.plays_between(0, 2**62)

@@ -15,7 +15,7 @@ from wavefocus.config.messages.campaign import ReconnectTried, State
 from wavefocus.config.rig import BandSection, default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
-from wavefocus.drivers.protocols import Instruments, Recording
+from wavefocus.drivers.protocols import Recording
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.setup import open_rig, room_c
@@ -38,7 +38,7 @@ class Watched:
 
     def __init__(self, setup):
         self.events = []
-        self.life = Session(setup.instruments.clock, self.events.append, StopRequest())
+        self.life = Session(setup.clock, self.events.append, StopRequest())
         self.recovery = Recovery(setup, self.life)
         self.life.enter(State.RUNNING, "for the test")
 
@@ -59,7 +59,7 @@ def test_an_instrument_that_stays_away_then_the_last_try_is_when_the_time_is_ove
     assert "check its cable" in caught.value.remedy
     assert [one.next_try_s for one in watched.tries] == pytest.approx(waits)
     assert watched.tries[-1].gives_up_s == 0.0
-    assert setup.instruments.clock.now_s() == pytest.approx(recovery_s)
+    assert setup.clock.now_s() == pytest.approx(recovery_s)
     watched.life.enter(State.RUNNING, "for the test")
     assert watched.life.working_s()[0] == pytest.approx(0.0)  # to wait is no work
 
@@ -75,7 +75,7 @@ def test_instrument_that_is_lost_again_and_again_then_it_is_not_connected_for_ev
         watched.recovery.retry_after_reconnect(measure)
     assert len(watched.tries) == LOSSES_IN_A_ROW
     # Each is waited for longer than the one before, so that nothing spins.
-    assert setup.instruments.clock.now_s() == pytest.approx(sum(map(back_off_s, range(LOSSES_IN_A_ROW))))
+    assert setup.clock.now_s() == pytest.approx(sum(map(back_off_s, range(LOSSES_IN_A_ROW))))
 
 
 def test_an_unknown_failure_is_tried_once_more_and_final_when_it_recurs():
@@ -109,7 +109,7 @@ def test_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end
     watched = Watched(setup)
     with pytest.raises(InstrumentLostError, match=r"player: muting: .*not cured within"):
         watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
-    assert 60.0 <= setup.instruments.clock.now_s() < 120.0
+    assert 60.0 <= setup.clock.now_s() < 120.0
 
 
 def test_given_another_device_in_its_place_then_nobody_waits_for_it():
@@ -121,7 +121,7 @@ def test_given_another_device_in_its_place_then_nobody_waits_for_it():
             pass
 
     setup = setup_of()
-    odd = dataclasses.replace(setup, instruments=dataclasses.replace(setup.instruments, mirror=Impostor()))
+    odd = dataclasses.replace(setup, mirror=Impostor())
     watched = Watched(odd)
 
     def measure():
@@ -142,12 +142,11 @@ def test_ctrl_c_on_the_way_out_then_one_step_is_cut_short_and_the_others_are_tri
         def close(self):
             pass
 
-    instruments: Instruments = dataclasses.replace(rig.instruments, player=Hanging())
-    setup = dataclasses.replace(setup_of(), instruments=instruments)
+    setup = lab_files.setup_of(rig, player=Hanging())
     with pytest.raises(KeyboardInterrupt):
         setup.close()
     with pytest.raises(InstrumentError, match="closed"):
-        rig.instruments.mirror.move_to(0.0, 0.0)
+        rig.mirror.move_to(0.0, 0.0)
 
 
 RATE_HZ = 10_000.0
@@ -209,7 +208,7 @@ def _rig(tmp_path, text):
 
 
 def watch_of(rig):
-    return open_rig(rig, openers_of(rig)).watch
+    return open_rig(openers_of(rig)).watch
 
 
 def test_a_band_is_left_on_one_threshold_and_entered_on_another_a_tenth_inside(tmp_path):

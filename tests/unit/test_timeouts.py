@@ -8,12 +8,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.lab_files import rig_fault
+from tests.lab_files import rig_fault, setup_of
+from wavefocus.acquisition.setup import bounded
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import DriverProcess
 from wavefocus.drivers.protocols import Mirror, Player, Recorder, WallClock
 from wavefocus.drivers.shutter import ShutteredMirror
-from wavefocus.drivers.timeouts import BoundedMirror, BoundedPlayer, BoundedRecorder, CallThread, bounded
+from wavefocus.drivers.timeouts import BoundedMirror, BoundedPlayer, BoundedRecorder, CallThread
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 
 SOON_S = 0.05
@@ -49,7 +50,7 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_it_unless_it_is_ur
 
 def test_a_failure_comes_with_its_role_and_closed_instruments_say_so_and_close_twice():
     rig = VirtualRig(VirtualSettings(fault_plan=(rig_fault("mirror", "move_to", "lost", at_call=1),)))
-    roles = bounded(rig.instruments, 5.0)
+    roles = bounded(setup_of(rig), 5.0)
     with pytest.raises(InstrumentLostError, match="does not answer any more") as lost:
         roles.mirror.move_to(0.0, 0.0)
     assert lost.value.role == "mirror"

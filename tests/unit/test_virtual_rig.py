@@ -29,19 +29,18 @@ def quiet_rig():
 
 
 def point(rig):
-    rig.instruments.mirror.move_to(*rig.settings.mirror.angles_mrad(*PLACE_MM))
-    rig.instruments.mirror.wait_settled(1.0)
+    rig.mirror.move_to(*rig.settings.mirror.angles_mrad(*PLACE_MM))
+    rig.mirror.wait_settled(1.0)
 
 
 def record(rig, drive_v, label=TAKE, *, channels=(ACTUATOR,), range_v=(2.0, 1.0), play_hz=RATE_HZ):
     point(rig)
-    instruments = rig.instruments
-    instruments.recorder.start(RecordRequest(4000, RATE_HZ, range_v, label))
-    instruments.clock.sleep(PRE_ROLL_S)
+    rig.recorder.start(RecordRequest(4000, RATE_HZ, range_v, label))
+    rig.clock.sleep(PRE_ROLL_S)
     signals = dict.fromkeys((*channels, rig.settings.channel_of_loopback), drive_v)
-    instruments.player.play(signals, play_hz)
-    instruments.player.wait(10.0)
-    return instruments.recorder.read(10.0)
+    rig.player.play(signals, play_hz)
+    rig.player.wait(10.0)
+    return rig.recorder.read(10.0)
 
 
 def drive(samples=800, seed=3):
@@ -98,7 +97,7 @@ def test_channels_in_another_wiring_drive_their_actuators_and_responses_add():
     channels = tuple(range(20, 0, -1))
     rig, drive_v = VirtualRig(replace(QUIET, actuator_channels=channels, loopback_channel=0)), drive()
     together = record(rig, drive_v, channels=[channels[actuator] for actuator in (0, 5, 11)]).volts[1]
-    assert rig.instruments.player.channels == 21
+    assert rig.player.channels == 21
     expected = sum(response_volts(rig, drive_v, actuator=actuator)[:3000] for actuator in (0, 5, 11))
     assert np.abs(together[300:3300] - expected).max() < 0.6 / 32768
 
@@ -114,17 +113,17 @@ def test_given_a_player_at_48_khz_then_the_response_is_that_of_the_same_waveform
 def test_given_a_play_that_began_before_then_its_rest_is_recorded(quiet_rig):
     rig, drive_v = quiet_rig, drive(3000)
     point(rig)
-    rig.instruments.player.play({ACTUATOR: drive_v, 20: drive_v}, RATE_HZ)
-    rig.instruments.clock.sleep(0.11)
-    rig.instruments.recorder.start(RecordRequest(1500, RATE_HZ, (2.0, 1.0), TAKE))
-    heard = rig.instruments.recorder.read(1.0)
+    rig.player.play({ACTUATOR: drive_v, 20: drive_v}, RATE_HZ)
+    rig.clock.sleep(0.11)
+    rig.recorder.start(RecordRequest(1500, RATE_HZ, (2.0, 1.0), TAKE))
+    heard = rig.recorder.read(1.0)
     assert np.abs(heard.volts[0] - drive_v[1000:2500]).max() < 0.6 * heard.volts_per_count[0]
     expected = response_volts(rig, drive_v)[1000:2500]
     assert np.abs(heard.volts[1] - expected).max() < 0.6 * heard.volts_per_count[1]
 
 
 def test_clock_that_is_walls_then_piece_that_comes_too_late_finds_player_dry():
-    player = VirtualRig(replace(QUIET, realtime=True)).instruments.player
+    player = VirtualRig(replace(QUIET, realtime=True)).player
     player.begin_pieces([0], 48_000.0, 0.01)
     before_s = time.monotonic()
     player.add_piece(np.zeros((1, 480)))

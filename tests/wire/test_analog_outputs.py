@@ -11,19 +11,18 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from tests.lab_files import change_text, wire_fault
+from tests.lab_files import change_text, setup_of, wire_fault
 from tests.system.lines import wait_until
 from tests.wire.daq_bench import Tone, check_tone, take_one
 from tests.wire.emulated import analog_rig
-from wavefocus.acquisition.setup import silence
+from wavefocus.acquisition.setup import bounded, silence
 from wavefocus.commands.doctor import shutter_findings
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.protocols import Instruments, Shutter
+from wavefocus.drivers.protocols import Shutter
 from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
-from wavefocus.drivers.timeouts import bounded
 from wavefocus.mocks.virtual.mirror import MirrorMotion, VirtualShutter
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.wire.emulated_rig import analog_scanner
@@ -210,16 +209,16 @@ def test_a_shutter_that_opens_at_a_low_level_is_moved_on_its_own_box_alone(box):
 
 
 def test_given_another_instrument_fails_then_silence_closes_the_shutter(box):
-    virtual, shutter = VirtualRig().instruments, VirtualShutter()
+    virtual, shutter = VirtualRig(), VirtualShutter()
     mirror = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
-    shuttered = Instruments(mirror, virtual.recorder, virtual.player, virtual.clock)
-    for plain in (shuttered, VirtualRig().instruments):
-        instruments = bounded(plain, 20.0)
-        for instrument in (instruments.mirror, instruments.recorder, instruments.player):
+    shuttered = setup_of(virtual, mirror=mirror)
+    for plain in (shuttered, setup_of(VirtualRig())):
+        setup = bounded(plain, 20.0)
+        for instrument in (setup.mirror, setup.recorder, setup.player):
             box.closed(instrument)
-        arrives(instruments.mirror, 1.0, 1.0)
+        arrives(setup.mirror, 1.0, 1.0)
         assert shutter.is_open is (plain is shuttered)
-        assert silence(instruments) == []
+        assert silence(setup) == []
         assert not shutter.is_open
 
 
@@ -228,7 +227,7 @@ def test_given_another_instrument_fails_then_silence_closes_the_shutter(box):
     "box", [[wire_fault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=2)]], indirect=True
 )
 def test_shutter_that_does_not_answer_then_nothing_is_measured_and_mirror_is_parked(box):
-    virtual = VirtualRig().instruments
+    virtual = VirtualRig()
     mirror = box.closed(ShutteredMirror(virtual.mirror, box.shutter(), 0.0, virtual.clock))
     arrives(mirror, 10.0, 10.0)
     with pytest.raises(InstrumentLostError, match="shutter"):

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from wavefocus.acquisition.grid import read_rows
-from wavefocus.acquisition.setup import Setup, naming_role
+from wavefocus.acquisition.setup import SETTLE_S, Setup, naming_role
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, MirrorMapFit, fit_mirror_map
 from wavefocus.config.messages.rig_checks import Answer, AskJog, MapView
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -212,5 +212,5 @@ def _angles(mirror_map: MirrorMap, place_mm: Place) -> Place:
 
 def _point(setup: Setup, at_mrad: Place) -> None:
     with naming_role("mirror"):
-        setup.instruments.mirror.move_to(*at_mrad)
-        setup.instruments.mirror.wait_settled(setup.settle_timeout_s)
+        setup.mirror.move_to(*at_mrad)
+        setup.mirror.wait_settled(SETTLE_S)

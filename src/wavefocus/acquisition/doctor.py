@@ -11,6 +11,7 @@ from wavefocus.acquisition.judgement import CALIBRATION_SPARE
 from wavefocus.acquisition.leak import BAND_HZ, SWEEP_S, check_pickup, crosstalk_finding, leak_of
 from wavefocus.acquisition.setup import (
     MAX_DELAY_DIFFERENCE_S,
+    SETTLE_S,
     Openers,
     Setup,
     point_at,
@@ -26,7 +27,7 @@ from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import QualityLimits
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Mirror, Player, Recorder, Recording, RecordLabel
+from wavefocus.drivers.protocols import DeviceIdentity, Mirror, Player, Recorder, Recording, RecordLabel
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import CallThread, HungError
 
@@ -95,15 +96,12 @@ class RigFindings:
 SAMPLE_RATE_HZ = 10_000.0
 # Longest waits, on top of what a question takes by its nature.
 OPEN_S, ANSWER_S = 60.0, 30.0
-SETTLE_S = 5.0
 # A mirror that reads back and stands further off than this does not meet its positions: half a millimetre at 1 m.
 MAX_ASTRAY_MRAD = 0.5
 WEAK_LIGHT = 0.2
 
 
-def examine(
-    rig: RigConfig, openers: Openers, publish: Callable[[Finding], None], *, play: bool
-) -> dict[str, DeviceIdentity]:
+def examine(openers: Openers, publish: Callable[[Finding], None], *, play: bool) -> dict[str, DeviceIdentity]:
     """Open, identify and exercise every instrument, and shut it down.
 
     publish: Gets every finding as it is made.
@@ -111,7 +109,7 @@ def examine(
 
     Returns the identities of the instruments that answered, by role.
     """
-    examination = _Examination(rig, openers, publish, play)
+    examination = _Examination(openers, publish, play)
     examination.run()
     return examination.identities
 
@@ -119,11 +117,9 @@ def examine(
 class _Examination(RigFindings):
     """Publishes the findings about a rig's instruments, as far as these are there."""
 
-    def __init__(
-        self, rig: RigConfig, openers: Openers, publish: Callable[[Finding], None], allowed_to_play: bool
-    ) -> None:
+    def __init__(self, openers: Openers, publish: Callable[[Finding], None], allowed_to_play: bool) -> None:
         super().__init__(publish)
-        self._rig, self._openers, self._may_play = rig, openers, allowed_to_play
+        self._rig, self._openers, self._may_play = openers.rig, openers, allowed_to_play
         self._mirror: Mirror | None = None
         self._recorder: Recorder | None = None
         self._player: Player | None = None
@@ -134,7 +130,7 @@ class _Examination(RigFindings):
             vibrometer = self._open()
             # What needs an instrument that is not there is skipped, so that nobody asks it.
             opened = cast("tuple[Mirror, Recorder, Player]", (self._mirror, self._recorder, self._player))
-            setup = wired(self._rig, Instruments(*opened, self._openers.clock), vibrometer)
+            setup = wired(self._rig, *opened, self._openers.clock, vibrometer)
             points = self._check_mirror(setup)
             self._check_delay(setup)
             self._check_outputs(setup)

@@ -89,11 +89,11 @@ def check_pickup(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> lis
 
     Raises InstrumentError: of any instrument.
     """
-    mirror = setup.instruments.mirror
+    mirror = setup.mirror
     with naming_role("mirror"):
         mirror.park()
         mirror.block()
-    setup.instruments.clock.sleep(PARKED_S)
+    setup.clock.sleep(PARKED_S)
     signal_v, found = _sweep_v(amplitude_v, sample_rate_hz, BAND_HZ), list[Crosstalk]()
     for number, actuators in enumerate([(), *((actuator,) for actuator in range(len(setup.actuator_channels)))]):
         label = RecordLabel(0, 1, number, "pickup")

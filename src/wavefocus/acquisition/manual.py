@@ -96,7 +96,7 @@ class ManualMeasurements:
 
     def _silence(self, seconds: float) -> Recording:
         setup, label = self._setup, RecordLabel(0, 1, self._number, "listening")
-        return record_silence(setup.instruments.recorder, seconds, self._rate_hz, setup.range_v, label)
+        return record_silence(setup.recorder, seconds, self._rate_hz, setup.range_v, label)
 
     def _record(self, actuator: int, signal_v: Float64Array, purpose: str) -> Recording:
         label = RecordLabel(0, 1, self._number, purpose)

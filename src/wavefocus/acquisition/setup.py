@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from wavefocus.calibration import Float64Array
@@ -13,7 +13,6 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, Trans
 from wavefocus.drivers.protocols import (
     Clock,
     DeviceIdentity,
-    Instruments,
     Mirror,
     Player,
     Recorder,
@@ -22,7 +21,7 @@ from wavefocus.drivers.protocols import (
     RecordRequest,
 )
 from wavefocus.drivers.registry import VibrometerReading
-from wavefocus.drivers.timeouts import Role
+from wavefocus.drivers.timeouts import RECONNECTING, BoundedMirror, BoundedPlayer, BoundedRecorder, Role
 
 if TYPE_CHECKING:
     from wavefocus.config.rig import BandSection, RigConfig
@@ -81,6 +80,8 @@ class Watch:
 NOTHING_WATCHED = Watch({}, {})
 
 
+# Longest wait for the mirror to stand still.
+SETTLE_S = 5.0
 # Larger differences between the stated delay of the response input and the device's are reported: 0.5 us are an error
 # of -58 dB at 400 Hz.
 MAX_DELAY_DIFFERENCE_S = 0.5e-6
@@ -88,29 +89,34 @@ MAX_DELAY_DIFFERENCE_S = 0.5e-6
 
 @dataclass(frozen=True, slots=True)
 class Openers:
-    """Functions that open each instrument of a rig, independent of the others, or raise InstrumentError.
+    """A rig before it is opened: its file, and functions that open each instrument or raise InstrumentError.
 
     clock: The time that the instruments live by.
-    limit_s: Longest that each may take.
     connect: Plugs the response input of a virtual rig into one of its outputs, or into the vibrometer.
     sensors: Those of a virtual rig's surroundings.
     """
 
+    rig: RigConfig
     clock: Clock
     mirror: Callable[[], Mirror]
     recorder: Callable[[], Recorder]
     player: Callable[[], Player]
     vibrometer: Callable[[], VibrometerReading]
-    limit_s: float
     connect: Callable[[str], object] | None = None
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
+
+    @property
+    def limit_s(self) -> float:
+        """Longest that each may take."""
+        return RECONNECTING * self.rig.recovery.hung_after_s
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
     """The instruments of a rig, how they are wired and how they are calibrated.
 
-    instruments: Mirror, recorder, player and the clock they live by.
+    mirror, recorder, player: The instruments.
+    clock: The time that they live by.
     mirror_map: From surface millimetres to mirror angles.
     actuator_channels: Player channel of each actuator, in the bank's order of actuators.
     loopback_channel: Player channel that is wired to the recorder's reference input.
@@ -121,14 +127,16 @@ class Setup:
     vibrometer_latency_s: How much later the vibrometer's voltage is than the velocity that it stands for.
     pre_roll_s, post_roll_s: Recording before the player starts, and after it should have ended; the post-roll covers
         the player's unknown latency.
-    settle_timeout_s: Longest wait for the mirror to stand still.
     recovery_s: How long a lost instrument is waited for before the session ends, >= 0.
     watch: Conditions under which measuring makes sense.
     response_ranges_v: Input ranges that the response may be measured with when it is over the configured one; none, if
         unknown.
     """
 
-    instruments: Instruments
+    mirror: Mirror
+    recorder: Recorder
+    player: Player
+    clock: Clock
     mirror_map: MirrorMap
     actuator_channels: tuple[int, ...]
     loopback_channel: int
@@ -139,7 +147,6 @@ class Setup:
     vibrometer_latency_s: float = 0.0
     pre_roll_s: float = 0.02
     post_roll_s: float = 0.1
-    settle_timeout_s: float = 5.0
     recovery_s: float = 600.0
     watch: Watch = NOTHING_WATCHED
     response_ranges_v: tuple[float, ...] = ()
@@ -160,7 +167,7 @@ class Setup:
         Raises ExceptionGroup: of all that failed, after everything was tried. KeyboardInterrupt: an impatient Ctrl-C;
         it cut one step short, and the others were tried.
         """
-        mirror, recorder, player = self.instruments.mirror, self.instruments.recorder, self.instruments.player
+        player, recorder, mirror = self.player, self.recorder, self.mirror
         try_all(player.mute, recorder.abort, mirror.park, player.close, recorder.close, mirror.close)
 
 
@@ -186,22 +193,42 @@ def try_all(*steps: Callable[[], object]) -> None:
         raise ExceptionGroup("the instruments could not all be put to rest", failures)
 
 
-def wired(rig: RigConfig, instruments: Instruments, vibrometer: VibrometerReading) -> Setup:
+def wired(
+    rig: RigConfig, mirror: Mirror, recorder: Recorder, player: Player, clock: Clock, vibrometer: VibrometerReading
+) -> Setup:
     """Open instruments with the wiring and the calibration of their rig file; nothing is watched."""
-    recorder = rig.recorder
+    wiring = rig.recorder
     return Setup(
-        instruments=instruments,
+        mirror=mirror,
+        recorder=recorder,
+        player=player,
+        clock=clock,
         mirror_map=MirrorMap(rig.mirror.matrix),
         actuator_channels=rig.player.channels,
         loopback_channel=rig.player.loopback_channel,
-        range_v=(recorder.reference_range_v, recorder.response_range_v),
+        range_v=(wiring.reference_range_v, wiring.response_range_v),
         response_per_volt=vibrometer.sensitivity_m_s_per_v,
-        reference_gain=recorder.reference_gain,
-        inter_channel_delay_s=recorder.inter_channel_delay_s,
+        reference_gain=wiring.reference_gain,
+        inter_channel_delay_s=wiring.inter_channel_delay_s,
         vibrometer_latency_s=vibrometer.latency_s or 0.0,
-        pre_roll_s=recorder.pre_roll_s,
-        post_roll_s=recorder.post_roll_s,
+        pre_roll_s=wiring.pre_roll_s,
+        post_roll_s=wiring.post_roll_s,
         recovery_s=rig.recovery.give_up_after_s,
+    )
+
+
+def bounded(setup: Setup, hung_after_s: float) -> Setup:
+    """The same three instruments, their calls in threads of their own, so that every call ends.
+
+    A call that takes `hung_after_s` (> 0, longer than any answer that the drivers themselves wait for) longer than the
+    operation itself on the wall's clock raises `InstrumentLostError`, with the role noted. Afterwards the instrument
+    does nothing but fall silent, park and close, until it has been connected afresh.
+    """
+    return replace(
+        setup,
+        mirror=BoundedMirror(setup.mirror, hung_after_s),
+        recorder=BoundedRecorder(setup.recorder, hung_after_s),
+        player=BoundedPlayer(setup.player, hung_after_s),
     )
 
 
@@ -225,8 +252,11 @@ def to_lost_error(failure: InstrumentError, cause: str) -> InstrumentLostError:
     return lost
 
 
-def names_of(instruments: Instruments) -> tuple[str, str, str]:
-    """What mirror, recorder and player say they are.
+ROLES: tuple[Role, ...] = ("mirror", "recorder", "player")
+
+
+def names_of(setup: Setup) -> dict[str, str]:
+    """What mirror, recorder and player say they are, by role.
 
     Raises InstrumentLostError: one does not say; not even passingly may that fail in an instrument that was just
     opened. InstrumentError: it says that it is another.
@@ -235,19 +265,19 @@ def names_of(instruments: Instruments) -> tuple[str, str, str]:
     def name(role: Role) -> str:
         try:
             with naming_role(role):
-                return str(getattr(instruments, role).identify())
+                return str(getattr(setup, role).identify())
         except TransientInstrumentError as failure:
             raise to_lost_error(failure, failure.cause) from failure
 
-    return name("mirror"), name("recorder"), name("player")
+    return {role: name(role) for role in ROLES}
 
 
-def silence(instruments: Instruments) -> list[InstrumentError]:
+def silence(setup: Setup) -> list[InstrumentError]:
     """Mute the player, drop a record under way and close the shutter, if any, each whatever the others do.
 
     Returns what failed, with its role; empty when all is silent.
     """
-    player, recorder, mirror = instruments.player.mute, instruments.recorder.abort, instruments.mirror.block
+    player, recorder, mirror = setup.player.mute, setup.recorder.abort, setup.mirror.block
     steps: dict[Role, Callable[[], None]] = {"player": player, "recorder": recorder, "mirror": mirror}
     failures: list[InstrumentError] = []
     for role, quieten in steps.items():
@@ -301,13 +331,13 @@ def take_record(
     whole = record_samples(setup, len(next(iter(signals_v.values()))), sample_rate_hz)
     request = RecordRequest(whole if samples is None else samples, sample_rate_hz, setup.range_v, label)
     timeout_s = max(request.duration_s, whole / sample_rate_hz) + ANSWER_MARGIN_S
-    player, recorder = setup.instruments.player, setup.instruments.recorder
+    player, recorder = setup.player, setup.recorder
     try:
         reached("starting")
         with naming_role("recorder"):
             recorder.start(request)
         reached("started")
-        setup.instruments.clock.sleep(setup.pre_roll_s)
+        setup.clock.sleep(setup.pre_roll_s)
         with naming_role("player"):
             player.play(signals_v, sample_rate_hz)
             reached("playing")
@@ -315,7 +345,7 @@ def take_record(
         with naming_role("recorder"):
             return recorder.read(timeout_s)
     except BaseException as failure:
-        for also in silence(setup.instruments):
+        for also in silence(setup):
             if isinstance(failure, TransientInstrumentError):
                 raise to_lost_error(also, also.cause) from failure
             failure.add_note(str(also))
@@ -343,7 +373,7 @@ def start_move(setup: Setup, x_mm: float, y_mm: float) -> None:
     """
     x_mrad, y_mrad = setup.mirror_map.angles_mrad(x_mm, y_mm)
     with naming_role("mirror"):
-        setup.instruments.mirror.move_to(float(x_mrad), float(y_mrad))
+        setup.mirror.move_to(float(x_mrad), float(y_mrad))
 
 
 def point_at(setup: Setup, x_mm: float, y_mm: float) -> None:
@@ -353,9 +383,9 @@ def point_at(setup: Setup, x_mm: float, y_mm: float) -> None:
     """
     start_move(setup, x_mm, y_mm)
     with naming_role("mirror"):
-        setup.instruments.mirror.wait_settled(setup.settle_timeout_s)
+        setup.mirror.wait_settled(SETTLE_S)
 
 
-def identities_of(instruments: Instruments) -> dict[str, DeviceIdentity]:
+def identities_of(setup: Setup) -> dict[str, DeviceIdentity]:
     """Who mirror, recorder and player are, by role."""
-    return {role: getattr(instruments, role).identity for role in ("mirror", "recorder", "player")}
+    return {role: getattr(setup, role).identity for role in ROLES}

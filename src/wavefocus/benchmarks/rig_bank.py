@@ -57,7 +57,10 @@ def rig_setup(rig: VirtualRig) -> Setup:
     """The rig as engine and scan see it."""
     settings = rig.settings
     return Setup(
-        instruments=rig.instruments,
+        mirror=rig.mirror,
+        recorder=rig.recorder,
+        player=rig.player,
+        clock=rig.clock,
         mirror_map=MirrorMap.straight(1000.0),
         actuator_channels=settings.channel_of_actuator,
         loopback_channel=settings.channel_of_loopback,

@@ -25,7 +25,7 @@ from wavefocus.drivers.audio.stream.player import StreamPlayer
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
-from wavefocus.drivers.protocols import Float64Array, Instruments, RecordLabel, WallClock
+from wavefocus.drivers.protocols import Float64Array, RecordLabel, WallClock
 from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.mocks.virtual.settings import VirtualSettings
@@ -119,7 +119,7 @@ def opened(sides: EmulatedInstruments) -> Iterator[Setup]:
         environment=sides.environment,
     )  # fmt: skip
     setup = Setup(
-        instruments=Instruments(mirror, recorder, player, clock), mirror_map=MirrorMap.straight(1000.0),
+        mirror=mirror, recorder=recorder, player=player, clock=clock, mirror_map=MirrorMap.straight(1000.0),
         actuator_channels=virtual.channel_of_actuator, loopback_channel=virtual.channel_of_loopback,
         range_v=(5.0, 10.0), response_per_volt=virtual.sensitivity_m_s_per_v, inter_channel_delay_s=1.4e-5,
         post_roll_s=0.4,

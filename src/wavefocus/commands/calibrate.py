@@ -235,7 +235,7 @@ def calibrate(
     with ending_at_once():
         try:
             openers = openers_of(rig)
-            with setup_in_use(open_rig(rig, openers), rig, SAMPLE_RATE_HZ) as setup:
+            with setup_in_use(open_rig(openers), rig, SAMPLE_RATE_HZ) as setup:
                 session.carry_out(setup, _operator(setup, lines), openers.connect)
         except InstrumentError as failure:
             if lines is not None:

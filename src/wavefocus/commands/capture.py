@@ -10,6 +10,7 @@ import numpy as np
 from wavefocus.acquisition.attempt import without_recordings
 from wavefocus.acquisition.drift_watch import DriftError, SentinelUnusableError
 from wavefocus.acquisition.engine.session import StopRequest
+from wavefocus.acquisition.setup import identities_of
 from wavefocus.calibration.crosstalk import REMEDY
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
 from wavefocus.campaign.control import CampaignControl, command_line, resume_line
@@ -160,7 +161,7 @@ def _session(
         ExitStack() as opened,
     ):
         if writer.status.any():
-            refuse_other_devices(rig, setup.instruments, bank, accept=options.accept_calibration)
+            refuse_other_devices(rig, identities_of(setup), bank, accept=options.accept_calibration)
         subscribers: dict[str, Subscriber] = {
             "the heartbeat": control,
             "the progress display": CampaignView(report),

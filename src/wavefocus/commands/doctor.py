@@ -74,7 +74,7 @@ def doctor(rig_file: Path, options: DoctorOptions) -> Exit:
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
         with ending_at_once():
-            identities = examine(rig, openers, publish, play=options.play)
+            identities = examine(openers, publish, play=options.play)
             for finding in shutter_findings(rig):
                 publish(finding)
         _check_surroundings(rig, folder, identities, publish)

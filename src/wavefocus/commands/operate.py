@@ -51,8 +51,8 @@ def operate(rig_file: Path) -> Exit:
 def _operate(rig: RigConfig, publish: LinesOut) -> None:
     """Open the rig, obey, and put it to rest however that ends."""
     openers = openers_of(rig)
-    with setup_in_use(open_rig(rig, openers), rig, SAMPLE_RATE_HZ) as setup:
-        player = setup.instruments.player
+    with setup_in_use(open_rig(openers), rig, SAMPLE_RATE_HZ) as setup:
+        player = setup.player
         assert isinstance(player, BoundedPlayer)  # as every player of a set-up
         operation = Operation(rig, setup, player, _light(rig, openers.sensors), publish)
         operation.introduce()

@@ -95,4 +95,4 @@ def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:
             "wavefocus doctor asks them all",
         ]
     with open_setup(rig, run) as setup:
-        return list(names_of(setup.instruments))
+        return list(names_of(setup).values())

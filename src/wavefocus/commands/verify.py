@@ -174,7 +174,7 @@ class _Work:
             else nullcontext() as softer_kept,
             open_setup(self.rig, self.configuration.run) as setup,
         ):
-            sentinel, started_s = self._sentinel(setup), setup.instruments.clock.now_s()
+            sentinel, started_s = self._sentinel(setup), setup.clock.now_s()
             measured = self._scan(setup, drive, prediction.position_index.tolist(), journal=kept)
             if linearity:
                 some = linearity_rows(drive, measured.position_index)
@@ -182,7 +182,7 @@ class _Work:
             if corrections:
                 best, correction = self._corrected(setup, drive, measured, control, sentinel, corrections)
                 write_drive(out / files.CORRECTED_NAME, best)
-            scan_s = setup.instruments.clock.now_s() - started_s
+            scan_s = setup.clock.now_s() - started_s
             leak = self._leak(setup, prediction)
             marker: Float64Array | None = marker_v(setup, measured.field.shape[1], drive.sample_rate_hz)
         write_field(out / files.SCAN_NAME, measured.as_field())

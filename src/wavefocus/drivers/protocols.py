@@ -249,16 +249,6 @@ class Player(Instrument):
         return InstrumentError("player", "playing piece by piece", "its driver takes no signal in pieces", remedy)
 
 
-@dataclass(frozen=True, slots=True)
-class Instruments:
-    """The three instruments of a rig and the clock they live by."""
-
-    mirror: Mirror
-    recorder: Recorder
-    player: Player
-    clock: Clock
-
-
 def uncounted(name: str) -> str:
     """A device's name without the number that Windows puts before it when it meets it in another socket."""
     return re.sub(r"(^|\()\d{1,3}- ", r"\1", name)

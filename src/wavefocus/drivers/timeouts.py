@@ -13,7 +13,6 @@ from wavefocus.drivers.protocols import (
     DeviceIdentity,
     Float64Array,
     Instrument,
-    Instruments,
     Mirror,
     Player,
     Recorder,
@@ -142,21 +141,6 @@ Role = Literal["mirror", "recorder", "player"]
 # Opening a device afresh comprises several answers, and some boot.
 RECONNECTING = 3.0
 _REMEDY = "its driver hangs: switch the instrument off and on or plug it in again, and restart its server if it has one"
-
-
-def bounded(instruments: Instruments, hung_after_s: float) -> Instruments:
-    """The same three instruments, their calls in threads of their own, so that every call ends.
-
-    A call that takes `hung_after_s` (> 0, longer than any answer that the drivers themselves wait for) longer than the
-    operation itself on the wall's clock raises `InstrumentLostError`, with the role noted. Afterwards the instrument
-    does nothing but fall silent, park and close, until it has been connected afresh.
-    """
-    return Instruments(
-        mirror=BoundedMirror(instruments.mirror, hung_after_s),
-        recorder=BoundedRecorder(instruments.recorder, hung_after_s),
-        player=BoundedPlayer(instruments.player, hung_after_s),
-        clock=instruments.clock,
-    )
 
 
 class _Bounded(Instrument, Generic[Device]):

@@ -146,8 +146,8 @@ class CalibrationSession:
         Raises InputError: angles that no map can be fitted through, or an operator who is gone. Raises InstrumentError:
         of the instrument that failed for good.
         """
-        self._names = dict(zip(("mirror", "recorder", "player"), names_of(setup.instruments), strict=True))
-        self._identities = identities_of(setup.instruments)
+        self._names = names_of(setup)
+        self._identities = identities_of(setup)
         operator.plug = plug
         try:
             for part in PARTS:

@@ -6,13 +6,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from wavefocus.acquisition.setup import identities_of
 from wavefocus.campaign.blueprint import Blueprint
 from wavefocus.config.calibration import PARTS
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import plan_sha256
 from wavefocus.console import say
-from wavefocus.drivers.protocols import DeviceIdentity, Instruments
+from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.storage.errors import InputError
 
 _ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
@@ -104,14 +103,14 @@ def with_one_calibration(
     return blueprint
 
 
-def refuse_other_devices(rig: RigConfig, instruments: Instruments, bank: Path, *, accept: bool) -> None:
+def refuse_other_devices(rig: RigConfig, identities: Mapping[str, DeviceIdentity], bank: Path, *, accept: bool) -> None:
     """Refuse to go on in a bank with instruments that its calibration was not made on.
 
     Raises InputError: an instrument is another one, and nobody accepts it.
     """
     if rig.calibration.measured is None or accept:
         return
-    if strangers := calibrated_elsewhere(rig, identities_of(instruments)):
+    if strangers := calibrated_elsewhere(rig, identities):
         raise InputError(
             f"{bank}: {'; '.join(strangers.values())}; plug the right one in, start a new bank with a new calibration, "
             "or go on all the same by wavefocus resume with --accept-calibration"

@@ -1,4 +1,4 @@
-"""From a rig's configuration to its instruments: which driver opens each, and in what order."""
+"""From a rig's configuration to its instruments: which driver opens each."""
 
 import atexit
 import re
@@ -16,7 +16,7 @@ from wavefocus.config.run import Virtual
 from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
-from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, Shutter, WallClock
+from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder, Shutter, WallClock
 from wavefocus.drivers.registry import (
     MirrorSettings,
     Outputs,
@@ -24,7 +24,6 @@ from wavefocus.drivers.registry import (
 )
 from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
-from wavefocus.drivers.timeouts import RECONNECTING, in_time
 from wavefocus.storage.errors import BankBusyError
 from wavefocus.storage.ledger.owner import claimed
 
@@ -38,38 +37,19 @@ def openers_of(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool
     realtime: A virtual rig's seconds last as long as the wall's; by default they take no time.
     outputs: Outputs of the player to open, where more are needed than the rig file wires.
     """
-    limit_s = RECONNECTING * rig.recovery.hung_after_s
     if rig.is_virtual:
         from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
 
         bench = virtual_rig(rig, virtual, realtime=realtime, outputs=outputs)
-        roles = bench.instruments
         return Openers(
-            roles.clock, lambda: _with_shutter(rig, roles.mirror, roles.clock), lambda: roles.recorder,
-            lambda: roles.player, lambda: _vibrometer(rig), limit_s, bench.patch_bay.connect, bench.sensors,
+            rig, bench.clock, lambda: _with_shutter(rig, bench.mirror, bench.clock), lambda: bench.recorder,
+            lambda: bench.player, lambda: _vibrometer(rig), bench.patch_bay.connect, bench.sensors,
         )  # fmt: skip
     clock = WallClock()
     return Openers(
-        clock, lambda: _with_shutter(rig, _mirror(rig, clock), clock), lambda: _recorder(rig),
-        lambda: _player(rig, outputs), lambda: _vibrometer(rig), limit_s,
+        rig, clock, lambda: _with_shutter(rig, _mirror(rig, clock), clock), lambda: _recorder(rig),
+        lambda: _player(rig, outputs), lambda: _vibrometer(rig),
     )  # fmt: skip
-
-
-def open_instruments(openers: Openers) -> tuple[Instruments, VibrometerReading]:
-    """Open every instrument, one after the other; when one fails, those before it are shut down.
-
-    Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile.
-    """
-    with ExitStack() as opened:
-        vibrometer = in_time("vibrometer", "opening", openers.vibrometer, openers.limit_s)
-        mirror = in_time("mirror", "opening", openers.mirror, openers.limit_s)
-        opened.callback(mirror.close)
-        opened.callback(mirror.park)
-        recorder = in_time("recorder", "opening", openers.recorder, openers.limit_s)
-        opened.callback(recorder.close)
-        player = in_time("player", "opening", openers.player, openers.limit_s)
-        opened.pop_all()  # from here on the caller shuts them down
-    return Instruments(mirror, recorder, player, openers.clock), vibrometer
 
 
 def _mirror(rig: RigConfig, clock: Clock) -> Mirror:

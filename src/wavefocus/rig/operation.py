@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from wavefocus.acquisition.manual import ManualMeasurements, excitation_of
-from wavefocus.acquisition.setup import Sensor, Setup, names_of, naming_role, silence
+from wavefocus.acquisition.setup import SETTLE_S, Sensor, Setup, names_of, naming_role, silence
 from wavefocus.config.messages import Message, MessageError, Refused, tag
 from wavefocus.config.messages.operate import (
     ORDERS,
@@ -131,10 +131,9 @@ class Operation:
         Raises InstrumentError: an instrument does not say who it is.
         """
         rig, setup = self._rig, self._setup
-        mirror, recorder, player = names_of(setup.instruments)
         measured = rig.calibration.measured
         ready = Ready(
-            name=rig.rig.name, instruments={"mirror": mirror, "recorder": recorder, "player": player},
+            name=rig.rig.name, instruments=names_of(setup),
             surface=SurfaceSize(**rig.surface.model_dump()),
             actuator_mm=tuple((x_mm, y_mm) for x_mm, y_mm in rig.actuator_mm.tolist()),
             mapped=measured is not None and measured.mirror is not None, limit_mrad=rig.mirror.limit_mrad,
@@ -164,7 +163,7 @@ class Operation:
                 self._jog(order)
             case Park():
                 with naming_role("mirror"):
-                    self._setup.instruments.mirror.park()
+                    self._setup.mirror.park()
                 self._move_spot(self._rig.mirror.park_mrad, parked=True)
             case ShowLevel():
                 self._every_s = order.every_s if order.on else None
@@ -182,7 +181,7 @@ class Operation:
                 self._publish(self._spot)
             case Reconnect():
                 with naming_role(order.instrument):
-                    getattr(self._setup.instruments, order.instrument).reconnect()
+                    getattr(self._setup, order.instrument).reconnect()
                 self._publish(Reconnected(order.instrument))
 
     def _jog(self, order: Jog) -> None:
@@ -197,15 +196,15 @@ class Operation:
             raise InputError(
                 f"jog: ({x_mrad:.3f}, {y_mrad:.3f}) mrad is beyond mirror.limit_mrad, {limit_mrad:g}: not moved"
             )
-        mirror = self._setup.instruments.mirror
+        mirror = self._setup.mirror
         with naming_role("mirror"):
             mirror.move_to(x_mrad, y_mrad)
-            mirror.wait_settled(self._setup.settle_timeout_s)
+            mirror.wait_settled(SETTLE_S)
         self._move_spot((x_mrad, y_mrad), parked=False)
 
     def _mute(self) -> None:
         self._every_s = None
-        failures = silence(self._setup.instruments)
+        failures = silence(self._setup)
         self._player.open()
         self._publish(LevelsSwitched(False))
         if failures:

@@ -1,7 +1,7 @@
 """Instruments that are open, watched, bounded in time and put to rest at the end; the delay between their inputs."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,6 +13,7 @@ from wavefocus.acquisition.setup import (
     Sensor,
     Setup,
     Watch,
+    bounded,
     identities_of,
     try_all,
     wired,
@@ -25,9 +26,9 @@ from wavefocus.console import say, spinner
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Recorder
 from wavefocus.drivers.registry import VibrometerReading
-from wavefocus.drivers.timeouts import BoundedPlayer, BoundedRecorder, bounded, in_time
+from wavefocus.drivers.timeouts import BoundedPlayer, BoundedRecorder, in_time
 from wavefocus.rig.calibration_validity import calibration_warnings
-from wavefocus.rig.instruments import SAME_SENSITIVITY, open_instruments, openers_of, read_vibrometer
+from wavefocus.rig.instruments import SAME_SENSITIVITY, openers_of, read_vibrometer
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
@@ -55,11 +56,11 @@ def open_setup(
     openers = openers_of(rig, virtual, realtime=realtime, outputs=outputs)
     rate_hz = None if run is None else run.capture.sample_rate_hz
     with spinner("opening the instruments"):
-        opened = open_rig(rig, openers)
+        opened = open_rig(openers)
     with setup_in_use(opened, rig, rate_hz, bank) as setup:
         if rig.calibration.measured is not None:
             say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
-            for warning in calibration_warnings(rig, identities_of(setup.instruments)):
+            for warning in calibration_warnings(rig, identities_of(setup)):
                 say(f"warning: {warning}")
         yield setup
 
@@ -79,16 +80,26 @@ def setup_in_use(
         yield setup if sample_rate_hz is None else _with_input_delay(setup, rig, sample_rate_hz, bank)
 
 
-def open_rig(rig: RigConfig, openers: Openers) -> Setup:
-    """Open every instrument of a rig, with its wiring, its calibration and what is watched.
+def open_rig(openers: Openers) -> Setup:
+    """Open every instrument of a rig, one after the other; when one fails, those before it are shut down.
 
-    Raises InstrumentError: see `wavefocus.rig.instruments.open_instruments`.
+    Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile.
     """
-    opened, vibrometer = open_instruments(openers)
-    setup = wired(rig, bounded(opened, rig.recovery.hung_after_s), vibrometer)
-    watch, asked_v = watch_of(rig, opened.recorder, vibrometer, openers.sensors), rig.recorder.response_ranges_v
+    rig = openers.rig
+    with ExitStack() as opened:
+        vibrometer = in_time("vibrometer", "opening", openers.vibrometer, openers.limit_s)
+        mirror = in_time("mirror", "opening", openers.mirror, openers.limit_s)
+        opened.callback(mirror.close)
+        opened.callback(mirror.park)
+        recorder = in_time("recorder", "opening", openers.recorder, openers.limit_s)
+        opened.callback(recorder.close)
+        player = in_time("player", "opening", openers.player, openers.limit_s)
+        opened.pop_all()  # from here on the caller shuts them down
+    setup = wired(rig, mirror, recorder, player, openers.clock, vibrometer)
+    watch, asked_v = watch_of(rig, recorder, vibrometer, openers.sensors), rig.recorder.response_ranges_v
     # The response may step up to the rig file's ranges, or to all that the recorder says it has.
-    return replace(setup, watch=watch, response_ranges_v=opened.recorder.input_ranges_v if asked_v is None else asked_v)
+    ranges_v = recorder.input_ranges_v if asked_v is None else asked_v
+    return replace(bounded(setup, rig.recovery.hung_after_s), watch=watch, response_ranges_v=ranges_v)
 
 
 @contextmanager
@@ -206,7 +217,7 @@ def _with_input_delay(setup: Setup, rig: RigConfig, sample_rate_hz: float, bank:
 
     Raises InstrumentLostError. Raises InputError: the recorder's delay is not the one that the bank was begun with.
     """
-    stated_s, device_s = rig.recorder.inter_channel_delay_s, _device_delay_s(setup.instruments.recorder, sample_rate_hz)
+    stated_s, device_s = rig.recorder.inter_channel_delay_s, _device_delay_s(setup.recorder, sample_rate_hz)
     begun_s = None if bank is None or _is_calibrated(rig) else bank.header.inter_channel_delay_s
     if begun_s is not None:
         used_s, source = begun_s, "the bank"

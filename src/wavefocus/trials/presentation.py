@@ -114,11 +114,11 @@ class RigPresenter:
         self._clock_fit = ClockFitter(self._marker_v)
         self._latency_s = _latency_s(setup)
         self._note: Callable[[str], object] = lambda sentence: None
-        session = Session(setup.instruments.clock, self._follow, StopRequest())
+        session = Session(setup.clock, self._follow, StopRequest())
         session.enter(State.RUNNING, "trials")
         self._recovery = Recovery(setup, session)
         with naming_role("mirror"):
-            setup.instruments.mirror.park()
+            setup.mirror.park()
 
     def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
         """Play a stimulus to its end and find its onset.
@@ -154,7 +154,7 @@ class RigPresenter:
 
     def mute(self) -> None:
         """Silence all outputs, and drop a record under way."""
-        silence(self._setup.instruments)
+        silence(self._setup)
 
     def signals_v(self, sound: Sound, label: RecordLabel) -> tuple[Mapping[int, Float64Array], int]:
         """Volts of all channels that sound, and the sample of the onset."""
@@ -176,7 +176,7 @@ class RigPresenter:
         return signals, onset
 
     def _once(self, sound: Sound, label: RecordLabel) -> Onset:
-        clock, rate_hz = self._setup.instruments.clock, self._rate_hz
+        clock, rate_hz = self._setup.clock, self._rate_hz
         signals_v, onset = self.signals_v(sound, label)
         at_s: dict[Step, float] = {}
         recording = take_record(
@@ -208,6 +208,6 @@ class RigPresenter:
 
 def _latency_s(setup: Setup) -> float | None:
     try:
-        return getattr(setup.instruments.player, "latency_s", None)
+        return getattr(setup.player, "latency_s", None)
     except InstrumentError:  # its driver states none
         return None

@@ -73,7 +73,7 @@ class Campaign:
         unvouched: Sequence[int] = (),
     ) -> None:
         self._plan, self._setup, self._bank, self._raw, self._stop = plan, setup, bank, raw, stop
-        self._session = session = Session(setup.instruments.clock, publish, stop)
+        self._session = session = Session(setup.clock, publish, stop)
         self._report = CampaignReport(plan, setup, bank, session)
         self._station = station = Station(plan, setup, session, bank.reference_before_db)
         self._drift = DriftWatch(station, bank, self._report, self._marked_suspects, unvouched)
@@ -118,8 +118,8 @@ class Campaign:
         self._neighbours_judged = again or self._neighbours.is_done(self._rows_of_session)
         state, reason = State.FINISHED, "every position is committed"
         try:
-            names = self._station.recovery.retry_after_reconnect(lambda: names_of(self._setup.instruments))
-            self._report.start(rows, names, second_looks=not self._neighbours_judged)
+            names = self._station.recovery.retry_after_reconnect(lambda: names_of(self._setup))
+            self._report.start(rows, tuple(names.values()), second_looks=not self._neighbours_judged)
             with one_blas_thread(), self._worker:
                 self._walk()
             if self._stop.requested and (self._queue or self._due_again() or self._owes_a_look):

@@ -184,7 +184,7 @@ class Recovery:
 
     def _silence(self, lost: dict[str, InstrumentError]) -> None:
         """Mute the player and drop the record; an instrument that cannot be silenced is lost, too."""
-        for failure in silence(self._setup.instruments):
+        for failure in silence(self._setup):
             lost.setdefault(failure.role, failure)
 
     def _reconnect(self, role: str, failure: InstrumentError, since_s: float, gives_up_wall_s: float) -> None:
@@ -198,7 +198,7 @@ class Recovery:
             self._session.wait(wait_s, f" while {failure.instrument} was gone")
             self._tries[role] += 1
             try:
-                getattr(self._setup.instruments, role).reconnect()
+                getattr(self._setup, role).reconnect()
             except (InstrumentLostError, TransientInstrumentError) as absent:
                 if isinstance(failure, UnknownFaultError) and isinstance(absent, UnknownFaultError):
                     absent.role = role
@@ -340,10 +340,10 @@ class Suspension:
 
     def _rest(self) -> None:
         """Mute and park; an instrument that fails at that is met again, and waited for, when it is needed."""
-        failures = silence(self._setup.instruments)
+        failures = silence(self._setup)
         try:
             with naming_role("mirror"):
-                self._setup.instruments.mirror.park()
+                self._setup.mirror.park()
         except InstrumentError as failure:
             failures.append(failure)
         for fault in failures:

@@ -29,7 +29,7 @@ class CampaignReport:
         self._second_looks = self._plan.second_looks(rows) if second_looks else 0
         size = self._plan.positions, self._plan.actuators, self._done(), len(rows)
         planned_s = self._plan.campaign_s(rows, self._setup)
-        devices = identities_of(self._setup.instruments)
+        devices = identities_of(self._setup)
         self._session.publish(campaign.SessionStarted, str(self._bank.path), *size, planned_s, instruments, devices)
         self._session.enter(State.RUNNING, f"{len(rows)} positions to do")
         rig_s, wall_s = self._session.working_s()

@@ -165,7 +165,7 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
     Raises InputError: sequential sweeps show responses longer than the taps, or no attempt has a usable reference.
     InstrumentError: an instrument failed for good.
     """
-    clock, sweep = setup.instruments.clock, plan.excitation
+    clock, sweep = setup.clock, plan.excitation
     # The position nearest to the middle of the grid.
     middle = (plan.position_mm.min(axis=0) + plan.position_mm.max(axis=0)) / 2
     position = int(np.argmin(np.hypot(*(plan.position_mm - middle).T)))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wavefocus.config.emulation import RigFault
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Float32Array, Instruments, Recorder, Recording, RecordLabel, RecordRequest
+from wavefocus.drivers.protocols import Float32Array, Recorder, Recording, RecordLabel, RecordRequest
 from wavefocus.mocks.virtual import (
     DROPOUT,
     GROWING,
@@ -265,7 +265,7 @@ class VirtualRig:
 
     settings: The rig; the default rig, if absent.
 
-    instruments: The three instruments and their clock.
+    mirror, recorder, player, clock: The three instruments and their clock.
     patch_bay: What is plugged into the response input; the vibrometer, until somebody plugs in something else.
     sensors: ``"room"`` and ``"light"``.
     """
@@ -274,16 +274,15 @@ class VirtualRig:
         self.settings = settings or VirtualSettings()
         self._synthesis = Synthesis(self.settings)
         self.patch_bay = PatchBay(self.settings.channel_of_actuator, self.settings.channel_of_loopback)
-        clock = VirtualClock(realtime=self.settings.realtime)
-        mirror = VirtualMirror(self.settings, clock)
-        player = VirtualPlayer(self.settings, clock)
-        recorder = _VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
-        player.follow(recorder.label_under_way)
+        self.clock = clock = VirtualClock(realtime=self.settings.realtime)
+        self.mirror = mirror = VirtualMirror(self.settings, clock)
+        self.player = player = VirtualPlayer(self.settings, clock)
+        self.recorder = _VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
+        player.follow(self.recorder.label_under_way)
         self.sensors = {
             "room": sensor_of(clock, self.settings.room_c),
             "light": sensor_of(clock, self.settings.light),
         }
-        self.instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
 
     def truth(self, x_mm: float, y_mm: float, taps: int, sample_rate_hz: float = 10_000.0) -> NDArray[np.float64]:
         """The plate's true Green's functions at one point, for tests and the demo's last line.

@@ -47,7 +47,7 @@ def measure_sentinel(plan: Plan, setup: Setup, bank: Bank, publish: Subscriber =
         return ""
     attempts, moved_mm, peak_v = (bank.quality[name][position] for name in ("attempts", "moved_mm", "peak_v"))
     attempt = as_measured(position, int(attempts), float(moved_mm), peak_v, setup, plan)
-    session = Session(setup.instruments.clock, publish, StopRequest())
+    session = Session(setup.clock, publish, StopRequest())
     session.enter(State.RUNNING, f"sentinel position {position} to measure")
     with one_blas_thread():
         result = Station(plan, setup, session).measure(attempt, "sentinel", says_nothing)

@@ -50,7 +50,7 @@ def _scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64
     if actuators != len(setup.actuator_channels):
         there = len(setup.actuator_channels)
         raise InputError(f"the drive is for {actuators} actuators; the rig has {there}")
-    full_scale_v = setup.instruments.player.full_scale_v
+    full_scale_v = setup.player.full_scale_v
     peak_v = np.max(np.abs(drive.drive_v), axis=1, initial=0.0)
     loudest = int(np.argmax(peak_v))
     if not peak_v[loudest] <= full_scale_v:
@@ -69,7 +69,7 @@ def marker_v(setup: Setup, samples: int, rate_hz: float) -> Float64Array:
     It runs from 20 Hz to 1 kHz, or to 0.4 of the rate where that is lower, at half of full scale or 0.7 of the
     reference input's range, faded at both ends.
     """
-    amplitude_v = min(0.5 * setup.instruments.player.full_scale_v, 0.7 * setup.range_v[0] / setup.reference_gain)
+    amplitude_v = min(0.5 * setup.player.full_scale_v, 0.7 * setup.range_v[0] / setup.reference_gain)
     time_s = np.arange(samples) / rate_hz
     stop_hz = min(0.4 * rate_hz, 1000.0)
     slope = (stop_hz - _MARKER_START_HZ) / (samples / rate_hz)
@@ -197,7 +197,7 @@ def scan(
 
     Returns the field on the samples of ``predict(drive, bank)``.
     """
-    session = Session(setup.instruments.clock, publish, StopRequest())
+    session = Session(setup.clock, publish, StopRequest())
     session.enter(State.RUNNING, f"{len(position)} positions to scan")
     run = _ScanRun(position, setup, drive, bank, Recovery(setup, session), attempts, purpose, on_progress, journal)
     return run.run()
