@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.lab_files import rig_fault, setup_of
-from wavefocus.acquisition.setup import bounded
+from tests.lab_files import rig_fault
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import DriverProcess
 from wavefocus.drivers.protocols import Mirror, Player, Recorder, WallClock
@@ -50,11 +49,11 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_it_unless_it_is_ur
 
 def test_a_failure_comes_with_its_role_and_closed_instruments_say_so_and_close_twice():
     rig = VirtualRig(VirtualSettings(fault_plan=(rig_fault("mirror", "move_to", "lost", at_call=1),)))
-    roles = bounded(setup_of(rig), 5.0)
+    mirror = BoundedMirror(rig.mirror, 5.0)
     with pytest.raises(InstrumentLostError, match="does not answer any more") as lost:
-        roles.mirror.move_to(0.0, 0.0)
+        mirror.move_to(0.0, 0.0)
     assert lost.value.role == "mirror"
-    for instrument in (roles.mirror, roles.recorder, roles.player):
+    for instrument in (mirror, BoundedRecorder(rig.recorder, 5.0), BoundedPlayer(rig.player, 5.0)):
         instrument.close()
         instrument.close()
         with pytest.raises(InstrumentError, match="closed"):

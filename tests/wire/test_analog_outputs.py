@@ -15,7 +15,7 @@ from tests.lab_files import change_text, setup_of, wire_fault
 from tests.system.lines import wait_until
 from tests.wire.daq_bench import Tone, check_tone, take_one
 from tests.wire.emulated import analog_rig
-from wavefocus.acquisition.setup import bounded, silence
+from wavefocus.acquisition.setup import silence
 from wavefocus.commands.doctor import shutter_findings
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
@@ -23,6 +23,7 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Shutter
 from wavefocus.drivers.shutter import ShutteredMirror
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
+from wavefocus.drivers.timeouts import BoundedMirror, BoundedPlayer, BoundedRecorder
 from wavefocus.mocks.virtual.mirror import MirrorMotion, VirtualShutter
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.wire.emulated_rig import analog_scanner
@@ -209,15 +210,17 @@ def test_a_shutter_that_opens_at_a_low_level_is_moved_on_its_own_box_alone(box):
 
 
 def test_given_another_instrument_fails_then_silence_closes_the_shutter(box):
-    virtual, shutter = VirtualRig(), VirtualShutter()
-    mirror = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
-    shuttered = setup_of(virtual, mirror=mirror)
-    for plain in (shuttered, setup_of(VirtualRig())):
-        setup = bounded(plain, 20.0)
+    virtual, plain, shutter = VirtualRig(), VirtualRig(), VirtualShutter()
+    shuttered = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
+    for rig, mirror in ((virtual, shuttered), (plain, plain.mirror)):
+        setup = setup_of(
+            rig, mirror=BoundedMirror(mirror, 20.0), recorder=BoundedRecorder(rig.recorder, 20.0),
+            player=BoundedPlayer(rig.player, 20.0),
+        )  # fmt: skip
         for instrument in (setup.mirror, setup.recorder, setup.player):
             box.closed(instrument)
         arrives(setup.mirror, 1.0, 1.0)
-        assert shutter.is_open is (plain is shuttered)
+        assert shutter.is_open is (mirror is shuttered)
         assert silence(setup) == []
         assert not shutter.is_open
 

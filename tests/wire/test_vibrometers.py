@@ -19,8 +19,8 @@ from wavefocus.mocks.wire import WireFaultPlan
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.mirrors import GenericMirrorDevice
 from wavefocus.mocks.wire.vibrometer import VIBROMETER_DRIVERS, Ofv3001Device, PolytecDevice, vibrometer_device
-from wavefocus.rig.instruments import openers_of
-from wavefocus.rig.setup import WatchedVibrometer, range_band
+from wavefocus.rig.instruments import WatchedVibrometer, openers_of
+from wavefocus.rig.setup import range_band
 
 DEVICES = {"polytec-ofv5000": PolytecDevice, "polytec-ofv3001": Ofv3001Device}
 NEWER, OLDER = DEVICES

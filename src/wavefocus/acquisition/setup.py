@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from wavefocus.calibration import Float64Array
@@ -21,7 +21,7 @@ from wavefocus.drivers.protocols import (
     RecordRequest,
 )
 from wavefocus.drivers.registry import VibrometerReading
-from wavefocus.drivers.timeouts import RECONNECTING, BoundedMirror, BoundedPlayer, BoundedRecorder, Role
+from wavefocus.drivers.timeouts import RECONNECTING, Role
 
 if TYPE_CHECKING:
     from wavefocus.config.rig import BandSection, RigConfig
@@ -93,7 +93,7 @@ class Openers:
 
     clock: The time that the instruments live by.
     connect: Plugs the response input of a virtual rig into one of its outputs, or into the vibrometer.
-    sensors: Those of a virtual rig's surroundings.
+    sensors: Those that need no instrument: of a vibrometer's controller, and of a virtual rig's surroundings.
     """
 
     rig: RigConfig
@@ -214,21 +214,6 @@ def wired(
         pre_roll_s=wiring.pre_roll_s,
         post_roll_s=wiring.post_roll_s,
         recovery_s=rig.recovery.give_up_after_s,
-    )
-
-
-def bounded(setup: Setup, hung_after_s: float) -> Setup:
-    """The same three instruments, their calls in threads of their own, so that every call ends.
-
-    A call that takes `hung_after_s` (> 0, longer than any answer that the drivers themselves wait for) longer than the
-    operation itself on the wall's clock raises `InstrumentLostError`, with the role noted. Afterwards the instrument
-    does nothing but fall silent, park and close, until it has been connected afresh.
-    """
-    return replace(
-        setup,
-        mirror=BoundedMirror(setup.mirror, hung_after_s),
-        recorder=BoundedRecorder(setup.recorder, hung_after_s),
-        player=BoundedPlayer(setup.player, hung_after_s),
     )
 
 

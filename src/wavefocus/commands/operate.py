@@ -6,7 +6,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from wavefocus.acquisition.setup import Sensor
+from wavefocus.acquisition.setup import Openers, Sensor
 from wavefocus.config.messages import Refused
 from wavefocus.config.messages.operate import Done, End, Ended, Mute, Opening
 from wavefocus.config.rig import RigConfig
@@ -18,7 +18,7 @@ from wavefocus.ending import ending_at_once
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
 from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
-from wavefocus.rig.setup import WatchedVibrometer, in_time_or_failed, open_rig, setup_in_use
+from wavefocus.rig.setup import in_time_or_failed, open_rig, setup_in_use
 from wavefocus.storage.errors import InputError
 
 
@@ -54,7 +54,7 @@ def _operate(rig: RigConfig, publish: LinesOut) -> None:
     with setup_in_use(open_rig(openers), rig, SAMPLE_RATE_HZ) as setup:
         player = setup.player
         assert isinstance(player, BoundedPlayer)  # as every player of a set-up
-        operation = Operation(rig, setup, player, _light(rig, openers.sensors), publish)
+        operation = Operation(rig, setup, player, _light(openers), publish)
         operation.introduce()
         _carry_out(operation, player, rig, publish)
 
@@ -114,8 +114,8 @@ def _done(content: Mapping[str, object]) -> Done:
     )
 
 
-def _light(rig: RigConfig, virtual_sensors: Mapping[str, Sensor]) -> Sensor | None:
-    sensor = virtual_sensors.get("light")
-    if sensor is None and rig.vibrometer.port and hasattr(rig.vibrometer.make_driver(), "least_signal_level"):
-        sensor = WatchedVibrometer(rig.vibrometer).light
-    return None if sensor is None else in_time_or_failed("light", sensor, rig.recovery.hung_after_s)
+def _light(openers: Openers) -> Sensor | None:
+    rig, sensor = openers.rig, openers.sensors.get("light")
+    if sensor is None or not (rig.is_virtual or hasattr(rig.vibrometer.make_driver(), "least_signal_level")):
+        return None
+    return in_time_or_failed("light", sensor, rig.recovery.hung_after_s)

@@ -144,7 +144,12 @@ _REMEDY = "its driver hangs: switch the instrument off and on or plug it in agai
 
 
 class _Bounded(Instrument, Generic[Device]):
-    """An instrument whose every call ends."""
+    """An instrument with its calls in a thread of its own, so that every call ends.
+
+    A call that takes `hung_after_s` (> 0, longer than any answer that the drivers themselves wait for) longer than the
+    operation itself on the wall's clock raises `InstrumentLostError`, with the role noted. Afterwards the instrument
+    does nothing but fall silent, park and close, until it has been connected afresh.
+    """
 
     _role: Role
 

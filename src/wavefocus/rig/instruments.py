@@ -45,10 +45,11 @@ def openers_of(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool
             rig, bench.clock, lambda: _with_shutter(rig, bench.mirror, bench.clock), lambda: bench.recorder,
             lambda: bench.player, lambda: _vibrometer(rig), bench.patch_bay.connect, bench.sensors,
         )  # fmt: skip
-    clock = WallClock()
+    clock, watched = WallClock(), WatchedVibrometer(rig.vibrometer)
+    sensors = {} if rig.vibrometer.port is None else {"light": watched.light, "range": watched.sensitivity}
     return Openers(
         rig, clock, lambda: _with_shutter(rig, _mirror(rig, clock), clock), lambda: _recorder(rig),
-        lambda: _player(rig, outputs), lambda: _vibrometer(rig),
+        lambda: _player(rig, outputs), lambda: _vibrometer(rig), sensors=sensors,
     )  # fmt: skip
 
 
@@ -166,6 +167,29 @@ def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> V
             section.port or "", baud=section.baud, identity=section.identity, any_level=any_level
         )
         return reading
+
+
+class WatchedVibrometer:
+    """Signal level and sensitivity of a Polytec controller; where both are watched, from the same answers."""
+
+    def __init__(self, section: VibrometerSection) -> None:
+        self._section = section
+        self._reading: VibrometerReading | None = None
+
+    def light(self) -> float:
+        """Share of full signal level, 0 to 1."""
+        self._reading = None
+        self._reading = reading = read_vibrometer(self._section, any_level=True)
+        if reading.signal_level is None:
+            raise InstrumentError(
+                reading.identity, "asking the signal level", "it has none", "leave watch.light out of the rig file"
+            )
+        return reading.signal_level
+
+    def sensitivity(self) -> float:
+        """Metres per second per volt that it is set to."""
+        reading, self._reading = self._reading, None
+        return (reading or read_vibrometer(self._section, any_level=True)).sensitivity_m_s_per_v
 
 
 def _vibrometer(rig: RigConfig) -> VibrometerReading:

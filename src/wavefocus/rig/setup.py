@@ -1,6 +1,6 @@
 """Instruments that are open, watched, bounded in time and put to rest at the end; the delay between their inputs."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -13,22 +13,20 @@ from wavefocus.acquisition.setup import (
     Sensor,
     Setup,
     Watch,
-    bounded,
     identities_of,
     try_all,
     wired,
 )
 from wavefocus.config.calibration import calibrated
 from wavefocus.config.rig import BandSection, RigConfig, RoomSection
-from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say, spinner
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Recorder
 from wavefocus.drivers.registry import VibrometerReading
-from wavefocus.drivers.timeouts import BoundedPlayer, BoundedRecorder, in_time
+from wavefocus.drivers.timeouts import BoundedMirror, BoundedPlayer, BoundedRecorder, in_time
 from wavefocus.rig.calibration_validity import calibration_warnings
-from wavefocus.rig.instruments import SAME_SENSITIVITY, openers_of, read_vibrometer
+from wavefocus.rig.instruments import SAME_SENSITIVITY, openers_of
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
@@ -85,7 +83,7 @@ def open_rig(openers: Openers) -> Setup:
 
     Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile.
     """
-    rig = openers.rig
+    rig, hung_after_s = openers.rig, openers.rig.recovery.hung_after_s
     with ExitStack() as opened:
         vibrometer = in_time("vibrometer", "opening", openers.vibrometer, openers.limit_s)
         mirror = in_time("mirror", "opening", openers.mirror, openers.limit_s)
@@ -95,11 +93,14 @@ def open_rig(openers: Openers) -> Setup:
         opened.callback(recorder.close)
         player = in_time("player", "opening", openers.player, openers.limit_s)
         opened.pop_all()  # from here on the caller shuts them down
-    setup = wired(rig, mirror, recorder, player, openers.clock, vibrometer)
-    watch, asked_v = watch_of(rig, recorder, vibrometer, openers.sensors), rig.recorder.response_ranges_v
+    setup = wired(
+        rig, BoundedMirror(mirror, hung_after_s), BoundedRecorder(recorder, hung_after_s),
+        BoundedPlayer(player, hung_after_s), openers.clock, vibrometer,
+    )  # fmt: skip
+    watch, asked_v = watch_of(openers, recorder, vibrometer), rig.recorder.response_ranges_v
     # The response may step up to the rig file's ranges, or to all that the recorder says it has.
     ranges_v = recorder.input_ranges_v if asked_v is None else asked_v
-    return replace(bounded(setup, rig.recovery.hung_after_s), watch=watch, response_ranges_v=ranges_v)
+    return replace(setup, watch=watch, response_ranges_v=ranges_v)
 
 
 @contextmanager
@@ -144,29 +145,6 @@ def room_c(recorder: Any, section: RoomSection) -> float:
     return section.celsius_at_0_v + section.celsius_per_v * float(recorder.read_input_v(section.input))
 
 
-class WatchedVibrometer:
-    """Signal level and sensitivity of a Polytec controller; where both are watched, from the same answers."""
-
-    def __init__(self, section: VibrometerSection) -> None:
-        self._section = section
-        self._reading: VibrometerReading | None = None
-
-    def light(self) -> float:
-        """Share of full signal level, 0 to 1."""
-        self._reading = None
-        self._reading = reading = read_vibrometer(self._section, any_level=True)
-        if reading.signal_level is None:
-            raise InstrumentError(
-                reading.identity, "asking the signal level", "it has none", "leave watch.light out of the rig file"
-            )
-        return reading.signal_level
-
-    def sensitivity(self) -> float:
-        """Metres per second per volt that it is set to."""
-        reading, self._reading = self._reading, None
-        return (reading or read_vibrometer(self._section, any_level=True)).sensitivity_m_s_per_v
-
-
 def range_band(sensitivity_m_s_per_v: float) -> AllowedRange:
     """The range that a session began with, and no other."""
     least, most = ((1 + off) * sensitivity_m_s_per_v for off in (-SAME_SENSITIVITY, SAME_SENSITIVITY))
@@ -180,13 +158,10 @@ def in_time_or_failed(name: str, sensor: Sensor, limit_s: float) -> Sensor:
     return partial(in_time, f"sensor {name}", "reading", sensor, limit_s)
 
 
-def watch_of(
-    rig: RigConfig, recorder: Recorder, vibrometer: VibrometerReading, virtual_sensors: Mapping[str, Sensor]
-) -> Watch:
+def watch_of(openers: Openers, recorder: Recorder, vibrometer: VibrometerReading) -> Watch:
     """What a rig's configuration says is to be watched, with the sensors for it."""
-    section, watched = rig.watch, WatchedVibrometer(rig.vibrometer)
+    rig, section, sensors = openers.rig, openers.rig.watch, dict(openers.sensors)
     bands: dict[str, AllowedRange] = {}
-    sensors: dict[str, Sensor] = {}
     for name, band, words, unit in (
         ("reference", section.reference, "reference level", "dB"),
         ("noise", section.noise, "vibrometer noise", "V"),
@@ -195,17 +170,15 @@ def watch_of(
     ):
         if band is not None:
             bands[name] = AllowedRange(words, unit, band)
-    for name in sorted(bands.keys() & {"light", "room"}):
-        if rig.is_virtual:
-            sensors[name] = virtual_sensors[name]
-        elif name == "light":
-            sensors[name] = watched.light
-        elif section.room is not None:
-            sensors[name] = partial(room_c, recorder, section.room)
-    if rig.vibrometer.port is not None and not rig.is_virtual:
+    if section.room is not None and not rig.is_virtual:
+        sensors["room"] = partial(room_c, recorder, section.room)
+    if "range" in sensors:
         bands["range"] = range_band(vibrometer.sensitivity_m_s_per_v)
-        sensors["range"] = watched.sensitivity
-    bounded = {name: in_time_or_failed(name, one, rig.recovery.hung_after_s) for name, one in sensors.items()}
+    bounded: dict[str, Sensor] = {
+        name: in_time_or_failed(name, sensors[name], rig.recovery.hung_after_s)
+        for name in ("light", "room", "range")
+        if name in bands
+    }
     return Watch(bands, bounded, section.probe_every_s, section.give_up_after_s)
 
 
