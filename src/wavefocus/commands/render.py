@@ -21,14 +21,7 @@ from wavefocus.rendering.field.foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import field_unit
 from wavefocus.rendering.field.quiet_levels import quiet_levels, rendered_levels
 from wavefocus.rendering.scene.model import load_scene
-from wavefocus.rig.limits import (
-    DEFAULT_FULL_SCALE_V,
-    DEFAULT_INTERFACE_RATE_HZ,
-    interface_of,
-    limited_words,
-    rig_of,
-    within,
-)
+from wavefocus.rig.limits import interface_of, limited_words, rig_of, within
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import drive_pieces, read_drive
 from wavefocus.storage.errors import InputError
@@ -118,7 +111,8 @@ def render(
 
 def _write_wav(bank: Bank, rig: RigConfig | None, shape: tuple[int, int], drive_file: Path, wav: Path) -> None:
     """Write the WAV file of a drive file; outputs of different full scale have a gain each."""
-    rate_hz, full_scale_v, each = DEFAULT_INTERFACE_RATE_HZ, DEFAULT_FULL_SCALE_V, np.ones(bank.actuators)
+    # A bank made by other means holds no interface; then the WAV is in volts at the common rate.
+    rate_hz, full_scale_v, each = 48_000, 1.0, np.ones(bank.actuators)
     if rig is not None:
         rate_hz, full_scale_v = rig.player.interface_rate_hz, rig.player.full_scale_v
         each = full_scale_v / interface_of(rig).full_scale_v

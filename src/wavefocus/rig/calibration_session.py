@@ -47,16 +47,13 @@ from wavefocus.config.calibration import (
     OutputsMeasured,
 )
 from wavefocus.config.fields import Table
-from wavefocus.config.messages.operate import Role
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
+from wavefocus.drivers.timeouts import Role
 from wavefocus.options import CalibrationOptions
-from wavefocus.rig.operation import SAMPLE_RATE_HZ, largest_level_v
+from wavefocus.rig.operation import MIN_LEVEL_V, SAMPLE_RATE_HZ, largest_level_v
 from wavefocus.storage.errors import InputError
-
-MIN_V = 1e-6
-"""No converter puts out less."""
 
 
 def amplitude_v(rig: RigConfig, request: CalibrationOptions) -> float:
@@ -67,11 +64,11 @@ def amplitude_v(rig: RigConfig, request: CalibrationOptions) -> float:
     largest_v, rms = largest_level_v(rig), rig.player.rms_limit
     if request.amplitude_v is None:
         return min(rig.safe_amplitude_v, largest_v)
-    if not MIN_V <= request.amplitude_v <= largest_v * (1 + 1e-5):  # it is named to six digits
+    if not MIN_LEVEL_V <= request.amplitude_v <= largest_v * (1 + 1e-5):  # it is named to six digits
         raise InputError(
             f"--amplitude-v {request.amplitude_v:g}: must be above 0 and at most {largest_v:g} (the rig's "
-            f"player.limit_v{f', {rms[0]}' if rms else ''}, or the full scale of its weakest output), and {MIN_V:g} V "
-            "or more"
+            f"player.limit_v{f', {rms[0]}' if rms else ''}, or the full scale of its weakest output), and "
+            f"{MIN_LEVEL_V:g} V or more"
         )
     return min(request.amplitude_v, largest_v)
 

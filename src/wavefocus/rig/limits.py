@@ -34,10 +34,9 @@ def limits_of(player: PlayerSection) -> DriveLimits:
     )
 
 
-def stricter(output: Output, player: PlayerSection | None) -> DriveLimits:
-    """The limits of a scene and of a rig, if there is one, together."""
-    limits = DriveLimits(output.limit_v, output.limit_rms_v)
-    return limits if player is None else limits.with_limits(limits_of(player))
+def stricter(output: Output, player: PlayerSection) -> DriveLimits:
+    """The limits of a scene and of a rig together."""
+    return DriveLimits(output.limit_v, output.limit_rms_v).with_limits(limits_of(player))
 
 
 def check_drive(
@@ -61,11 +60,6 @@ def check_drive(
                 f"{source}: the drive of actuator {actuator} reaches {most_v:.4g} V{kind}; the rig's actuators may get"
                 f" {limit_v:.4g} V{kind} ({reached.key}): {remedy.format(gain_db=f'{enough_db:.2f}')}"
             )
-
-
-# A bank made by other means holds no interface; then the WAV is in volts at the common rate.
-DEFAULT_INTERFACE_RATE_HZ = 48_000
-DEFAULT_FULL_SCALE_V = 1.0
 
 
 def rig_of(rig_file: Path | None, bank: Bank) -> RigConfig | None:

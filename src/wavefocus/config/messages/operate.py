@@ -1,11 +1,10 @@
 """Orders to ``wavefocus operate``, and the events of ``operate``, ``calibrate`` and ``play``."""
 
 from collections.abc import Mapping
-from typing import Literal
 
 from wavefocus.config.messages import EventMessage, Message, Number, OrderMessage, Refused
+from wavefocus.drivers.timeouts import Role
 
-Role = Literal["mirror", "recorder", "player"]
 Numbers = tuple[Number, Number]
 
 
