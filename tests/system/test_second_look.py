@@ -122,7 +122,7 @@ def spoiled(coarse, tmp_path_factory):
     bank = lab / "spoiled.h5"
     copyfile(coarse, bank)
     with open_bank(lab / "plate.h5") as aside, BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
-        rows = {position: writer.green(position) for position in (LEVEL, SWAPPED, CHECKED, int(plan.order[-1]))}
+        rows = {position: writer.green(position) for position in (LEVEL, SWAPPED, CHECKED, plan.positions - 1)}
         rows[LEVEL][3] *= 10 ** (7 / 20)
         # Rows 2 and 5 differ by 9 % there, which is no fault that anybody feels.
         rows[SWAPPED][[2, 4]] = rows[SWAPPED][[4, 2]]

@@ -130,7 +130,7 @@ class DriftWatch:
 
     @property
     def _sentinel(self) -> int | None:
-        return sentinel_of(self._station.plan, self._bank.status)
+        return sentinel_of(self._bank.status)
 
     def _suspects(self, sentinel: int | None) -> tuple[int, ...]:
         """What was committed since the sentinel was last steady; the sentinel is what the others are compared with."""

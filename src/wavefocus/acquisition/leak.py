@@ -151,7 +151,7 @@ class LeakWatch:
         """
         self.due = False
         plan, setup, session = self._station.plan, self._station.setup, self._station.session
-        place_mm, sweep = plan.position_mm[plan.order[0]].tolist(), plan.excitation
+        place_mm, sweep = plan.position_mm[0].tolist(), plan.excitation
         level = sweep.amplitude_v, sweep.sample_rate_hz, sweep.band_hz
         try:
             leak = self._station.recovery.retry_after_reconnect(lambda: measure_leak(setup, place_mm, *level))

@@ -25,11 +25,10 @@ a coarse grid are judged by."""
 
 @dataclass(frozen=True, slots=True)
 class Plan(OnGrid):
-    """A campaign: which positions, in which order, with what excitation.
+    """A campaign: which positions, with what excitation.
 
-    position_mm, float64 (positions, 2): The grid, in the bank's order.
+    position_mm, float64 (positions, 2): The grid, in the order of measurement, which is the bank's.
     actuator_mm, float64 (actuators, 2): Where the actuators are.
-    order, int64 (positions,): Bank rows in the order of measurement.
     excitation: What plays in each record where actuators sound one after the other.
     taps: Length L of the Green's functions.
     sha256: Hash of all that a resume must not change.
@@ -41,7 +40,6 @@ class Plan(OnGrid):
 
     position_mm: Float64Array
     actuator_mm: Float64Array
-    order: Int64Array
     excitation: PlayedExcitation
     taps: int
     sha256: str
@@ -63,8 +61,7 @@ class Plan(OnGrid):
 
     def to_do(self, status: NDArray[np.uint8]) -> Int64Array:
         """Bank rows still to be measured, in order: the plan minus what is committed."""
-        left: Int64Array = self.order[status[self.order] == 0]
-        return left
+        return np.flatnonzero(status == 0)
 
     def position_s(self, margins: RecordMargins) -> float:
         """Seconds that one position takes: its records and the overhead around them."""
@@ -101,9 +98,9 @@ def lead_samples(signal: StaggeredSignal, margins: RecordMargins) -> int:
     return round(margins.post_roll_s * signal.sweep.sample_rate_hz) + signal.taps
 
 
-def sentinel_of(plan: Plan, status: NDArray[np.uint8]) -> int | None:
-    """The position re-measured for drift: the first valid one in the plan's order, if any."""
-    valid = plan.order[status[plan.order] == 1]
+def sentinel_of(status: NDArray[np.uint8]) -> int | None:
+    """The position re-measured for drift: the first valid one, if any."""
+    valid = np.flatnonzero(status == 1)
     return int(valid[0]) if len(valid) else None
 
 

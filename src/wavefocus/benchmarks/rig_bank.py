@@ -86,7 +86,7 @@ def sweep_plan(
     signal = StaggeredSignal(sweep, rig.settings.actuators, TAPS, stagger, 1, periods) if staggered else None
     # Scattered positions of a grid would all be measured twice, which the whole grid is not.
     quality = QualityLimits(second_look="never")
-    return Plan(position_mm, actuator_mm, np.arange(len(position_mm)), sweep, TAPS, "0" * 64, quality, staggered=signal)
+    return Plan(position_mm, actuator_mm, sweep, TAPS, "0" * 64, quality, staggered=signal)
 
 
 def measure_bank(path: Path, plan: Plan, setup: Setup) -> None:

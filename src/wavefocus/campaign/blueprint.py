@@ -135,8 +135,7 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
             capture.periods,
         )  # fmt: skip
     plan = Plan(
-        position_mm=configuration.position_mm, actuator_mm=rig.actuator_mm,
-        order=np.arange(len(configuration.position_mm)), excitation=excitation, taps=capture.taps,
+        position_mm=configuration.position_mm, actuator_mm=rig.actuator_mm, excitation=excitation, taps=capture.taps,
         sha256=configuration.plan_sha256, quality=run.quality, drift=run.drift, staggered=staggered,
         check_rows=frozenset(check_rows(configuration).tolist()),
     )  # fmt: skip

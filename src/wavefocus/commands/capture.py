@@ -105,8 +105,8 @@ def remeasure(bank: Path, words: str, positions: str, *, replace: bool = False, 
     rows = parse_positions(positions, blueprint.plan.positions) if positions else []
     wanted = _status_bits(words) if words or not positions else Status.NOT_MEASURED
     with open_bank(bank) as view:
-        marked = {int(row) for row in blueprint.plan.order if view.status[row] & wanted}
-    chosen = [int(row) for row in blueprint.plan.order if row in marked or row in set(rows)]
+        marked = np.flatnonzero(view.status & wanted).tolist()
+    chosen = sorted({*marked, *rows})
     if not chosen:
         say("no position of that status: nothing to measure again")
         return _nothing_to_measure(bank, options)

@@ -23,7 +23,7 @@ def plan(run_file: Path, scene_files: Sequence[Path] = (), *, details: bool = Fa
     """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
     the_plan, rig = blueprint.plan, blueprint.configuration.rig
-    rows = the_plan.order
+    rows = every = np.arange(the_plan.positions)
     if scene_files:
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
@@ -53,7 +53,7 @@ def plan(run_file: Path, scene_files: Sequence[Path] = (), *, details: bool = Fa
     }
     lines = list(_lines(facts, position_s, the_plan.excitation.amplitude_v))
     if scene_files:
-        all_s = the_plan.campaign_s(the_plan.order, rig.recorder)
+        all_s = the_plan.campaign_s(every, rig.recorder)
         needed = f"scenes      need {len(rows)} of {the_plan.positions} positions; all of them: {hours(all_s)}"
         lines.insert(1, (needed, False))
     if as_json:

@@ -83,7 +83,7 @@ class Campaign:
         self._leak = LeakWatch(station, bank, unvouched, raw)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
         self._queue: deque[Attempt] = deque()
-        self._rows_of_session = plan.order
+        self._rows_of_session = np.arange(plan.positions)
         self._recording = self._sentinel_compared = self._neighbours_judged = self._in_pass = False
         self._failed_before_pass: frozenset[int] = frozenset()
         self._pending: Future[AttemptResult] | None = None
@@ -113,8 +113,8 @@ class Campaign:
         rows = np.asarray(self._plan.to_do(status) if positions is None else positions, dtype=np.int64)
         self._queue = deque(Attempt(row, int(self._bank.attempts[row]) + 1, 1) for row in rows.tolist())
         again = bool(len(rows)) and bool(np.all(status[rows]))
-        if again or np.any(status[np.setdiff1d(self._plan.order, rows)] == 0):
-            self._rows_of_session = self._plan.order[np.isin(self._plan.order, rows)]
+        if again or np.any(status[np.setdiff1d(self._rows_of_session, rows)] == 0):
+            self._rows_of_session = np.unique(rows)
         self._neighbours_judged = again or self._neighbours.is_done(self._rows_of_session)
         state, reason = State.FINISHED, "every position is committed"
         try:

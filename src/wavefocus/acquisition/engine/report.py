@@ -81,7 +81,7 @@ class CampaignReport:
     def _progress(self, left: int, *, recording: bool) -> None:
         left += self._second_looks
         passes, session = 0, self._session
-        if sentinel_of(self._plan, self._bank.status) is not None:
+        if sentinel_of(self._bank.status) is not None:
             passes = max(1, self._plan.drift.passes(left + 1, self._pace[0].position_s))  # it is measured last, too
         remaining_s = [
             pace.remaining_s(left, passes, working_s if recording else None)

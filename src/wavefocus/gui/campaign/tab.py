@@ -6,6 +6,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
 
@@ -307,4 +308,4 @@ def _planned(run: Path, bank: Path | None, accept_calibration: bool) -> tuple[Pl
             with_bank(blueprint, bank, run, accept_calibration=accept_calibration)
         except InputError as other:
             mismatch = f"{bank.name} is not of {run.name}: {other}"
-    return surface, plan.campaign_s(plan.order, rig.recorder), mismatch
+    return surface, plan.campaign_s(np.arange(plan.positions), rig.recorder), mismatch

@@ -278,7 +278,7 @@ def _meaning_of_run(text: str, path: Path) -> _Meaning:
     lines = [
         f"{plan.positions - len(checks)} positions on the grid, {len(checks)} check positions (rings), "
         f"{plan.actuators} actuators",
-        f"{hours(plan.campaign_s(plan.order, rig.recorder))} in all; {schedule_name(plan)}, "
+        f"{hours(plan.campaign_s(np.arange(plan.positions), rig.recorder))} in all; {schedule_name(plan)}, "
         f"{start_hz:g} to {stop_hz:g} Hz, {plan.excitation.amplitude_v:g} V",
         f"bank of {blueprint.bank_header().file_bytes / 1e6:.0f} MB",
     ]

@@ -42,7 +42,7 @@ def measure_sentinel(plan: Plan, setup: Setup, bank: Bank, publish: Subscriber =
     Returns why in words where it gives no usable record any more, empty where the bank has no valid position.
     Raises InstrumentError: an instrument failed for good.
     """
-    position = sentinel_of(plan, np.asarray(bank.status))
+    position = sentinel_of(np.asarray(bank.status))
     if position is None:
         return ""
     attempts, moved_mm, peak_v = (bank.quality[name][position] for name in ("attempts", "moved_mm", "peak_v"))
