@@ -103,7 +103,7 @@ def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(lab, ban
         assert new.position_mm.tolist() == [*POSITIONS, [12.0, 0.0], [12.0, 4.0]]
         assert np.array_equal(new.green(7), second.green(2))
     _scale_rows(other, 3, 2.0)
-    assert "level changed" in refused(capsys, *_extend(lab, bank, other, new="worse.h5", runs=False))
+    assert "level +6.0" in refused(capsys, *_extend(lab, bank, other, new="worse.h5", runs=False))
     write_positions(lab, [[12.0, 0.0], [12.0, 4.0]])
     apart = lab / "apart.h5"
     assert wavefocus("capture", lab / "run.toml", "--bank", apart) == 0

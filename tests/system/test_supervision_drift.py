@@ -35,14 +35,14 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     mend = with_faults(lab, f"{LOUDER}\ncount = 2")
     bank = lab / "plate.h5"
     told = captured(capsys, lab, code=3)
-    assert "sentinel position 0 has changed during the run (level changed)" in told.last
+    assert "sentinel position 0 has changed during the run: level -" in told.last
     assert f"wavefocus remeasure {bank} --positions 1 and resume" in told.last
     assert "--accept-drift" in told.last
     assert told.of("drift")[-1]["suspect"] == [1]
     assert told.of("session_ended")[-1]["failure"] == "drift"
     failure, reason = session_failure(bank, datetime.now(UTC) - timedelta(minutes=5))
     assert failure == "drift"
-    assert "level changed" in reason
+    assert "has changed during the run: level" in reason
     assert "wavefocus" not in reason  # the window says in its own words what to press
     assert "--" not in reason
     assert session_failure(bank, datetime.now(UTC) + timedelta(minutes=5)) == ("", "")

@@ -154,8 +154,7 @@ class DriftWatch:
             self._mark(suspects, _suspicion(position, figures))
         if figures.verdict(self._limits) == "stop" and not self.accept_drift:
             raise DriftError(
-                f"sentinel position {position} {found} ({figures.cause(self._limits)}): {figures}{then}"
-                f"{_put_right(suspects)}{otherwise}",
+                f"sentinel position {position} {found}: {figures}{then}{_put_right(suspects)}{otherwise}",
                 suspects,
             )
 
@@ -164,8 +163,9 @@ class DriftWatch:
 
     def _publish(self, position: int, figures: DriftFigures, occasion: str, suspect: tuple[int, ...] = ()) -> None:
         found = figures.level_db, figures.delay_samples, figures.correlation
-        words = figures.verdict(self._limits), occasion, figures.cause(self._limits)
-        self._session.publish(Drift, position, *found, *words, suspect, figures.change)
+        self._session.publish(
+            Drift, position, *found, figures.verdict(self._limits), occasion, "", suspect, figures.change
+        )
 
     def _begin_anew(self) -> None:
         self._since.clear()

@@ -63,24 +63,6 @@ class DriftFigures:
             return self.verdict(limits) != "steady"
         return self.verdict(limits) == "stop" or abs(self.level_db) > limits.warn_level_db + self.noise_db
 
-    def cause(self, limits: DriftLimits) -> str:
-        """What such figures come from; empty where they are steady.
-
-        The shape of a response changes from place to place, so that a low correlation is another place (or another
-        plate); a gain changes only the level, a clock or a filter only the delay.
-        """
-        word = self.verdict(limits)
-        if word == "steady":
-            return ""
-        stop = word == "stop"
-        if self.correlation < (limits.stop_correlation if stop else limits.warn_correlation):
-            return "plate or mirror moved"
-        if abs(self.delay_samples) > (limits.stop_delay_samples if stop else SEEN_SHARE * STEP_SAMPLES):
-            return "timing changed"
-        if stop or abs(self.level_db) > SEEN_SHARE * STEP_DB:
-            return "level changed"
-        return "plate or mirror moved"
-
     def __str__(self) -> str:
         return (
             f"level {self.level_db:+.2f} dB, delay {self.delay_samples:+.2f} samples, "

@@ -165,11 +165,10 @@ def _require_alike(first: Bank, row: int, second: Bank, other: int) -> None:
         first.quality["snr_db"][row], (_noise_share(first, row), _noise_share(second, other)),
         band_hz=first.band_hz, sample_rate_hz=first.sample_rate_hz,
     )  # fmt: skip
-    limits = bank_configuration(first).run.drift
-    if figures.speaks_against(limits):
+    if figures.speaks_against(bank_configuration(first).run.drift):
         raise InputError(
-            f"{second.path}: position {other} is not what position {row} of {first.path} is, at the same place "
-            f"({figures.cause(limits) or 'level changed'}): {figures}; they are not of one plate or one set-up"
+            f"{second.path}: position {other} is not what position {row} of {first.path} is, at the same place: "
+            f"{figures}; they are not of one plate or one set-up"
         )
 
 

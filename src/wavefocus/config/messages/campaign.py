@@ -202,8 +202,9 @@ class Drift(Event, frozen=True):
     """The sentinel position measured again: what changed since it was first measured.
 
     `verdict` is ``"steady"``, ``"warn"`` for a step since the latest good look, or ``"stop"``.
-    `occasion` is ``"resume"``, ``"run"`` or ``"repeat"`` (of one that is not steady, to be sure), `cause` what such
-    figures come from, and `suspect` the positions measured since the last steady measurement, where this one is not.
+    `occasion` is ``"resume"``, ``"run"`` or ``"repeat"`` (of one that is not steady, to be sure), and `suspect` the
+    positions measured since the last steady measurement, where this one is not. `cause` is empty; events of earlier
+    versions name one.
     `change` is the relative change of its rows, noise taken out: the error that drift means for what is measured now.
     """
 
