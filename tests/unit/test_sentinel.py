@@ -13,7 +13,7 @@ import pytest
 from tests.unit import analytic_plates
 from tests.unit.analytic_plates import Medium
 from wavefocus.acquisition.drift_watch import DriftWatch
-from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
+from wavefocus.acquisition.limits import DriftFigures, Look, compare_sentinel, step_of
 from wavefocus.calibration.estimator.noise_error import noise_share
 from wavefocus.config.run import DriftLimits
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
@@ -116,7 +116,7 @@ def test_a_row_of_nothing_but_noise_hides_no_step_and_is_none(heard_before, gain
     plan = SimpleNamespace(excitation=sweep, staggered=None, taps=400, drift=LIMITS, **places)
     bank = SimpleNamespace(green=lambda row: green, record=lambda row: SimpleNamespace(snr_db=snr_db))
     station = SimpleNamespace(session=SimpleNamespace(time_s=float), plan=plan)
-    figures, _ = DriftWatch(station, bank, None, None)._compared(0, *now)
+    figures, _ = DriftWatch(station, bank, None, None)._compared(0, Look(*now))
     assert (figures.step > 1.0) == found
     assert figures.change == pytest.approx(change, abs=0.02)
 

@@ -3,22 +3,16 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from wavefocus.acquisition.attempt import Attempt, AttemptResult, as_measured
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.judgement import REFERENCE_LEVEL
-from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
+from wavefocus.acquisition.limits import DriftFigures, Look, compare_looks
 from wavefocus.acquisition.plan import sentinel_of
-from wavefocus.calibration import Float32Array, Float64Array
-from wavefocus.calibration.estimator.noise_error import noise_error_db, noise_share
 from wavefocus.config.messages.campaign import Drift, Fault
 from wavefocus.storage.bank.ledger import row_ranges
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import WavefocusError
-
-_Look = tuple[Float32Array, Float32Array]  # Green's functions and signal-to-noise ratios of a measurement
 
 
 class DriftError(WavefocusError):
@@ -55,7 +49,7 @@ class DriftWatch:
         self._station, self._bank, self._report, self._mark = station, bank, report, mark
         self._session, self._limits = station.session, station.plan.drift
         self._since = list(unvouched)
-        self._good: dict[int, _Look] = {}
+        self._good: dict[int, Look] = {}
         self._off: DriftFigures | None = None
         self._recorded = 0
         self._looked_s = self._session.time_s()
@@ -172,7 +166,7 @@ class DriftWatch:
         self._recorded = 0
         self._looked_s = self._session.time_s()
 
-    def _measured(self, attempt: Attempt) -> tuple[DriftFigures, _Look]:
+    def _measured(self, attempt: Attempt) -> tuple[DriftFigures, Look]:
         result = self._station.measure(attempt, "sentinel", says_nothing)
         self._report.done("sentinel")
         if result.estimate is None or says_nothing(result):
@@ -180,28 +174,12 @@ class DriftWatch:
                 f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
                 "check cables and laser, then resume"
             )
-        return self._compared(attempt.position, result.estimate.green, result.estimate.snr_db)
+        return self._compared(attempt.position, Look(result.estimate.green, result.estimate.snr_db))
 
-    def _compared(self, position: int, green: Float32Array, snr_db: Float32Array) -> tuple[DriftFigures, _Look]:
+    def _compared(self, position: int, now: Look) -> tuple[DriftFigures, Look]:
         """Figures against the bank's row, with the step since the latest good look; before one, since the row."""
-        plan, held = self._station.plan, self._bank.record(position)
-        sweep, signal = plan.excitation, plan.staggered
-        rate_hz, band_hz = sweep.sample_rate_hz, sweep.band_hz
-        period_s = (sweep.period_samples if signal is None else signal.period_samples) / rate_hz
-
-        def share(ratio_db: Float32Array) -> Float64Array:
-            known_db = np.nan_to_num(ratio_db, nan=200.0)
-            error_db = noise_error_db(known_db, band_hz=band_hz, response_s=plan.taps / rate_hz, period_s=period_s)
-            return noise_share(error_db)
-
-        first = self._bank.green(position)
-        good, good_db = self._good.get(position, (first, held.snr_db))
-        distance_mm = np.hypot(*(plan.actuator_mm - plan.position_mm[position]).T)
-        now = share(snr_db)
-        noise = share(held.snr_db), now
-        figures = compare_sentinel(first, green, held.snr_db, noise, band_hz=band_hz, sample_rate_hz=rate_hz)
-        step = step_of(good, green, (share(good_db), now), distance_mm, band_hz=band_hz, sample_rate_hz=rate_hz)
-        return replace(figures, step=step), (green, snr_db)
+        first = Look(self._bank.green(position), self._bank.record(position).snr_db)
+        return compare_looks(self._station.plan, position, first, now, self._good.get(position)), now
 
 
 def _put_right(suspects: tuple[int, ...]) -> str:

@@ -1,19 +1,16 @@
 """How far a sentinel position drifted, and what the limits of drift say of it."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from wavefocus.acquisition.plan import Plan, row_error_db
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.estimator.noise_error import noise_share
 from wavefocus.calibration.evidence import CLEAR_DB, ROW_CHANGE, SEEN_SHARE
 from wavefocus.calibration.numerics import parabola_vertex
-
-if TYPE_CHECKING:  # pydantic, which status does without
-    from wavefocus.config.run import DriftLimits
-
+from wavefocus.config.run import DriftLimits
 
 STEP_DB, STEP_SAMPLES = 0.5, 0.3
 """The smallest changes at once that must be seen: 6 % of a row, and 6 % at the upper end of the usual band. They set
@@ -21,6 +18,21 @@ the limit of the change between two looks; half of them would be near what a war
 taken out (0.2 to 0.9 % of 1.5 %, on soft and solid plates), double would leave rows of 12 % error valid."""
 GROUPS = 8
 """Parts of the band in which the drift has a coefficient each: dispersion changes little within them."""
+PER_MM = 0.6
+"""A place apart has another response: by its wave number, 0.59 per mm in a gel of 4.8 m/s at 450 Hz."""
+
+
+class Look(NamedTuple):
+    """One measurement of a position.
+
+    green, float32 (actuators, taps): Green's functions.
+    snr_db, float32 (actuators,): Signal-to-noise ratios of the records, NaN where unknown.
+    moved_mm: How far from the position, where the looks may differ in that; NaN where unknown.
+    """
+
+    green: Float32Array
+    snr_db: Float32Array
+    moved_mm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +57,18 @@ class DriftFigures:
     change: float = float("nan")
     step: float | None = None
 
+    @property
+    def is_step(self) -> bool:
+        """Whether the change since the latest good look is a step."""
+        return self.step is not None and self.step > 1.0
+
     def verdict(self, limits: DriftLimits) -> str:
         """``"steady"``, ``"warn"`` for a step, or ``"stop"``."""
         beyond = abs(self.level_db) > limits.stop_level_db + self.noise_db
         if beyond or abs(self.delay_samples) > limits.stop_delay_samples or self.correlation < limits.stop_correlation:
             return "stop"
         if self.step is not None:
-            return "warn" if self.step > 1.0 else "steady"
+            return "warn" if self.is_step else "steady"
         beyond = abs(self.level_db) > limits.warn_level_db + self.noise_db
         if beyond or abs(self.delay_samples) > limits.warn_delay_samples or self.correlation < limits.warn_correlation:
             return "warn"
@@ -68,6 +85,23 @@ class DriftFigures:
             f"level {self.level_db:+.2f} dB, delay {self.delay_samples:+.2f} samples, "
             f"correlation {self.correlation:.3f}"
         )
+
+
+def compare_looks(plan: Plan, position: int, first: Look, now: Look, good: Look | None = None) -> DriftFigures:
+    """Figures of a position of a plan against its first look, with the step since a good one, by default the first."""
+    sweep, since = plan.excitation, good or first
+
+    def share(look: Look) -> Float64Array:
+        noise = noise_share(row_error_db(plan, np.nan_to_num(look.snr_db, nan=200.0)))
+        return np.asarray(noise + np.nan_to_num(PER_MM * look.moved_mm) ** 2)
+
+    noise, distance_mm = share(now), np.hypot(*(plan.actuator_mm - plan.position_mm[position]).T)
+    rate_hz, shares = sweep.sample_rate_hz, ((share(first), noise), (share(since), noise))
+    figures = compare_sentinel(
+        first.green, now.green, first.snr_db, shares[0], band_hz=sweep.band_hz, sample_rate_hz=rate_hz
+    )
+    step = step_of(since.green, now.green, shares[1], distance_mm, band_hz=sweep.band_hz, sample_rate_hz=rate_hz)
+    return replace(figures, step=step)
 
 
 def step_of(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.setup import RecordMargins, record_samples
 from wavefocus.calibration import Float64Array, Int64Array
+from wavefocus.calibration.estimator.noise_error import noise_error_db
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.config.run import DriftLimits, QualityLimits
 from wavefocus.storage.ledger.layout import OnGrid
@@ -91,6 +92,14 @@ class Plan(OnGrid):
         from wavefocus.calibration.coarse_grid.left_out_rows import MIN_POSITIONS
 
         return len(rows) if len(rows) < MIN_POSITIONS else 0
+
+
+def row_error_db(plan: Plan, snr_db: NDArray[np.floating]) -> Float64Array:
+    """`noise_error_db` of rows that a plan measures, by the signal-to-noise ratios of their records."""
+    sweep, signal = plan.excitation, plan.staggered
+    period_s = (sweep if signal is None else signal).period_samples / sweep.sample_rate_hz
+    response_s = plan.taps / sweep.sample_rate_hz
+    return noise_error_db(snr_db, band_hz=sweep.band_hz, response_s=response_s, period_s=period_s)
 
 
 def lead_samples(signal: StaggeredSignal, margins: RecordMargins) -> int:

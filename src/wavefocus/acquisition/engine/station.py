@@ -19,11 +19,10 @@ from wavefocus.acquisition.attempt import (
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.judgement import Judgement, in_band, judge
-from wavefocus.acquisition.plan import Plan, schedule_name
+from wavefocus.acquisition.plan import Plan, row_error_db, schedule_name
 from wavefocus.acquisition.setup import Setup, point_at, start_move
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.estimator.estimate import Estimate, mean_estimate
-from wavefocus.calibration.estimator.noise_error import noise_error_db
 from wavefocus.calibration.known_signal import ReferenceMissingError
 from wavefocus.config.messages.campaign import ScheduleSettled, Subscriber
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
@@ -176,9 +175,8 @@ def compare_schedules(plan: Plan, setup: Setup, publish: Subscriber = lambda eve
     )
     rows, others = (in_band(one.green, sweep.sample_rate_hz, sweep.band_hz) for one in (plain, asked))
     apart = np.linalg.norm(others - rows, axis=1) / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-    response_s, period_s = (samples / sweep.sample_rate_hz for samples in (plan.taps, sweep.period_samples))
-    noise_db = noise_error_db(plain.snr_db, band_hz=sweep.band_hz, response_s=response_s, period_s=period_s)
-    error_db = 20 * math.log10(max(float(np.median(apart)), 1e-15)), float(np.median(noise_db))
+    noise_db = float(np.median(row_error_db(plans[1], plain.snr_db)))
+    error_db = 20 * math.log10(max(float(np.median(apart)), 1e-15)), noise_db
     looks = plan.looks(*range(plan.positions))
     names, seconds = zip(*((schedule_name(one), looks * one.position_s(setup)) for one in plans), strict=True)
     sentence = (
