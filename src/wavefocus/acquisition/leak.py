@@ -20,7 +20,7 @@ from wavefocus.calibration.crosstalk import (
     UNKNOWN_ROWS_SHARE,
     Crosstalk,
     crosstalk_of_record,
-    share_of_median_row,
+    leak_limit,
 )
 from wavefocus.calibration.evidence import SOUND
 from wavefocus.calibration.excitation import PlayedExcitation
@@ -210,8 +210,7 @@ def _limit_of(bank: BankWriter, response_per_volt: float) -> float | None:
         return None
     rms = np.stack([np.sqrt(np.square(bank.green(row), dtype=np.float64).mean(axis=1)) for row in rows.tolist()])
     header = bank.header
-    whole = share_of_median_row(rms, header.taps, header.sample_rate_hz, header.band_hz, response_per_volt)
-    return None if whole is None else SOUND * whole
+    return leak_limit(rms, header.taps, header.sample_rate_hz, header.band_hz, response_per_volt)
 
 
 def mark_leaks(bank: BankWriter, response_per_volt: float) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array
-from wavefocus.calibration.crosstalk import REMEDY, SPARE, response_per_volt, share_of_median_row
+from wavefocus.calibration.crosstalk import REMEDY, SPARE, leak_limit, response_per_volt
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.evidence import SILENT, SOUND
 from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
@@ -215,10 +215,10 @@ def _check_leak(bank: Bank) -> Iterator[BankProblem]:
     status, per_volt = _status_or_none(bank), response_per_volt(bank.rig_json)
     if status is None or bank.band_hz is None or per_volt is None:
         return
-    whole = share_of_median_row(bank.rms[usable(status)], bank.taps, bank.sample_rate_hz, bank.band_hz, per_volt)
-    if whole is None:
+    limit = leak_limit(bank.rms[usable(status)], bank.taps, bank.sample_rate_hz, bank.band_hz, per_volt)
+    if limit is None:
         return
-    part = 10.0 ** (bank.quality["leak_db"] / 20.0) / whole
+    part = SOUND * 10.0 ** (bank.quality["leak_db"] / 20.0) / limit
     rows = np.flatnonzero((status == Status.VALID) & (part >= SPARE * SOUND))
     if len(rows):
         message = (

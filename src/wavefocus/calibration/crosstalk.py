@@ -107,10 +107,10 @@ def crosstalk_of_record(
     return Crosstalk(share * reference_gain, late_s + inter_channel_delay_s, error * reference_gain)
 
 
-def share_of_median_row(
+def leak_limit(
     rms: NDArray[np.floating], taps: int, sample_rate_hz: float, band_hz: tuple[float, float], response_per_volt: float
 ) -> float | None:
-    """Share of the loopback at which a leak has as much energy as the median row; None without rows.
+    """Share of the loopback at which a leak is 1 % of the median row, by its norm; None without rows.
 
     A leak of share c adds to every row, which is per volt of drive, a pulse that is c times `response_per_volt` at the
     frequencies of the band and nothing beyond.
@@ -122,7 +122,7 @@ def share_of_median_row(
     if not known.size or not np.isfinite(response_per_volt) or response_per_volt == 0:
         return None
     pulse = abs(response_per_volt) * math.sqrt(2 * (band_hz[1] - band_hz[0]) / sample_rate_hz)
-    return float(np.median(known)) * math.sqrt(taps) / pulse
+    return SOUND * float(np.median(known)) * math.sqrt(taps) / pulse
 
 
 def response_per_volt(rig_json: str | None) -> float | None:

@@ -13,8 +13,7 @@ import numpy as np
 from wavefocus.acquisition.leak import BAND_HZ, measure_leak
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
-from wavefocus.calibration.crosstalk import UNKNOWN_ROWS_SHARE, Crosstalk, share_of_median_row
-from wavefocus.calibration.evidence import SOUND
+from wavefocus.calibration.crosstalk import UNKNOWN_ROWS_SHARE, Crosstalk, leak_limit
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.sidecar_files import VerifyLog, read_drift
 from wavefocus.campaign.status import CampaignView
@@ -268,8 +267,8 @@ class _Work:
             say(f"warning: crosstalk is not measured: {failure}")
             return None
         rms, per_volt = bank.rms[usable(bank.status)], setup.response_per_volt
-        whole = share_of_median_row(rms, bank.taps, bank.sample_rate_hz, band[0] if band else BAND_HZ, per_volt)
-        return found if found.reaches(UNKNOWN_ROWS_SHARE if whole is None else SOUND * whole) else None
+        limit = leak_limit(rms, bank.taps, bank.sample_rate_hz, band[0] if band else BAND_HZ, per_volt)
+        return found if found.reaches(limit or UNKNOWN_ROWS_SHARE) else None
 
     def _scan(
         self, setup: Setup, drive: Drive, rows: Sequence[int], purpose: str = "scan", journal: ScanJournal | None = None
