@@ -156,9 +156,8 @@ PLAY = Play(0, {0: SIGNAL_V, 20: SIGNAL_V})
 
 
 def _conditions(sensor=None, **bands):
-    setup = lab_files.setup_of(VirtualRig(), reference_gain=0.5)
     watch = Watch(bands, {} if sensor is None else {"room": sensor})
-    return Conditions(watch, setup, EXCITATION)
+    return Conditions(lab_files.setup_of(VirtualRig(), reference_gain=0.5, watch=watch), EXCITATION)
 
 
 def _recording(reference_gain, noise_v):

@@ -12,8 +12,7 @@ import pytest
 
 from tests.unit import analytic_plates
 from tests.unit.analytic_plates import Medium
-from wavefocus.acquisition.drift_watch import DriftWatch
-from wavefocus.acquisition.limits import DriftFigures, Look, compare_sentinel, step_of
+from wavefocus.acquisition.limits import DriftFigures, Look, compare_looks, compare_sentinel, step_of
 from wavefocus.calibration.estimator.noise_error import noise_share
 from wavefocus.config.run import DriftLimits
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
@@ -110,13 +109,11 @@ def test_a_row_of_nothing_but_noise_hides_no_step_and_is_none(heard_before, gain
         return (gain * heard[:, None] * rows + noise).astype(np.float32), np.where(heard, 20.0, -225.5)
 
     heard = np.array([True, True, True, heard_before])
-    (green, snr_db), now = look(heard, 1.0, 1), look(np.array([True, True, True, False]), gain, noisier)
+    first, now = look(heard, 1.0, 1), look(np.array([True, True, True, False]), gain, noisier)
     sweep = SimpleNamespace(sample_rate_hz=1e4, band_hz=(0.0, 5e3), period_samples=13_000)
     places = {"actuator_mm": np.outer((60.0, 20.0, 40.0, 80.0), (1.0, 0.0)), "position_mm": np.zeros((1, 2))}
-    plan = SimpleNamespace(excitation=sweep, staggered=None, taps=400, drift=LIMITS, **places)
-    bank = SimpleNamespace(green=lambda row: green, record=lambda row: SimpleNamespace(snr_db=snr_db))
-    station = SimpleNamespace(session=SimpleNamespace(time_s=float), plan=plan)
-    figures, _ = DriftWatch(station, bank, None, None)._compared(0, Look(*now))
+    plan = SimpleNamespace(excitation=sweep, staggered=None, taps=400, **places)
+    figures = compare_looks(plan, 0, Look(*first), Look(*now))
     assert (figures.step > 1.0) == found
     assert figures.change == pytest.approx(change, abs=0.02)
 

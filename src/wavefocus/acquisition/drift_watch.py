@@ -174,12 +174,10 @@ class DriftWatch:
                 f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
                 "check cables and laser, then resume"
             )
-        return self._compared(attempt.position, Look(result.estimate.green, result.estimate.snr_db))
-
-    def _compared(self, position: int, now: Look) -> tuple[DriftFigures, Look]:
-        """Figures against the bank's row, with the step since the latest good look; before one, since the row."""
-        first = Look(self._bank.green(position), self._bank.record(position).snr_db)
-        return compare_looks(self._station.plan, position, first, now, self._good.get(position)), now
+        now = Look(result.estimate.green, result.estimate.snr_db)
+        first = Look(self._bank.green(attempt.position), self._bank.record(attempt.position).snr_db)
+        good = self._good.get(attempt.position)
+        return compare_looks(self._station.plan, attempt.position, first, now, good), now
 
 
 def _put_right(suspects: tuple[int, ...]) -> str:

@@ -23,7 +23,7 @@ from wavefocus.acquisition.attempt import (
     next_attempt,
 )
 from wavefocus.acquisition.drift_watch import DriftError, DriftWatch
-from wavefocus.acquisition.engine.recovery import Conditions, Suspension
+from wavefocus.acquisition.engine.recovery import Suspension
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from wavefocus.acquisition.engine.station import Station
@@ -77,8 +77,7 @@ class Campaign:
         self._report = CampaignReport(plan, setup, bank, session)
         self._station = station = Station(plan, setup, session, bank.reference_before_db)
         self._drift = DriftWatch(station, bank, self._report, self._marked_suspects, unvouched)
-        conditions = Conditions(setup.watch, setup, plan.excitation)
-        self._suspension = Suspension(setup, session, conditions, station.plays, station.probe)
+        self._suspension = Suspension(setup, session, plan.excitation, station.plays, station.probe)
         self._neighbours = NeighbourWatch(plan, bank)
         self._leak = LeakWatch(station, bank, unvouched, raw)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")

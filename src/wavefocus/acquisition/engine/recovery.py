@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.acquisition.attempt import Attempt, Play
 from wavefocus.acquisition.engine.session import LOOKED_FOR_S, Session
-from wavefocus.acquisition.setup import Setup, Watch, naming_role, silence, to_lost_error
+from wavefocus.acquisition.setup import Setup, naming_role, silence, to_lost_error
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.excitation import Excitation
 from wavefocus.config.messages.campaign import ConditionsSeen, ReconnectTried, State
@@ -33,9 +33,8 @@ class Conditions:
     excitation: Rate and band of what is played.
     """
 
-    def __init__(self, watch: Watch, setup: Setup, excitation: Excitation) -> None:
-        self.watch = watch
-        self._setup = setup
+    def __init__(self, setup: Setup, excitation: Excitation) -> None:
+        self.watch, self._setup = setup.watch, setup
         self._rate_hz = excitation.sample_rate_hz
         self._above_hz = ABOVE_BAND * excitation.stop_hz
 
@@ -235,6 +234,7 @@ class SuspendedTooLongError(WavefocusError):
 class Suspension:
     """Pauses and suspends a session, outputs muted and the mirror parked.
 
+    excitation: Rate and band of `plays`.
     probe: Takes one record of the first of `plays` at a position.
     """
 
@@ -242,12 +242,12 @@ class Suspension:
         self,
         setup: Setup,
         session: Session,
-        conditions: Conditions,
+        excitation: Excitation,
         plays: tuple[Play, ...],
         probe: Callable[[Attempt], Recording],
     ) -> None:
         self._setup, self._session, self._stop = setup, session, session.stop
-        self._conditions, self._plays, self._probed = conditions, plays, probe
+        self._conditions, self._plays, self._probed = Conditions(setup, excitation), plays, probe
         self._last_good: Attempt | None = None
 
     def pause(self) -> None:
