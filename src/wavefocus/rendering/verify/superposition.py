@@ -64,16 +64,13 @@ class Block:
 
     def some(self, most: int, frequencies: int) -> Block:
         """The same with some of the responses, or all where they share their rows, at some of the frequencies."""
-        at = evenly_spread(len(self.frequency_hz), frequencies)
-        chosen = np.arange(len(self.response))
-        rows, row_of, drive = self.rows, self.row_of, self.drive
-        if len(rows) > most:
-            chosen = evenly_spread(len(rows), most)
-            rows, row_of = rows[chosen], np.arange(len(chosen))
-            drive = drive if len(drive) == 1 else drive[chosen]
-        return Block(
-            self.frequency_hz[at], self.rate_hz, rows, row_of, self.weight[chosen], self.green[chosen][..., at],
-            drive[..., at], self.response[chosen][:, at], self.noise,
+        at, some = evenly_spread(len(self.frequency_hz), frequencies), self
+        if len(self.rows) > most:
+            chosen = evenly_spread(len(self.rows), most)
+            some = replace(self.of(chosen), rows=self.rows[chosen], row_of=np.arange(len(chosen)))
+        return replace(
+            some, frequency_hz=some.frequency_hz[at], green=some.green[..., at], drive=some.drive[..., at],
+            response=some.response[:, at],
         )  # fmt: skip
 
     def of(self, chosen: Int64Array) -> Block:
