@@ -75,9 +75,9 @@ class Probe:
 
         output: The output; None for the loopback by itself.
 
-        Raises ReferenceMissingError: no signal from the loopback at the reference input. ResponseMissingError: no
-        signal at the response input. NotMeasuredError: the signal reaches the end of an input's range. InstrumentError:
-        of the instrument that failed for good.
+        Raises ResponseMissingError: no signal at the response input. NotMeasuredError: no signal from the loopback at
+        the reference input, or it reaches the end of an input's range. InstrumentError: of the instrument that failed
+        for good.
         """
         found = [self._fits(self._in_range(output, record)) for record in range(RECORDS)]
         late_s = [
@@ -102,14 +102,15 @@ class Probe:
             reference, response = self._fits(self._played(output, 0), diagnose=False)
         except ResponseMissingError:
             return False
-        except ReferenceMissingError as missing:
-            raise _check_loopback(missing) from None
         # A cable brings more, through a summing box of 32 outputs, too.
         return abs(response.gain) >= SOUND * abs(reference.gain)
 
     def _fits(self, recording: Recording, *, diagnose: bool = True) -> tuple[ClockFit, ClockFit]:
         """The signal on the reference and on the response channel of a record."""
-        reference = self._fitter.fit(recording.volts[0])
+        try:
+            reference = self._fitter.fit(recording.volts[0])
+        except ReferenceMissingError as missing:
+            raise _check_loopback(missing) from None
         try:
             return reference, self._fitter.fit(recording.volts[1], diagnose=diagnose, name="the response channel")
         except ReferenceMissingError as missing:
@@ -162,8 +163,6 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
             if operator.again(f"no signal from the loopback at the response input ({missing})"):
                 continue
             raise NotMeasuredError("the inter-channel delay needs the loopback on both inputs") from None
-        except ReferenceMissingError as missing:
-            raise _check_loopback(missing) from None
         break
     apart = found.response_gain / found.reference_gain - 1
     if abs(apart) > TOLERANCE:
@@ -265,8 +264,6 @@ def _heard(channel: int, probe: Probe, operator: Operator, *, has_box: bool) -> 
         except ResponseMissingError as missing:
             if not operator.again(f"no signal from output {channel} at the response input ({missing})"):
                 return None
-        except ReferenceMissingError as missing:
-            raise _check_loopback(missing) from None
 
 
 Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
