@@ -243,21 +243,16 @@ class _Model:
             step_v = scipy.fft.irfft(whole, self._length)[:, : step_v.shape[1]]
             if np.square(played.drive_v + step_v).sum() <= max_energy * self._energy:
                 break
-        share = self._largest_share(played.drive_v, step_v, played.sample_rate_hz, limits, max_energy)
-        return None if share < 0.01 else replace(played, drive_v=played.drive_v + share * step_v)
-
-    def _largest_share(
-        self, drive_v: Float64Array, step_v: Float64Array, rate_hz: float, limits: DriveLimits, max_energy: float
-    ) -> float:
-        """How much of a step limits and energy allow, to 1/256."""
 
         def is_too_large(parts: int) -> bool:
-            candidate = drive_v + parts / 256 * step_v
+            candidate = played.drive_v + parts / 256 * step_v
             if np.square(candidate).sum() > max_energy * self._energy:
                 return True
-            return limit_drive(candidate, rate_hz, limits).scale != 1.0
+            return limit_drive(candidate, played.sample_rate_hz, limits).scale != 1.0
 
-        return bisect_left(range(1, 257), True, key=is_too_large) / 256
+        # How much of the step limits and energy allow.
+        share = bisect_left(range(1, 257), True, key=is_too_large) / 256
+        return None if share < 0.01 else replace(played, drive_v=played.drive_v + share * step_v)
 
     def _spectra(self, signals: Float64Array) -> Complex128Array:
         return np.asarray(scipy.fft.rfft(signals, self._length)[:, self._bins])

@@ -92,13 +92,14 @@ def drift_sentence(drift: SentinelDrift) -> str:
 
 
 QUIETER_DB = 12.0
+_FACTOR = 10.0 ** (QUIETER_DB / 20.0)
 MAX_POSITIONS = 24
 """Positions of the quieter scan; half of them are foci, where there are so many."""
 
 
 def quieter(drive: Drive) -> Drive:
     """The drive, 12 dB quieter."""
-    return dataclasses.replace(drive, drive_v=drive.drive_v / _factor())
+    return dataclasses.replace(drive, drive_v=drive.drive_v / _FACTOR)
 
 
 def linearity_rows(drive: Drive, rows: Int64Array) -> tuple[int, ...]:
@@ -132,7 +133,7 @@ def linearity(
     in_prediction = [int(np.flatnonzero(prediction.position_index == row)[0]) for row in rows]
     predicted = band.spectrum(prediction.field[in_prediction].astype(np.float32))
     fields, noise, missed = [], [], []
-    for played, factor in ((loud, 1.0), (quiet, _factor())):
+    for played, factor in ((loud, 1.0), (quiet, _FACTOR)):
         at = np.searchsorted(played.position_index, rows)
         spectrum = band.spectrum(factor * played.field[at])
         fields.append(band.signals(spectrum).astype(np.float64))
@@ -152,7 +153,3 @@ def linearity(
         Figure("compression", "dB", quieter_by, difference=compressed_db, value=compressed_db),
     )
     return figures, float(np.clip(1.0 - missed[1] / missed[0], 0.0, 1.0)) if missed[0] > 0.0 else None
-
-
-def _factor() -> float:
-    return float(10.0 ** (QUIETER_DB / 20.0))

@@ -130,7 +130,6 @@ class Scan:
     noise_rms, float64 array: Rms of the response while nothing played, in response units; NaN where unknown.
     clock_ratio, playback_gain, float64 array: DAQ rate over playback rate, and measured over requested voltage of the
         loopback.
-    faults: Bank row and cause of each failed position.
     """
 
     field: Float32Array
@@ -143,7 +142,6 @@ class Scan:
     noise_rms: Float64Array
     clock_ratio: Float64Array
     playback_gain: Float64Array
-    faults: tuple[tuple[int, str], ...] = ()
 
     def as_field(self) -> Field:
         """The positions that have a record without a dropout, as a field for `write_field`."""
@@ -242,7 +240,6 @@ class _ScanRun:
             clock_ratio=np.full(rows.size, np.nan),
             playback_gain=np.full(rows.size, np.nan),
         )
-        self._faults: dict[int, str] = {}
         self._clipped: set[int] = set()
         self._given_up_in_a_row = 0
         self._done = 0
@@ -262,7 +259,7 @@ class _ScanRun:
                     pending = self._record_and_align(self._visits.popleft(), worker)
                 if previous is not None:
                     self._collect(previous)
-        return replace(self._scan, faults=tuple(sorted(self._faults.items())))
+        return self._scan
 
     def _record_and_align(self, attempt: Attempt, worker: ThreadPoolExecutor) -> _Pending | None:
         try:
@@ -338,7 +335,6 @@ class _ScanRun:
         self._given_up_in_a_row += 1
         if self._given_up_in_a_row >= _GIVE_UP_POSITIONS:
             raise failure
-        self._faults[attempt.position] = str(failure)
         self._scan.attempts[self._place[attempt.position]] = attempt.number
         self._count()
 
