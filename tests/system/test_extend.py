@@ -1,20 +1,16 @@
 """Banks with more positions: what is taken over, what is measured, and what is refused."""
 
-from dataclasses import replace
-
 import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import POSITIONS, change_text, raw_header, with_check_rows, write_positions, write_rows
+from tests.lab_files import POSITIONS, change_text, with_check_rows, write_positions, write_rows
 from tests.system.captures import answered, held, refused, told_by, wavefocus
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.extension import extend
 from wavefocus.configuration import load_run
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
-from wavefocus.storage.errors import InputError
-from wavefocus.storage.raw.header import create_raw
 
 MORE = [[12.0, 0.0], *POSITIONS[:4], [12.0, 4.0]]
 
@@ -28,10 +24,9 @@ def _scale_rows(bank, rows, factor):
             writer.commit(row, writer.green(row) * np.float32(factor), writer.record(row))
 
 
-def _extend(lab, *banks, new="new.h5", runs=True):
-    """The command that makes a new bank of others, and of the lab's run unless they are to be merged."""
-    named = ["--run", lab / "run.toml"] if runs else []
-    return ["extend", *banks, *named, "--bank", lab / new]
+def _extend(lab, bank, new="new.h5"):
+    """The command that makes a new bank of another and of the lab's run."""
+    return ["extend", bank, "--run", lab / "run.toml", "--bank", lab / new]
 
 
 def test_more_positions_then_measured_rows_are_taken_over_and_the_others_measured(lab, bank, capsys):
@@ -93,26 +88,10 @@ def test_given_another_kind_of_rows_or_a_damaged_one_then_it_is_refused(lab, ban
     assert not (lab / "new.h5").exists()
 
 
-def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(lab, bank, capsys):
-    write_positions(lab, [[8.0, 0.0], [12.0, 0.0], [12.0, 4.0]])
-    other = lab / "other.h5"
-    assert wavefocus("capture", lab / "run.toml", "--bank", other) == 0
-    assert wavefocus(*_extend(lab, bank, other, runs=False)) == 0
-    with open_bank(lab / "new.h5") as new, open_bank(other) as second:
-        assert new.status.tolist() == [1] * 8
-        assert new.position_mm.tolist() == [*POSITIONS, [12.0, 0.0], [12.0, 4.0]]
-        assert np.array_equal(new.green(7), second.green(2))
-    _scale_rows(other, 3, 2.0)
-    assert "level +6.0" in refused(capsys, *_extend(lab, bank, other, new="worse.h5", runs=False))
-    write_positions(lab, [[12.0, 0.0], [12.0, 4.0]])
-    apart = lab / "apart.h5"
-    assert wavefocus("capture", lab / "run.toml", "--bank", apart) == 0
-    assert "shares no valid position" in refused(capsys, *_extend(lab, bank, apart, new="worse.h5", runs=False))
-
-
 def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(lab, bank):
     coarse = with_check_rows(bank, lab / "coarse.h5", 4, 5)
-    assert wavefocus(*_extend(lab, coarse, new="same.h5", runs=False)) == 0
+    write_positions(lab, POSITIONS[:4])
+    assert wavefocus(*_extend(lab, coarse, new="same.h5")) == 0
     write_positions(lab, [*MORE, POSITIONS[4]])
     assert wavefocus(*_extend(lab, coarse)) == 0
     for name, checks in (("same.h5", [POSITIONS[4], POSITIONS[5]]), ("new.h5", [POSITIONS[5]])):
@@ -130,21 +109,10 @@ def test_a_bank_with_the_check_positions_of_an_earlier_version_then_it_is_extend
     header = blueprint_of(load_run(run_file)).bank_header()
     write_rows(old, header, np.ones((header.positions, header.actuators, header.taps)))
     run_file.write_text(now, encoding="utf-8")
-    extend([old], tmp_path / "new.h5", run_file)
+    extend(old, tmp_path / "new.h5", run_file)
     with open_bank(tmp_path / "new.h5") as new:
         assert np.count_nonzero(new.status) == header.positions
         assert np.count_nonzero(new.check) >= 24
-
-
-def test_given_recordings_of_two_scales_then_they_are_not_put_into_one_file(lab):
-    change_text(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
-    header = blueprint_of(load_run(lab / "run.toml")).bank_header()
-    for name, per_volt in (("plate", 0.125), ("other", 0.05)):
-        write_rows(lab / f"{name}.h5", header, np.ones((6, 3, 1000)))
-        create_raw(lab / f"{name}.raw.h5", replace(raw_header(6, 3), response_per_volt=per_volt))
-    with pytest.raises(InputError, match=r"plate\.raw\.h5 .* response_per_volt 0\.125, .*other\.raw\.h5 with 0\.05"):
-        extend([lab / "plate.h5", lab / "other.h5"], lab / "new.h5")
-    assert not list(lab.glob("new*"))
 
 
 def test_given_kept_recordings_then_they_are_taken_over_too(lab, capsys):

@@ -78,12 +78,12 @@ def resume(bank: Path, *, options: SessionOptions) -> Exit:
     return _session(blueprint, bank, None, options)
 
 
-def extend(banks: Sequence[Path], bank: Path, run_file: Path | None = None, *, options: SessionOptions) -> Exit:
-    """Make a bank of the rows of others, with more positions, and measure those."""
+def extend(old: Path, bank: Path, run_file: Path, *, options: SessionOptions) -> Exit:
+    """Make a bank of the rows of another, with more positions, and measure those."""
     from wavefocus.campaign import extension  # not needed by other captures
 
-    blueprint = extension.extend(banks, bank, run_file)
-    rig_file = None if run_file is None else blueprint.configuration.run.rig_file(run_file)
+    blueprint = extension.extend(old, bank, run_file)
+    rig_file = blueprint.configuration.run.rig_file(run_file)
     with open_bank(bank) as view:
         for origin in origins_of(view):
             say(f"{bank}: positions {origin.rows} are taken over from {origin.bank}")

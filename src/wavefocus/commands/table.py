@@ -100,11 +100,10 @@ MEASURE = (
     Command(
         "extend", "capture:extend",
         "Make a bank with more positions.\n\n"
-        "Valid rows of one bank, or of several of one rig and plate, are taken over; the sentinel is measured first.",
+        "Valid rows of a bank of the same rig and plate are taken over; the sentinel is measured first.",
         (
-            file("banks", metavar="BANK.h5", nargs="+", help="Banks that were measured before."),
-            file("--run", dest="run_file", metavar="RUN.toml",
-                 help="The run with the new positions; without it only what the banks hold."),
+            file("old", metavar="BANK.h5", help="The bank that was measured before."),
+            file("--run", dest="run_file", metavar="RUN.toml", required=True, help="The run with the new positions."),
             file("--bank", metavar="NEW.h5", required=True, help="The bank to make."),
             JSON_LINES,
         ),
