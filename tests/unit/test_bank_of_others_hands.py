@@ -138,7 +138,7 @@ def test_a_text_that_is_no_note_or_a_file_that_takes_none_then_no_note_is_added(
 @pytest.mark.may_skip("Windows replaces no file that is open: the note is refused there")
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows replaces no file that is open")
 def test_a_note_added_while_another_process_opens_the_bank_then_nothing_is_lost(bank, monkeypatch):
-    opening, texts = durable.open_file, ["one"]
+    opening, texts = durable.PositionedFile, ["one"]
 
     def open_slowly(path, *, write):
         file = opening(path, write=write)
@@ -149,7 +149,7 @@ def test_a_note_added_while_another_process_opens_the_bank_then_nothing_is_lost(
     with BankWriter.open(bank, open_file=open_slowly) as writer:
         writer.amend(0, status=16)
     texts.append("two")
-    monkeypatch.setattr(durable, "open_file", open_slowly)
+    monkeypatch.setattr(durable, "PositionedFile", open_slowly)
     add_note(bank, "three")
     with open_bank(bank) as view:
         assert ([note.text for note in view.notes], view.status[0]) == (["one", "two", "three"], 16)
@@ -157,7 +157,7 @@ def test_a_note_added_while_another_process_opens_the_bank_then_nothing_is_lost(
 
 def test_on_windows_then_the_bank_is_closed_when_its_noted_copy_takes_its_name(bank, monkeypatch):
     def publish(staging):
-        with durable.open_file(bank) as file:
+        with durable.PositionedFile(bank) as file:
             assert not file.locked_elsewhere()
 
     monkeypatch.setattr("wavefocus.storage.bank.notes.sys", SimpleNamespace(platform="win32"))

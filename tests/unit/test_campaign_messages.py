@@ -23,7 +23,7 @@ from wavefocus.config.messages.campaign import State
 from wavefocus.gui.campaign.model import line_of
 from wavefocus.mocks.virtual import VirtualClock
 from wavefocus.options import SessionOptions
-from wavefocus.storage.durable import open_file
+from wavefocus.storage.durable import PositionedFile
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner, take_ownership, write_owner
 
@@ -227,7 +227,7 @@ def test_given_events_then_the_state_is_that_of_the_latest_session(bank, events,
 
 def test_given_a_pause_while_recovering_then_resume_without_options_takes_it_back(bank):
     bank.touch()
-    with open_file(bank) as file, control.CampaignControl(bank, StopRequest()):
+    with PositionedFile(bank) as file, control.CampaignControl(bank, StopRequest()):
         take_ownership(bank, file, "bank")
         write_owner(bank)
         after(bank, STARTED, RUNNING, FAULT, LOST)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from wavefocus.storage.durable import (
     PositionedFile,
     is_network_mount_in,
-    open_file,
     publish_by_claim,
     publish_by_link,
     publish_new,
@@ -125,7 +124,8 @@ def test_a_drive_that_keeps_no_locks_then_the_file_and_the_remedy_are_named(tmp_
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("fcntl.flock", refused)  # as the system answers on such a mount
-    (tmp_path / "bank.h5").touch()
-    with open_file(tmp_path / "bank.h5", write=True) as file, pytest.raises(OSError, match="folder of this") as caught:
+    path = tmp_path / "bank.h5"
+    path.touch()
+    with PositionedFile(path, write=True) as file, pytest.raises(OSError, match="folder of this") as caught:
         file.try_lock()
-    assert (caught.value.errno, caught.value.filename) == (number, str(tmp_path / "bank.h5"))
+    assert (caught.value.errno, caught.value.filename) == (number, str(path))

@@ -193,13 +193,8 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_close_in_forked_child)
 
 
-def open_file(path: Path, *, write: bool = False) -> PositionedFile:
-    """Open an existing file."""
-    return PositionedFile(path, write=write)
-
-
 OpenFile = Callable[..., PositionedFile]
-"""As `open_file`; tests watch or break writes by another."""
+"""As `PositionedFile`; tests watch or break writes by another."""
 
 
 def publish_new(temporary: Path, final: Path) -> None:
@@ -230,7 +225,7 @@ def publish_by_claim(temporary: Path, final: Path) -> None:
 
 def sync_path(path: Path) -> None:
     """Return when a closed file's bytes are on the disk."""
-    with open_file(path, write=True) as file:
+    with PositionedFile(path, write=True) as file:
         file.sync()
 
 

@@ -36,7 +36,7 @@ def created(path: Path, data_bytes: int = 0, *, laid_out_once: bool = False) -> 
     Raises OSError: there is no room, or the disk failed; the file is of no use then.
     """
     path.touch(exist_ok=False)
-    with durable.open_file(path, write=True) as disk:
+    with durable.PositionedFile(path, write=True) as disk:
         if not laid_out_once:
             disk.reserve(data_bytes + (1 << 16))
         target = _Target(disk)

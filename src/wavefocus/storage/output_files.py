@@ -114,7 +114,7 @@ def require_room(path: Path, size: int) -> None:
     """
     path.touch(0o600, exist_ok=False)
     try:
-        with durable.open_file(path, write=True) as file:
+        with durable.PositionedFile(path, write=True) as file:
             file.reserve(size)
     finally:
         path.unlink()

@@ -68,7 +68,7 @@ class ScanJournal(Closing):
             create(path).close()
         elif not path.is_file() or path.is_symlink():
             raise InputError(f"{path} is not a regular file; remove it, or name another folder")
-        self._file = durable.open_file(path, write=True)
+        self._file = durable.PositionedFile(path, write=True)
         try:
             self._own(replace=replace)
         except BaseException:

@@ -228,7 +228,7 @@ def _new_folder(path: Path) -> tuple[Path, PositionedFile]:
 def _claim(name: Path) -> PositionedFile | None:
     """Lock a folder's owner file; None when the folder was taken for a leftover before it was locked."""
     name.touch(0o600, exist_ok=False)
-    owner = durable.open_file(name, write=True)
+    owner = durable.PositionedFile(name, write=True)
     if owner.try_lock() and name.exists():
         return owner
     owner.close()
@@ -245,7 +245,7 @@ def _clear_leftover(folder: Path, path: Path) -> None:
         elif not (folder / _OWNER).exists():  # of two names that were not synced, power cuts may keep either
             _clear(folder, path.name, None)
         return
-    owner = durable.open_file(folder / _OWNER, write=True)
+    owner = durable.PositionedFile(folder / _OWNER, write=True)
     if not owner.try_lock():
         owner.close()
         return

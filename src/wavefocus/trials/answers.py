@@ -135,7 +135,7 @@ class AnswersFile(Closing):
         if not self.path.exists():
             create(self.path).close()
             durable.sync_folder(folder)
-        self._file = durable.open_file(self.path, write=True)
+        self._file = durable.PositionedFile(self.path, write=True)
         try:
             take_ownership(self.path, self._file, "answers file")
             content = bytes(self._file.read(0, self._file.size()))

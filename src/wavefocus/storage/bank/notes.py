@@ -104,7 +104,7 @@ def add_note(path: str | Path, text: str) -> Note:
         raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank itself")
     clear_leftovers(path.parent, path.name)
     try:
-        with owner.opened_as_owner(path, "bank", durable.open_file) as file:
+        with owner.opened_as_owner(path, "bank", durable.PositionedFile) as file:
             with hdf5_reading.opened(path) as content:
                 hdf5_reading.require_sound_texts(content)
                 if "green" not in content:

@@ -156,7 +156,7 @@ def write_bank(
         layout = create_bank(temporary, header)
         if notes:
             write_notes(temporary, notes)
-        with durable.open_file(temporary, write=True) as file:
+        with durable.PositionedFile(temporary, write=True) as file:
             for position, green, record in rows:
                 values = np.ascontiguousarray(green, "<f4")
                 row = encode_row(position, record, values)

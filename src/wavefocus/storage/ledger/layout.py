@@ -244,7 +244,7 @@ def create_file(path: Path, about_bytes: int, lay_out: Callable[[h5py.File], Led
             with created(place.temporary, laid_out_once=True) as file:
                 layout = lay_out(file)
                 hdf5_digest.seal_contents(file, later_datasets(layout))
-            with durable.open_file(place.temporary, write=True) as disk:
+            with durable.PositionedFile(place.temporary, write=True) as disk:
                 disk.reserve(max(-(-disk.size() // PAGE) * PAGE, layout.file_bytes))
                 disk.sync()
             place.complete()

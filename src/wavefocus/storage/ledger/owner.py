@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from wavefocus.storage.durable import OpenFile, PositionedFile, open_file
+from wavefocus.storage.durable import OpenFile, PositionedFile
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.sidecar_files import create, is_replaceable
 from wavefocus.storage.text_file import permission_words, read_regular, require_regular
@@ -52,7 +52,7 @@ def bank_owner(path: str | Path) -> Owner | None:
     if not owner_path(path).exists():
         return None  # without touching the lock
     try:
-        file = open_file(path)
+        file = PositionedFile(path)
     except OSError as error:
         raise InputError(f"{path} may not be read: {error.strerror}") from error
     with file:
@@ -150,7 +150,7 @@ def claimed(name: str) -> Iterator[None]:
         create(path).close()
         path.chmod(0o666)  # other users of this computer hold the same name, whatever the umask
     try:
-        lock = open_file(path)
+        lock = PositionedFile(path)
     except PermissionError:
         raise InputError(f"{name}: its lock {path} may not be opened{permission_words(path)}") from None
     with lock as file:

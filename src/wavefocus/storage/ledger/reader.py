@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage.durable import open_file
+from wavefocus.storage.durable import PositionedFile
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.layout import LedgerLayout
 from wavefocus.storage.ledger.owner import owner_path
@@ -33,7 +33,7 @@ class LedgerReader:
         self._path, self._layout, self._shape = path, layout, layout.shape
         self._tries = _TRIES if file is None else 1  # what is given is not being written
         try:
-            self._file = file or open_file(path)
+            self._file = file or PositionedFile(path)
         except OSError as error:
             raise InputError(f"{path} may not be read: {error.strerror}") from error
         try:

@@ -55,7 +55,7 @@ class LedgerWriter(Closing):
 
     @classmethod
     def open(
-        cls, path: str | Path, *, plan_sha256: str | None = None, open_file: durable.OpenFile = durable.open_file
+        cls, path: str | Path, *, plan_sha256: str | None = None, open_file: durable.OpenFile = durable.PositionedFile
     ) -> Self:
         """Own a file and bring it into order.
 
