@@ -35,7 +35,7 @@ from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, Ver
 from wavefocus.console import Pace, exit_code, say, sentence
 from wavefocus.storage.bank.ledger import row_ranges
 from wavefocus.storage.sidecar_files import Log, create, is_replaceable
-from wavefocus.storage.text_file import open_regular, read_regular
+from wavefocus.storage.text_file import open_regular
 
 # A file that somebody reads just now cannot be replaced on Windows; the reader is done at once.
 _TRIES = 5
@@ -153,7 +153,7 @@ def last_events(bank: Path) -> Iterator[Logged]:
     The log is read backwards and no further than asked for. Lines that are no events are passed over: the last one
     is torn when the machine lost power.
     """
-    return (logged for line in _lines_backwards(log_path(bank)) if (logged := read_event(line)) is not None)
+    return _events_backwards(log_path(bank))
 
 
 def session_failure(bank: Path, since: datetime) -> tuple[str, str]:
@@ -212,8 +212,8 @@ def unvouched_rows(bank: Path, positions: int) -> tuple[int, ...]:
     return tuple(row for row in dict.fromkeys(reversed(rows)) if row < positions)
 
 
-def _lines_backwards(path: Path) -> Iterator[bytes]:
-    """The lines of a file from the last to the first, as it was when asked first."""
+def _events_backwards(path: Path) -> Iterator[Logged]:
+    """The events of a file from the last to the first, as it was when asked first; nothing where there is none."""
     if not path.is_file():
         return
     with open_regular(path) as file:
@@ -223,8 +223,9 @@ def _lines_backwards(path: Path) -> Iterator[bytes]:
             size = min(start, _BLOCK_BYTES)
             start = file.seek(start - size)
             rest, *lines = (file.read(size) + rest).split(b"\n")
-            yield from reversed(lines)
-        yield rest
+            for line in reversed(lines if start else [rest, *lines]):
+                if (logged := read_event(line)) is not None:
+                    yield logged
 
 
 def drift_path(bank: Path) -> Path:
@@ -234,18 +235,14 @@ def drift_path(bank: Path) -> Path:
 
 def read_drift(bank: Path) -> list[tuple[datetime, Drift]]:
     """The drift history of a bank, oldest first; empty where there is none. Torn lines are passed over."""
-    lines = read_regular(drift_path(bank)).splitlines() if drift_path(bank).is_file() else ()
-    found = (read_event(line) for line in lines)
-    return [(logged.at, logged.event) for logged in found if logged is not None and isinstance(logged.event, Drift)]
+    found = reversed([*_events_backwards(drift_path(bank))])
+    return [(logged.at, logged.event) for logged in found if isinstance(logged.event, Drift)]
 
 
 def read_crosstalk(bank: Path) -> CrosstalkMeasured | None:
     """The latest look at the leak of the loopback; it stands in the drift history."""
-    for line in reversed(drift_path(bank).read_bytes().splitlines() if drift_path(bank).is_file() else ()):
-        logged = read_event(line)
-        if logged is not None and isinstance(logged.event, CrosstalkMeasured):
-            return logged.event
-    return None
+    looks = (one.event for one in _events_backwards(drift_path(bank)) if isinstance(one.event, CrosstalkMeasured))
+    return next(looks, None)
 
 
 def suspect_rows(points: list[tuple[datetime, Drift]]) -> str:
