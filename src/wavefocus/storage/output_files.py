@@ -8,7 +8,7 @@ import os
 import shutil
 import stat
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -53,18 +53,16 @@ def staged_folder(folder: Path, last: str, owned: Collection[str]) -> Iterator[P
     """Write files into a folder together: yields a hidden folder whose files are moved when the block ends well.
 
     Other files of the folder stay. The file named `last` never stands among files of another making: who finds it
-    finds all others of the same. The folder is made where missing, and removed where the block fails and it is empty.
+    finds all others of the same.
 
+    folder: Where they belong; it exists.
     owned: Names of files that are gone afterwards unless the block has written them.
 
     Raises InputError: they cannot be written; older files may be gone then, the one named `last` before all others.
     """
-    with _named_failures(folder), ExitStack() as stack:
-        if not folder.is_dir():
-            folder.mkdir(parents=True)
-            stack.callback(_remove_if_empty, folder)
-        publish = partial(StagingDir.publish_files, last=last, owned=owned)
-        yield stack.enter_context(_staged(folder / _STAGED, folder, publish))
+    publish = partial(StagingDir.publish_files, last=last, owned=owned)
+    with _named_failures(folder), _staged(folder / _STAGED, folder, publish) as staging:
+        yield staging
 
 
 @contextmanager
@@ -248,11 +246,6 @@ def _keep_mode(older: Path, made: Path) -> None:
     """Give a synced file the permissions of the one that it replaces: to be synced it must be writable."""
     if older.is_file():
         shutil.copymode(older, made)
-
-
-def _remove_if_empty(folder: Path) -> None:
-    with suppress(OSError):
-        folder.rmdir()
 
 
 @contextmanager
