@@ -141,7 +141,7 @@ def create_bank(path: str | Path, header: BankHeader) -> LedgerLayout:
     Raises ExistsError: when the path exists. InputError: when the folder is missing, or the disk is too small; nothing
     is left behind.
     """
-    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header))
+    return create_file(Path(path), header, _lay_out)
 
 
 def quality_shape(name: str, positions: int, actuators: int) -> tuple[int, ...]:
@@ -155,17 +155,13 @@ def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> Ledger
     Raises InputError: when the file is of another format or version, is not a bank of this program, is truncated or
     damaged.
     """
-    require_ledger(file, path, BANK)
-    header = read_header(file, path)
-    layout = _find_layout(file, header, path)
+    require_ledger(file, BANK)
+    layout = _find_layout(file, read_header(file, path))
     layout.require_sound(path)
-    require_checksum(
-        file, path, "layout_crc32", layout.checksum(_FIRST_FIGURES), "its address table's", OtherLayoutError
-    )
+    table = "its address table's"
+    require_checksum(file, "layout_crc32", layout.checksum(_FIRST_FIGURES), table, OtherLayoutError)
     if "layout_later_crc32" in file.attrs:  # not in banks of the first edition
-        require_checksum(
-            file, path, "layout_later_crc32", _later_checksum(layout), "its address table's", OtherLayoutError
-        )
+        require_checksum(file, "layout_later_crc32", _later_checksum(layout), table, OtherLayoutError)
     if contents:
         hdf5_digest.require_contents(file, later_datasets(layout))
     return layout
@@ -180,7 +176,7 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
     time_s = dimension_scale(file, "time_s", sample_times(taps, header.sample_rate_hz), "s")
     axis = file.create_dataset("axis", data=["x", "y"], dtype=h5py.string_dtype(), track_times=False)
     axis.make_scale("axis")
-    (green,) = lay_out_data(file, header.rows, count, [header.response_unit])
+    (green,) = lay_out_data(file, header, [header.response_unit])
     attach(green, position, actuator, time_s)
     attach(filled(file, "/position_mm", header.position_mm, "mm"), position, axis)
     attach(filled(file, "/actuator_mm", header.actuator_mm, "mm"), actuator, axis)
@@ -193,8 +189,8 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
         attach(filled(file, f"/quality/{name}", empty, QUALITY[name][0]), *(position, actuator)[: len(shape)])
     row_byte = bare_dimension(file, "durability/ledger_byte", header.rows.row_bytes)
     journal_byte = bare_dimension(file, "durability/journal_byte", header.rows.journal_bytes)
-    lay_out_ledger(file, header.rows, count, position, row_byte, journal_byte)
-    layout = _find_layout(file, header, Path(file.filename))
+    lay_out_ledger(file, header, position, row_byte, journal_byte)
+    layout = _find_layout(file, header)
     file.attrs["header_crc32"] = np.uint32(header.checksum())
     file.attrs["layout_crc32"] = np.uint32(layout.checksum(_FIRST_FIGURES))
     file.attrs["layout_later_crc32"] = np.uint32(_later_checksum(layout))
@@ -207,13 +203,13 @@ def describe_status(status: h5py.Dataset) -> None:
     status.attrs["flag_meanings"] = "valid over_range poor_signal failed disabled"
 
 
-def _find_layout(file: h5py.File, header: BankHeader, path: Path) -> LedgerLayout:
+def _find_layout(file: h5py.File, header: BankHeader) -> LedgerLayout:
     count, actuators = header.positions, header.actuators
     figures: dict[str, tuple[tuple[int, ...], str]] = {"/status": ((count,), "u1")}
     for name in QUALITY_NAMES:
         if name in FIRST_QUALITY_NAMES or hdf5_reading.has(file, f"/quality/{name}"):
             figures[f"/quality/{name}"] = (quality_shape(name, count, actuators), "<f4")
-    return find_layout(file, path, header, bank_row_shape(actuators, header.taps), count, figures)
+    return find_layout(file, header, figures)
 
 
 def _later_checksum(layout: LedgerLayout) -> int:
@@ -264,7 +260,7 @@ def read_header(file: h5py.File, path: Path) -> BankHeader:
                 hdf5_reading.number(file, "inter_channel_delay_s") if "inter_channel_delay_s" in file.attrs else None
             ),
         )
-    require_checksum(file, path, "header_crc32", header.checksum(), "its header's")
+    require_checksum(file, "header_crc32", header.checksum(), "its header's")
     return header
 
 

@@ -104,11 +104,10 @@ def offsets_crc(offsets: Sequence[int], before: int = 0) -> int:
     return zlib.crc32(np.array(offsets, "<i8").tobytes(), before)
 
 
-def require_checksum(
-    file: h5py.File, path: Path, name: str, found: int, what: str, error: type[InputError] = InputError
-) -> None:
+def require_checksum(file: h5py.File, name: str, found: int, what: str, error: type[InputError] = InputError) -> None:
     """Refuse a file whose attribute `name` is another checksum of `what`."""
     if found != hdf5_reading.number(file, name):
+        path = hdf5_reading.path_of(file)
         raise error(f"{path} is damaged: {what} checksum does not hold; restore it from a copy")
 
 
@@ -130,19 +129,20 @@ def write_attributes(
             file.attrs[name] = np.array(value, kind)
 
 
-def lay_out_data(file: h5py.File, shape: RowShape, count: int, units: Sequence[str]) -> tuple[h5py.Dataset, ...]:
+def lay_out_data(file: h5py.File, header: Any, units: Sequence[str]) -> tuple[h5py.Dataset, ...]:
     """Reserve the datasets of the positions' data; return them."""
+    shape = header.rows
     chunk = (1, *shape.dimensions)
     return tuple(
-        reserved(file, name, (count, *shape.dimensions), shape.format.dtype, unit, chunk)
+        reserved(file, name, (header.positions, *shape.dimensions), shape.format.dtype, unit, chunk)
         for name, unit in zip(shape.format.datasets, units, strict=True)
     )
 
 
-def lay_out_ledger(file: h5py.File, shape: RowShape, count: int, *scales: h5py.Dataset) -> None:
+def lay_out_ledger(file: h5py.File, header: Any, *scales: h5py.Dataset) -> None:
     """Reserve ledger and journal; `scales` are those of position, ledger byte and journal byte."""
-    ledger = reserved(file, LEDGER, (count, shape.row_bytes), "u1")
-    journal = reserved(file, JOURNAL, (shape.journal_bytes,), "u1")
+    ledger = reserved(file, LEDGER, (header.positions, header.rows.row_bytes), "u1")
+    journal = reserved(file, JOURNAL, (header.rows.journal_bytes,), "u1")
     if scales:
         attach(ledger, *scales[:2])
         attach(journal, scales[2])
@@ -153,31 +153,24 @@ def has_ledger(file: h5py.File) -> bool:
     return "format" in file.attrs and hdf5_reading.has(file, LEDGER)
 
 
-def require_ledger(file: h5py.File, path: Path, form: LedgerFormat) -> None:
+def require_ledger(file: h5py.File, form: LedgerFormat) -> None:
     """Refuse a file that is of another format or was not made by this program."""
     hdf5_reading.require_sound_texts(file)  # before any text is read
     hdf5_reading.require_format(file, form.name)
     if not has_ledger(file):
+        path = hdf5_reading.path_of(file)
         raise InputError(f"{path} was made by another program; it can be read, but not written into")
 
 
-def find_layout(
-    file: h5py.File,
-    path: Path,
-    header: Any,
-    shape: RowShape,
-    count: int,
-    figures: dict[str, tuple[tuple[int, ...], str]],
-) -> LedgerLayout:
+def find_layout(file: h5py.File, header: Any, figures: dict[str, tuple[tuple[int, ...], str]]) -> LedgerLayout:
     """Find where everything lies.
 
-    file, path: The open file, and its name for messages.
-    shape: Sizes of a position's data and of its ledger row.
-    count: Number of positions.
+    header: What the file says about itself.
     figures: Shape and type of the datasets that follow from the ledger.
 
     Raises InputError: something is missing or laid out otherwise.
     """
+    path, shape, count = hdf5_reading.path_of(file), header.rows, header.positions
 
     def offset(name: str, expected: tuple[int, ...], dtype: str) -> int:
         dataset = hdf5_reading.plain_dataset(file, name, shape=expected)
@@ -189,7 +182,7 @@ def find_layout(
     return LedgerLayout(
         header,
         shape,
-        np.array([_row_offsets(file, path, name, shape, count) for name in shape.format.datasets]),
+        np.array([_row_offsets(file, name, shape, count) for name in shape.format.datasets]),
         offset(LEDGER, (count, shape.row_bytes), "u1"),
         offset(JOURNAL, (shape.journal_bytes,), "u1"),
         {
@@ -199,8 +192,9 @@ def find_layout(
     )
 
 
-def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count: int) -> NDArray[np.int64]:
+def _row_offsets(file: h5py.File, name: str, shape: RowShape, count: int) -> NDArray[np.int64]:
     """Where each position of a dataset lies that has a chunk for each."""
+    path = hdf5_reading.path_of(file)
     dataset = hdf5_reading.plain_dataset(file, name, shape=(count, *shape.dimensions))
     if dataset.dtype != np.dtype(shape.format.dtype) or dataset.chunks != (1, *shape.dimensions):
         raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {_NOT_WRITTEN}")
@@ -221,10 +215,10 @@ def later_datasets(layout: LedgerLayout) -> frozenset[str]:
     return frozenset({*layout.shape.format.datasets, *layout.figures, LEDGER, JOURNAL})
 
 
-def create_file(path: Path, about_bytes: int, lay_out: Callable[[h5py.File], LedgerLayout]) -> LedgerLayout:
+def create_file(path: Path, header: Any, lay_out: Callable[[h5py.File, Any], LedgerLayout]) -> LedgerLayout:
     """Make a ledger file with all its space reserved, and return where it lies; an existing file is never touched.
 
-    about_bytes: How large it will be, a little rounded up.
+    header: What it says about itself.
     lay_out: Writes attributes and datasets and returns where they lie.
 
     Raises ExistsError: when the path exists. InputError: when the folder is missing, or the disk is too small; nothing
@@ -238,11 +232,11 @@ def create_file(path: Path, about_bytes: int, lay_out: Callable[[h5py.File], Led
         raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the file itself")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
-    _require_space(path, about_bytes)
+    _require_space(path, header.file_bytes)
     try:
         with staging_dir(path) as place:
             with created(place.temporary, laid_out_once=True) as file:
-                layout = lay_out(file)
+                layout = lay_out(file, header)
                 hdf5_digest.seal_contents(file, later_datasets(layout))
             with durable.PositionedFile(place.temporary, write=True) as disk:
                 disk.reserve(max(-(-disk.size() // PAGE) * PAGE, layout.file_bytes))
@@ -255,7 +249,7 @@ def create_file(path: Path, about_bytes: int, lay_out: Callable[[h5py.File], Led
     except InputError:
         raise
     except (OSError, RuntimeError, ValueError) as error:
-        _require_space(path, about_bytes, error)
+        _require_space(path, header.file_bytes, error)
         raise InputError(f"{path} cannot be made: {getattr(error, 'strerror', None) or error}") from error
 
 

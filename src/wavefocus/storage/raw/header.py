@@ -301,7 +301,7 @@ _WORDS = {"rig": "rig_json", "run": "run_json", **{name: name for name in ("plan
 
 def create_raw(path: str | Path, header: RawHeader) -> LedgerLayout:
     """Make an empty raw file with all its space reserved; arguments and errors as of `create_bank`."""
-    return create_file(Path(path), header.file_bytes, lambda file: _lay_out(file, header))
+    return create_file(Path(path), header, _lay_out)
 
 
 def read_raw_layout(file: h5py.File, path: Path) -> LedgerLayout:
@@ -310,10 +310,10 @@ def read_raw_layout(file: h5py.File, path: Path) -> LedgerLayout:
     Raises InputError: when the file is of another format or version, was made by another program, is truncated or
     damaged.
     """
-    require_ledger(file, path, RAW)
-    layout = _find_layout(file, read_raw_header(file, path), path)
+    require_ledger(file, RAW)
+    layout = _find_layout(file, read_raw_header(file, path))
     layout.require_sound(path)
-    require_checksum(file, path, "layout_crc32", _checksum(layout), "its header's")
+    require_checksum(file, "layout_crc32", _checksum(layout), "its header's")
     hdf5_digest.require_contents(file, later_datasets(layout))
     return layout
 
@@ -408,21 +408,21 @@ def _lay_out(file: h5py.File, header: RawHeader) -> LedgerLayout:
         filled(file, f"/schedule/{name}", getattr(header.schedule, name), unit)
     filled(file, "/position_mm", header.position_mm, "mm")
     filled(file, "/actuator_mm", header.actuator_mm, "mm")
-    channels = lay_out_data(file, header.rows, header.positions, ["1", "1"])
+    channels = lay_out_data(file, header, ["1", "1"])
     for dataset, volts in zip(channels, header.volts_per_count, strict=True):
         dataset.attrs["volts_per_count"] = np.float64(volts)
     filled(file, LEAK, np.full(header.positions, np.nan, "<f4"), "dB")
-    lay_out_ledger(file, header.rows, header.positions)
-    layout = _find_layout(file, header, Path(file.filename))
+    lay_out_ledger(file, header)
+    layout = _find_layout(file, header)
     file.attrs["layout_crc32"] = np.uint32(_checksum(layout))
     return layout
 
 
-def _find_layout(file: h5py.File, header: RawHeader, path: Path) -> LedgerLayout:
+def _find_layout(file: h5py.File, header: RawHeader) -> LedgerLayout:
     figures: dict[str, tuple[tuple[int, ...], str]] = {}
     if hdf5_reading.has(file, LEAK):
         figures[LEAK] = (header.positions,), "<f4"
-    return find_layout(file, path, header, header.rows, header.positions, figures)
+    return find_layout(file, header, figures)
 
 
 def _checksum(layout: LedgerLayout) -> int:
