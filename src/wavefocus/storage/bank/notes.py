@@ -18,8 +18,7 @@ from wavefocus.storage import durable, hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import checked
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger import owner
-from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
-from wavefocus.storage.text_file import require_regular
+from wavefocus.storage.sidecar_files import staging_dir
 
 MAX_LETTERS = 4000
 """Of one note."""
@@ -99,10 +98,6 @@ def add_note(path: str | Path, text: str) -> Note:
         raise InputError(f"the note has {len(text)} letters; 1 to {MAX_LETTERS} are needed")
     if any(unicodedata.category(letter) in ("Cc", "Cs") and letter not in "\n\t" for letter in text):
         raise InputError("the note holds control characters; plain text is needed")
-    require_regular(path)
-    if path.is_symlink():
-        raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank itself")
-    clear_leftovers(path.parent, path.name)
     try:
         with owner.opened_as_owner(path, "bank", durable.PositionedFile) as file:
             with hdf5_reading.opened(path) as content:

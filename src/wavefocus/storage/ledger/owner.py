@@ -15,7 +15,7 @@ from pathlib import Path
 
 from wavefocus.storage.durable import OpenFile, PositionedFile
 from wavefocus.storage.errors import BankBusyError, InputError
-from wavefocus.storage.sidecar_files import create, is_replaceable
+from wavefocus.storage.sidecar_files import clear_leftovers, create, is_replaceable
 from wavefocus.storage.text_file import permission_words, read_regular, require_regular
 
 # Asking for the owner holds a shared lock for microseconds; a writer that meets it tries again.
@@ -60,10 +60,15 @@ def bank_owner(path: str | Path) -> Owner | None:
 
 
 def opened_as_owner(path: Path, kind: str, opening: OpenFile) -> PositionedFile:
-    """Open a file, a `kind` in messages, for writing, and own it until it is closed.
+    """Open a file, a `kind` in messages, for writing, and own it until it is closed; what a kill left beside it goes.
 
-    Raises InputError: it may not be written. BankBusyError: as `take_ownership`.
+    Raises InputError: it is missing, a link or no regular file, or may not be written. BankBusyError: as
+    `take_ownership`.
     """
+    if path.is_symlink():
+        raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the file itself")
+    require_regular(path)
+    clear_leftovers(path.parent, path.name)
     for tries_left in reversed(range(_TRIES)):
         try:
             file = opening(path, write=True)

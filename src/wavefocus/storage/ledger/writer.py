@@ -18,8 +18,6 @@ from wavefocus.storage.errors import FileLostError, InputError, WavefocusError
 from wavefocus.storage.ledger import owner
 from wavefocus.storage.ledger.layout import LedgerLayout
 from wavefocus.storage.ledger.pages import Bytes, Ledger, LedgerFormat, Replacement, is_empty
-from wavefocus.storage.sidecar_files import clear_leftovers
-from wavefocus.storage.text_file import require_regular
 
 
 class LedgerWriter(Closing):
@@ -67,15 +65,16 @@ class LedgerWriter(Closing):
         untouched. BankBusyError: when another process owns it. WavefocusError: when it cannot be written.
         """
         path, kind = Path(path), cls._format.kind
-        if path.is_symlink():
-            raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the {kind} file itself")
-        require_regular(path)
-        clear_leftovers(path.parent, path.name)
         file = owner.opened_as_owner(path, kind, open_file)
         try:
             with hdf5_reading.opened(path) as content:
                 layout = cls._read_layout(content, path)
-            _require_plan(path, kind, layout.header.plan_sha256, plan_sha256)
+            found = layout.header.plan_sha256
+            if plan_sha256 is not None and plan_sha256 != found:
+                raise InputError(
+                    f"{path} belongs to another plan ({found[:12] or 'it names none'}, not {plan_sha256[:12]});"
+                    f" resume it from the bank alone, undo the change, or name a new {kind}"
+                )
             owner.write_owner(path)  # for people who meet the lock
             try:
                 return cls(path, file, layout)
@@ -272,14 +271,6 @@ class LedgerWriter(Closing):
             return None
         crcs = self._shape.crcs(row, position)
         return Replacement(position, chunks, bytes(row)) if crcs and self._shape.holds(crcs, chunks) else None
-
-
-def _require_plan(path: Path, kind: str, found: str, wanted: str | None) -> None:
-    if wanted is not None and wanted != found:
-        raise InputError(
-            f"{path} belongs to another plan ({found[:12] or 'it names none'}, not {wanted[:12]});"
-            f" resume it from the bank alone, undo the change, or name a new {kind}"
-        )
 
 
 def _free_name(path: Path) -> Path:
