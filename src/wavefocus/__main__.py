@@ -89,19 +89,14 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: object, *
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code."""
-    from wavefocus.console import Exit, account, exit_code, one_line
+    from wavefocus.console import Exit, account, exit_code
 
     try:
         from wavefocus import cli
-        from wavefocus.command_line import UsageError
 
-        try:
-            return cli.run_command(arguments or ["--help"])
-        except UsageError as wrong:
-            print(f"wavefocus: {one_line(str(wrong))}", file=sys.stderr)
-            return Exit.WRONG_INPUT
-        except SystemExit:  # the help was shown
-            return Exit.DONE
+        return cli.run_command(arguments or ["--help"])
+    except SystemExit:  # the help was shown
+        return Exit.DONE
     except BaseException as failure:
         # An import that Ctrl-C breaks off may fail in other words than KeyboardInterrupt.
         code = Exit.STOPPED if interrupts else exit_code(failure)

@@ -8,9 +8,10 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from wavefocus.command_line import Command, Parser, UsageError, listed
+from wavefocus.command_line import Command, Parser, listed
 from wavefocus.commands.table import COMMANDS, GENERAL, GROUPS, found
 from wavefocus.config.retired import retired_command
+from wavefocus.storage.errors import InputError
 
 DESCRIPTION = (
     "Measure a plate's Green's functions overnight, render moving tactile sources by time reversal, and check the "
@@ -56,10 +57,10 @@ def parser(commands: Sequence[Command] | None = None, words: Sequence[str] | Non
 def parsed(arguments: Sequence[str]) -> tuple[Command, dict[str, Any]]:
     """Read one command line: the command, and its arguments by their names in Python.
 
-    Raises UsageError: the command line is wrong.
+    Raises InputError: the command line is wrong.
     """
     if gone := retired_command([word for word in arguments if not word.startswith("-")]):
-        raise UsageError(gone)
+        raise InputError(gone)
     whole = parser(COMMANDS, arguments)
     read, extra = whole.parse_known_args(arguments)
     given = vars(read)
@@ -76,7 +77,7 @@ def parsed(arguments: Sequence[str]) -> tuple[Command, dict[str, Any]]:
 def run_command(arguments: Sequence[str]) -> int:
     """Run one command line.
 
-    Returns the exit code. Raises UsageError: the command line is wrong.
+    Returns the exit code. Raises InputError: the command line is wrong.
     """
     command, given = parsed(arguments)
     from wavefocus.console import spinner

@@ -12,10 +12,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, NoReturn, Union, cast, get_args, get_origin, get_type_hints
 
 from wavefocus.config.retired import OPTIONS, refused
-
-
-class UsageError(Exception):
-    """The command line is wrong; the message names the argument."""
+from wavefocus.storage.errors import InputError
 
 
 class Argument(NamedTuple):
@@ -164,7 +161,7 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """Raises `UsageError` in place of ending the process; reads -1e-3 as a number and not as an option."""
+    """Raises `InputError` in place of ending the process; reads -1e-3 as a number and not as an option."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(formatter_class=_Formatter, allow_abbrev=False, **settings)
@@ -172,7 +169,7 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-(\d|\.\d|inf|nan)")
 
     def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{message} ({self.prog} --help shows what there is)")
+        raise InputError(f"{message} ({self.prog} --help shows what there is)")
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
         """Refuse an empty value, as a shell passes for a variable that is not set: it would count as left out."""
@@ -188,7 +185,7 @@ class Parser(argparse.ArgumentParser):
         what = f"{value!r} is not a command" if action.dest == "command" else f"{value!r} is not allowed"
         guess = nearest(str(value), known)
         if action.dest == "command":
-            raise UsageError(f"{what}{guess or '; wavefocus --help lists all'}")
+            raise InputError(f"{what}{guess or '; wavefocus --help lists all'}")
         raise argparse.ArgumentError(action, f"{what}{guess or '; allowed: ' + ', '.join(known)}")
 
     def refuse(self, extra: Sequence[str], command: str) -> NoReturn:
@@ -196,9 +193,9 @@ class Parser(argparse.ArgumentParser):
         known = [name for one in self.of_commands[command]._actions for name in one.option_strings]
         option = next((one for one in extra if one.startswith("-")), extra[0]).partition("=")[0]
         if instead := OPTIONS.get(option):
-            raise UsageError(f"{command}: {refused(option, instead)}")
+            raise InputError(f"{command}: {refused(option, instead)}")
         guess = nearest(option, known) if option.startswith("-") else ""
-        raise UsageError(f"{command}: {option} is not known{guess} (wavefocus {command} --help shows what there is)")
+        raise InputError(f"{command}: {option} is not known{guess} (wavefocus {command} --help shows what there is)")
 
 
 def nearest(word: str, known: Sequence[str]) -> str:

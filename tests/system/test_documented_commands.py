@@ -26,7 +26,7 @@ from markdown_it import MarkdownIt
 from tests.lab_files import RIG, RUN, change_text, write_positions
 from wavefocus.__main__ import run
 from wavefocus.cli import parser
-from wavefocus.command_line import UsageError
+from wavefocus.storage.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 EVERY = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -115,7 +115,7 @@ def fault_of(words, *, whole):
         parser().parse_args(words)
     except SystemExit:  # the help was shown
         return ""
-    except UsageError as wrong:
+    except InputError as wrong:
         return "" if not whole and re.search("required|expected one", str(wrong)) else str(wrong)
     return ""
 

@@ -10,7 +10,7 @@ import pytest
 from wavefocus import InputError, load_scene, open_bank
 from wavefocus.__main__ import run
 from wavefocus.cli import run_command
-from wavefocus.command_line import UsageError, nearest
+from wavefocus.command_line import nearest
 from wavefocus.commands.table import COMMANDS
 from wavefocus.config.calibration import load_calibration
 from wavefocus.config.retired import COMMANDS as GONE
@@ -68,7 +68,7 @@ def test_a_toml_file_in_place_of_a_bank_and_a_key_of_a_rig_in_a_run_file_are_nam
     ],
 )
 def test_given_a_mistyped_word_then_the_nearest_is_named(arguments, meant):
-    with pytest.raises(UsageError, match=f"did you mean {meant}\\?"):
+    with pytest.raises(InputError, match=f"did you mean {meant}\\?"):
         run_command(arguments)
 
 

@@ -11,7 +11,6 @@ import scipy.io
 from wavefocus import InputError, open_bank
 from wavefocus.calibration.imports.bank import import_bank
 from wavefocus.cli import parser
-from wavefocus.command_line import UsageError
 from wavefocus.options import ImportOptions
 from wavefocus.storage.units import quantity, response_unit
 
@@ -160,7 +159,7 @@ def test_given_an_axis_or_option_that_does_not_fit_then_it_is_named(green, impor
     "option", [["--band", "50"], ["--band", "a,b"], ["--band", "50,inf"], ["--names", "green"], ["--names", "=h"]]
 )
 def test_given_an_option_that_cannot_be_read_then_the_command_line_is_wrong(option):
-    with pytest.raises(UsageError, match=option[0]):
+    with pytest.raises(InputError, match=option[0]):
         parser().parse_args(["import", "a.npy", "--bank", "a.h5", *option])
 
 
