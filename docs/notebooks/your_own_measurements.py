@@ -35,7 +35,7 @@ plate = wf.virtual_rig(actuators=12, position_mm=position_mm)
 truth = np.stack([plate.truth(position) for position in range(len(position_mm))])
 
 frequency_hz = np.arange(10.0, 800.1, 2.5)
-frf = 1e3 * np.fft.rfft(truth, 4000)[:, :, (frequency_hz / 2.5).astype(int)]
+frf = np.fft.rfft(truth, 4000)[:, :, (frequency_hz / 2.5).astype(int)]
 random = np.random.default_rng(1)
 noise = random.standard_normal((*frf.shape, 2)) @ [1, 1j]
 frf += 10 ** (-50 / 20) * np.abs(frf).std() * noise
@@ -65,8 +65,7 @@ bank = wf.import_bank(
     folder / "bank.h5",
     places=folder / "places.csv",
     names={"green": "H", "frequency_hz": "f"},
-    unit="mm/s/V",
-    to_velocity=True,
+    unit="m/s/V",
     sample_rate_hz=5000.0,
     taps=500,
 )
@@ -95,7 +94,7 @@ error = float(np.linalg.norm(imported - true) / np.linalg.norm(true))
 print(f"error from 30 to 550 Hz: {100 * error:.2f} %")
 
 figure, axes = plt.subplots(figsize=(7, 3.5), layout="constrained")
-axes.plot(frequency_hz, 20 * np.log10(np.abs(frf[middle, 0]) / 1e3), ".", ms=3, label="your file")
+axes.plot(frequency_hz, 20 * np.log10(np.abs(frf[middle, 0])), ".", ms=3, label="your file")
 axes.plot(frequency_hz[within], 20 * np.log10(np.abs(imported[0])), label="the bank")
 axes.set(xlabel="frequency in Hz", ylabel="level in dB re 1 m/s per V", title=f"Position {middle}, actuator 0")
 axes.legend()

@@ -136,9 +136,9 @@ def import_bank(
     >>> green = np.zeros((3, 2, 400))
     >>> green[:, :, 7] = 1e-3
     >>> np.savez("other.npz", green=green, sample_rate_hz=8000.0, position_mm=[[0, 0], [5, 0], [0, 5]])
-    >>> with wf.import_bank("other.npz", "imported.h5", unit="mm/s/V", to_velocity=True) as bank:
+    >>> with wf.import_bank("other.npz", "imported.h5", unit="mm/s/V") as bank:
     ...     print(bank.green(1).shape, bank.response_unit)
-    (2, 400) m/s/V
+    (2, 400) mm/s/V
     """
     from wavefocus.calibration.imports import bank as imports
 

@@ -128,7 +128,6 @@ class ImportOptions:
     )
     unit: str = option("", "Unit of the values, as m/s/V, mm/s/V, g/N, Pa/V or 1.", metavar="RESPONSE/DRIVE")
     length_unit: Literal["", "m", "cm", "mm", "um", "in", "ft"] = option("", "Unit of places that have none.")
-    to_velocity: bool = option(False, "Turn displacement or acceleration into velocity in m/s.")
     band_hz: tuple[float, float] | None = option(None, "Frequencies to use, in Hz.", "--band", metavar="LOW,HIGH")
     taps: int | None = option(None, "Length of the Green's functions in samples.", low=1)
     sample_rate_hz: float | None = option(None, "Rate of the Green's functions.", low=1e-3, high=1e12)

@@ -103,26 +103,10 @@ def test_given_no_value_at_0_hz_then_the_causal_fit_finds_it(green, imported):
         assert off_db(found, green) < -90
 
 
-@pytest.mark.parametrize(("unit", "power", "size"), [("g/N", 1, 9.80665), ("um/V", -1, 1e-6)])
-def test_given_other_motions_then_they_become_velocities_when_asked(green, imported, unit, power, size):
-    spectra = np.fft.rfft(green, PERIOD) / size
-    spectra[..., 1:] *= (2j * np.pi * AXIS_HZ[1:]) ** power
-    options = {"frequencies": (0.0, STEP_HZ), "unit": unit, "band_hz": (50.0, 450.0), "taps": TAPS}
-    found, _, bank = imported(spectra, to_velocity=True, **options)
-    assert off_db(in_band(found), in_band(green)) < -90
-    assert bank.response_unit == f"m/s/{unit[-1]}"
-    _, _, bank = imported(spectra, **options)
+@pytest.mark.parametrize("unit", ["g/N", "um/V"])
+def test_given_other_motions_then_the_bank_keeps_their_unit(green, imported, unit):
+    _, _, bank = imported(np.fft.rfft(green, PERIOD), (0.0, STEP_HZ), unit=unit, band_hz=(50.0, 450.0), taps=TAPS)
     assert (bank.response_unit, bank.drive_unit) == (unit, unit[-1])
-
-
-def test_samples_of_acceleration_then_they_are_integrated_in_the_band_that_is_named(green, imported):
-    options = {"sample_rate_hz": RATE_HZ, "unit": "m/s^2/N", "to_velocity": True}
-    with pytest.raises(InputError, match="--band"):
-        imported(green, **options)
-    found, facts, _ = imported(green, **options, band_hz=(50.0, 450.0), taps=PERIOD // 2)
-    left_db = off_db(in_band(found), in_band(green) / (2j * np.pi * STEP_HZ * BINS))
-    assert left_db < -40
-    assert facts["residual_db"] == pytest.approx(left_db, abs=6.0)
 
 
 def test_given_fewer_taps_then_the_energy_that_is_lost_is_stated(green, imported):
@@ -145,7 +129,6 @@ def test_given_fewer_taps_then_the_energy_that_is_lost_is_stated(green, imported
         ({"band_hz": (51.0, 52.0)}, "--band"),
         ({"taps": PERIOD + 1}, "--taps"),
         ({"unit": "parsec"}, "RESPONSE/DRIVE"),
-        ({"unit": "Pa/V", "to_velocity": True}, "--to-velocity"),
         ({"axes": "position,sample"}, "--axes"),
         ({"names": {"greens": "h"}}, "--names"),
     ],

@@ -1,4 +1,4 @@
-"""Frequency responses as causal FIRs, and conversion of displacement and acceleration to velocity."""
+"""Frequency responses as causal FIRs."""
 
 import math
 from dataclasses import dataclass
@@ -99,14 +99,6 @@ def frequency_axis(frequency_hz: Float64Array, sample: _ComplexArray) -> _Freque
     return _FrequencyAxis(step_hz, order, number, None, None)
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Conversion of a response's unit: times `factor`, and times (j omega) to the power `derivatives`."""
-
-    factor: float = 1.0
-    derivatives: int = 0
-
-
 class CausalConverter:
     """Turns frequency responses into causal FIRs, by least squares with a small penalty.
 
@@ -117,24 +109,20 @@ class CausalConverter:
 
     bins, int64 (bins,): Frequencies in steps, ascending.
     period: Samples of a period: the rate over the step of the frequencies.
-    rate_hz: Rate of the FIRs.
-    taps: Their length, 1 to the period.
-    motion: Conversion of the unit.
+    taps: Length of the FIRs, 1 to the period.
     """
 
-    def __init__(self, bins: NDArray[np.int64], period: int, rate_hz: float, taps: int, motion: Motion) -> None:
+    def __init__(self, bins: NDArray[np.int64], period: int, taps: int) -> None:
         self._bins, self._period, self.taps = bins, period, taps
-        omega = 2 * np.pi * bins * rate_hz / period
-        with np.errstate(divide="ignore"):
-            self._weights = motion.factor * (1j * omega) ** motion.derivatives
-        self._weights[~np.isfinite(self._weights)] = 0.0
         self._is_exact = len(bins) == period // 2 + 1 or taps == period
         self._inverse: Float64Array | None = None
         self.whole = self.left = 0.0
+        self.energy = TimeOfEnergy(bins, period)
 
     def convert(self, spectra: _ComplexArray) -> tuple[Float32Array, Float64Array]:
-        """FIRs (n, taps) of spectra (n, bins), and the share of each one's energy that they leave unexplained."""
-        values = spectra * self._weights
+        """FIRs (n, taps) of spectra (n, bins), and the share of the energy of each that they leave unexplained."""
+        values = np.asarray(spectra, np.complex128)
+        self.energy.add(values)
         ring = np.zeros((len(values), self._period // 2 + 1), complex)
         ring[:, self._bins] = values
         whole_ring = scipy.fft.irfft(ring, self._period)

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.imports.causal_response import CausalConverter, Motion, TimeOfEnergy, frequency_axis
+from wavefocus.calibration.imports.causal_response import CausalConverter, frequency_axis
 from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Measured, require_honest
@@ -27,11 +26,10 @@ class Conversion:
     def __init__(self, measured: Measured, options: ImportOptions, source: Path) -> None:
         self._source, self._options = source, options
         self.said: list[str] = []
-        self._energy: TimeOfEnergy | None = None
         self.assumed: list[str] = []
         self._count = measured.shape[1]
         self._measured = np.ones(measured.shape[0], bool) if measured.status is None else measured.status != 0
-        motion = self._motion(measured)
+        self._choose_unit(measured)
         rows, before = iter(measured.rows), list[NDArray[Any]]()
         for first in rows:
             # A position that was not measured does not show how its values lie.
@@ -47,12 +45,12 @@ class Conversion:
         self._cut = self._whole = self._all_lines = self._lines_out = 0.0
         self._shift = 0
         if measured.frequency_hz is not None:
-            self._from_spectra(measured, np.asarray(first), motion)
+            self._from_spectra(measured, np.asarray(first))
         else:
-            self._from_samples(measured, motion)
+            self._from_samples(measured)
         require_meant_rate(self.rate_hz, str(source))
 
-    def _motion(self, measured: Measured) -> Motion:
+    def _choose_unit(self, measured: Measured) -> None:
         unit = self._options.unit or measured.unit
         if not unit:
             raise InputError(
@@ -64,16 +62,8 @@ class Conversion:
             raise InputError(f"{self._source}: {error}; name it with --unit, as --unit m/s/V") from None
         if self._options.unit and measured.unit and measured.unit != self._options.unit:
             self.assumed.append(f"the unit is {unit}, as asked, where the file says {measured.unit}")
-        order, size = MOTIONS.get(over, (1, 1.0))
         self.is_motion = over in MOTIONS
-        if not self._options.to_velocity:
-            self.response_unit = over if self.drive_unit == "1" else f"{over}/{self.drive_unit}"
-            return Motion()
-        if not self.is_motion:
-            raise InputError(f"--to-velocity: the responses are in {over}, which is no motion; leave the option out")
-        self.response_unit = f"m/s/{self.drive_unit}"
-        self.said.append(f"responses in {over} became velocities in m/s")
-        return Motion(size, 1 - order)
+        self.response_unit = over if self.drive_unit == "1" else f"{over}/{self.drive_unit}"
 
     def _band(self, measured: Measured) -> tuple[float, float] | None:
         if self._options.band_hz is None:
@@ -83,7 +73,7 @@ class Conversion:
             raise InputError(f"--band is {low:g},{high:g}; 0 <= low < high is needed, in Hz")
         return low, high
 
-    def _from_spectra(self, measured: Measured, first: NDArray[Any], motion: Motion) -> None:
+    def _from_spectra(self, measured: Measured, first: NDArray[Any]) -> None:
         assert measured.frequency_hz is not None
         try:
             axis = frequency_axis(measured.frequency_hz, np.nan_to_num(first))
@@ -104,7 +94,7 @@ class Conversion:
         if band is not None:
             used = (bins * step >= band[0] - 0.01 * step) & (bins * step <= band[1] + 0.01 * step)
         constant = axis.one_sided(np.asarray(first))[:, 0]
-        if bins[0] == 0 and (motion.derivatives < 0 or not np.isfinite(constant).all()):
+        if bins[0] == 0 and not np.isfinite(constant).all():
             used[0] = False
             self.said.append("the value at 0 Hz is left out")
         if not asked and not axis.period:
@@ -113,10 +103,12 @@ class Conversion:
             raise InputError(f"{self._source}: fewer than two frequencies lie in the band; name another with --band")
         self._take = lambda row: self._lines(axis.one_sided(row), used)
         bins = bins[used]
-        self._energy = TimeOfEnergy(bins, period)
         self.band_hz = (float(bins[0] * step), min(float(bins[-1] * step), self.rate_hz / 2))
         complete = len(bins) == period // 2 + 1
-        self._fit(bins, period, period, motion)
+        self.taps = self._options.taps or period
+        if self.taps > period:
+            raise InputError(f"{self._source}: --taps {self.taps}: at most the {period} samples of a period are there")
+        self._converter = CausalConverter(bins, period, self.taps)
         side = "two-sided" if axis.period else "one-sided"
         missing = "" if complete else "; the rest up to half the rate is left to the fit of a causal response"
         self.said.append(
@@ -124,7 +116,7 @@ class Conversion:
             f" became causal FIRs of {self.taps} taps of a period of {period}{missing}"
         )
 
-    def _from_samples(self, measured: Measured, motion: Motion) -> None:
+    def _from_samples(self, measured: Measured) -> None:
         if not measured.sample_rate_hz:
             raise InputError(f"{self._source} does not say its sample rate; name it with --sample-rate-hz")
         asked = self._options.sample_rate_hz
@@ -154,30 +146,8 @@ class Conversion:
             )
         if band is None:
             self.assumed.append("the band is not known and stands as 0 Hz to half the rate")
-        if not motion.derivatives:
-            self.taps = self._options.taps or length
-            self._factor = motion.factor
-            require_honest(self._source, "--taps", 4 * self._count * self.taps, 4 * self._count * length)
-            return
-        if motion.derivatives < 0 and (band is None or band[0] <= 0):
-            raise InputError(
-                f"{self._source}: --to-velocity integrates, and the band is not known; name it with --band LOW,HIGH"
-            )
-        period = int(scipy.fft.next_fast_len(2 * length, real=True))
-        period += period % 2
-        bins = np.arange(period // 2 + 1)
-        bins = bins[
-            (bins * self.rate_hz >= self.band_hz[0] * period) & (bins * self.rate_hz <= self.band_hz[1] * period)
-        ]
-        self._take = lambda row: self._lines(scipy.fft.rfft(self._shifted(row, length), period), bins)
-        self._fit(bins, period, length, motion)
-        self.said.append(f"between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz, by a fit of causal FIRs")
-
-    def _fit(self, bins: NDArray[np.int64], period: int, default: int, motion: Motion) -> None:
-        self.taps = self._options.taps or default
-        if self.taps > period:
-            raise InputError(f"{self._source}: --taps {self.taps}: at most the {period} samples of a period are there")
-        self._converter = CausalConverter(bins, period, self.rate_hz, self.taps, motion)
+        self.taps = self._options.taps or length
+        require_honest(self._source, "--taps", 4 * self._count * self.taps, 4 * self._count * length)
 
     def _lines(self, values: NDArray[Any], used: NDArray[Any]) -> NDArray[Any]:
         """Values at the lines that are used; what the others hold is counted."""
@@ -195,12 +165,12 @@ class Conversion:
             self.assumed.append(f"the rate is {whole:g} Hz, where the file's digits give {rate_hz:.9g} Hz")
         return whole
 
-    def _shifted(self, row: NDArray[Any], length: int) -> NDArray[Any]:
-        """Samples of a row from 0 s on, (N, length)."""
+    def _shifted(self, row: NDArray[Any]) -> NDArray[np.float32]:
+        """Samples of a row from 0 s on, (N, L)."""
         late = row[:, max(-self._shift, 0) :]
         start = max(self._shift, 0)
-        out = np.zeros((len(row), length), row.dtype)
-        out[:, start : start + late.shape[1]] = late[:, : max(length - start, 0)]
+        out = np.zeros((len(row), self.taps), np.float32)
+        out[:, start : start + late.shape[1]] = late[:, : max(self.taps - start, 0)]
         return out
 
     def rows(self) -> Iterator[tuple[int, NDArray[np.float32] | None, Float64Array | None]]:
@@ -225,13 +195,11 @@ class Conversion:
         if self._converter is not None:
             values = self._take(row)
             self._require_finite(values, position)
-            if self._energy is not None:
-                self._energy.add(values)
             green, share = self._converter.convert(values)
             residual_db = 10 * np.log10(np.maximum(share, 1e-30))
         else:
             self._require_finite(row, position)
-            green = (self._shifted(row, self.taps) * self._factor).astype(np.float32)
+            green = self._shifted(row)
             first, last = max(-self._shift, 0), max(self.taps - self._shift, 0)
             self._whole += _energy(row)
             self._cut += _energy(row[:, :first]) + _energy(row[:, max(last, first) :])
@@ -257,12 +225,12 @@ class Conversion:
     @property
     def warnings(self) -> list[str]:
         """What is left out and holds more than `_NOTICED_DB`, and frequency responses that are not causal."""
-        found = [] if self._energy is None else self._energy.words()[1]
+        found = [] if self._converter is None else self._converter.energy.words()[1]
         return [*found, *(f"{text}; {remedy}" for level_db, text, remedy in self._left_out() if level_db > _NOTICED_DB)]
 
     def ending(self) -> list[str]:
         """Sentences about what the FIRs leave out, once all rows are converted."""
-        said = [] if self._energy is None else self._energy.words()[0]
+        said = [] if self._converter is None else self._converter.energy.words()[0]
         return [*said, *(text for _, text, _ in self._left_out())]
 
     def _left_out(self) -> Iterator[tuple[float, str, str]]:
