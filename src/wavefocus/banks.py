@@ -224,8 +224,6 @@ def export_by_options(
         raise InputError(f"missing nan: {to} files hold no NaN; missing positions are left out there")
     if options.binary and to != "uff":
         raise InputError(f"binary: is for uff; {to} files are always the same")
-    if options.convention != "GeneralFIR-E" and to != "sofa":
-        raise InputError(f"convention: is for sofa; {to} files have none")
     if out.exists() and out.is_dir() != form.folder:
         raise InputError(f"{out} is a {'folder' if out.is_dir() else 'file'}; {to} writes a "
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
@@ -239,10 +237,7 @@ def export_by_options(
         texts = publication_of(view, publication).texts
         if view.notes:
             texts["notes"] = "\n".join(map(str, view.notes))
-        rows = choose_rows(
-            view, positions, missing_as_nan=missing_as_nan, per=options.per, binary=options.binary,
-            convention=options.convention, publication=texts,
-        )  # fmt: skip
+        rows = choose_rows(view, positions, missing_as_nan=missing_as_nan, binary=options.binary, publication=texts)
         writer = import_module(f"wavefocus.storage.exchange.{form.module}")
         names = writer.file_names(rows) if form.folder else [out.name]
         if form.folder:

@@ -158,11 +158,7 @@ class ExportOptions:
     """Choices of an export."""
 
     missing: Literal["leave-out", "nan"] = option("leave-out", "Positions that are not measured, failed or disabled.")
-    per: Literal["position", "actuator"] = option("position", "What one file of wav holds.")
     binary: bool = option(False, "Whether universal files hold binary numbers.")
-    convention: Literal["GeneralFIR-E", "SingleRoomMIMOSRIR"] = option(
-        "GeneralFIR-E", "Of a SOFA file; that of a room's many loudspeakers is what room acoustics reads."
-    )
     publication: Path | None = option(
         None, "A run file, or another with a table [publication], in place of the bank's.", metavar="FILE.toml"
     )

@@ -69,12 +69,11 @@ def read_verified(path):
     return sofa
 
 
-@pytest.mark.parametrize(("to", "convention"), [("sofa", "GeneralFIR-E"), ("sofa-room", "SingleRoomMIMOSRIR")])
-def test_given_a_bank_then_sofar_reads_what_acoustics_needs(bank, tmp_path, capsys, to, convention):
-    told = export(capsys, bank, tmp_path / "bank.sofa", "--to", to)
+def test_given_a_bank_then_sofar_reads_what_acoustics_needs(bank, tmp_path, capsys):
+    told = export(capsys, bank, tmp_path / "bank.sofa", "--to", "sofa")
     assert (told["positions"], told["left_out"]) == (4, 2)
     sofa = read_verified(tmp_path / "bank.sofa")
-    assert (sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType) == (convention, "FIR-E")
+    assert (sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType) == ("GeneralFIR-E", "FIR-E")
     assert np.array_equal(sofa.Data_IR[:, 0], green_of(bank)[KEPT].transpose(0, 2, 1).astype(float))
     assert sofa.Data_SamplingRate == RATE_HZ
     assert np.allclose(sofa.ListenerPosition[:, :2], PLACES_MM[KEPT] / 1e3, rtol=0, atol=1e-9)
@@ -150,25 +149,21 @@ def test_given_a_bank_then_a_table_lists_its_positions(bank, tmp_path, capsys):
     assert {line["snr_db"] for line in lines} == {""}
 
 
-@pytest.mark.parametrize("per", ["position", "actuator"])
-def test_given_a_bank_then_its_sound_files_hold_its_numbers_exactly(bank, tmp_path, capsys, per):
-    export(capsys, bank, tmp_path / "sounds", "--to", "wav-actuator" if per == "actuator" else "wav")
+def test_given_a_bank_then_its_sound_files_hold_its_numbers_exactly(bank, tmp_path, capsys):
+    export(capsys, bank, tmp_path / "sounds", "--to", "wav")
     facts = json.loads((tmp_path / "sounds" / "bank.json").read_text(encoding="utf-8"))
     green = green_of(bank)[KEPT]
     assert facts["position"] == KEPT
     assert facts["actuator_mm"] == [[50.0, 0.0], None, [-50.0, 10.0]]
-    assert len(facts["files"]) == (len(KEPT) if per == "position" else ACTUATORS)
+    assert len(facts["files"]) == len(KEPT)
     places = list(csv.DictReader((tmp_path / "sounds" / "places.csv").read_text(encoding="utf-8").splitlines()))
     assert [int(one["index"]) for one in places] == KEPT
-    assert [one.get("file") for one in places] == [
-        one["file"] if per == "position" else None for one in facts["files"]
-    ][: len(KEPT)] + [None] * (len(KEPT) - len(facts["files"]))
+    assert [one["file"] for one in places] == [one["file"] for one in facts["files"]]
     for place, one in enumerate(facts["files"]):
         samples, rate_hz = soundfile.read(tmp_path / "sounds" / one["file"], dtype="float32", always_2d=True)
-        expected = green[place] if per == "position" else green[:, place]
         assert rate_hz == RATE_HZ
         assert np.abs(samples).max() <= 1.0
-        assert np.array_equal(samples.T * np.float32(facts["scale"]), expected)
+        assert np.array_equal(samples.T * np.float32(facts["scale"]), green[place])
 
 
 @pytest.mark.parametrize("kind", ["mat", "npz"])

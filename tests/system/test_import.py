@@ -1,9 +1,11 @@
 """Responses in other formats become banks through the command line; the formats are in unit tests."""
 
 import functools
+import json
 
 import numpy as np
 import pytest
+import soundfile
 
 from tests.lab_files import change_text, point_scene, write_bank
 from tests.system import captures
@@ -70,9 +72,8 @@ def refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("kind", "unit", "comes_back"),
     [
-        ("sofa-room", "m/s/V", "m/s/V"),
         *((kind, "mm/s\u00b2/kN", "mm/s^2/kN") for kind in ("sofa", "uff", "wav", "netcdf")),
-        *((kind, "m/s per mV", "m/s/mV") for kind in ("uff-binary", "wav-actuator", "mat", "npz")),
+        *((kind, "m/s per mV", "m/s/mV") for kind in ("uff-binary", "mat", "npz")),
     ],
 )
 def test_our_own_export_then_the_bank_its_units_and_its_notes_come_back(
@@ -92,12 +93,25 @@ def test_our_own_export_then_the_bank_its_units_and_its_notes_come_back(
         assert (view.response_unit, view.drive_unit) == (comes_back, comes_back.rpartition("/")[2])
         assert view.status.tolist()[:2] == [1, 4]
         assert view.quality["leak_db"][1] == -200.0 or kind not in ("netcdf", "mat", "npz")
-        assert view.notes == origin.notes or kind in ("sofa", "sofa-room", "mat", "uff", "uff-binary")
+        assert view.notes == origin.notes or kind in ("sofa", "mat", "uff", "uff-binary")
         assert [note.text for note in origin.notes] == NOTES
     if kind == "npz":
         assert wavefocus("check", back) == 0
         assert wavefocus("status", back) == 0
         assert told["paragraph"] in capsys.readouterr().out
+
+
+def test_sound_files_of_an_earlier_version_with_an_actuator_each_then_they_are_read(bank, tmp_path, imported):
+    folder = tmp_path / "there"
+    assert wavefocus("export", bank(), folder, "--to", "wav") == 0
+    facts = json.loads((folder / "bank.json").read_text(encoding="utf-8"))
+    sound = np.stack([soundfile.read(folder / one["file"], dtype="float32")[0] for one in facts["files"]])
+    facts["channels"], facts["files"] = "positions", [{"file": f"actuator-{number}.wav"} for number in range(ACTUATORS)]
+    for number, one in enumerate(facts["files"]):
+        soundfile.write(folder / one["file"], sound[:, :, number].T, int(RATE_HZ), subtype="FLOAT")
+    (folder / "bank.json").write_text(json.dumps(facts), encoding="utf-8")
+    with open_bank(imported(folder)[0]) as view:
+        assert np.array_equal([view.green(row) for row in range(POSITIONS)], GREEN)
 
 
 def write_array(folder, values, places_mm=PLACES_MM):

@@ -58,17 +58,13 @@ def _order(word: Any) -> Callable[..., int]:
     return order
 
 
-VARIANTS: Mapping[str, tuple[str, dict[str, Any]]] = {
-    "sofa-room": ("sofa", {"convention": "SingleRoomMIMOSRIR"}),
-    "uff-binary": ("uff", {"binary": True}),
-    "wav-actuator": ("wav", {"per": "actuator"}),
-}
-"""Formats of exports with other settings: what room acoustics reads, a fifth of the size, a file per actuator."""
+UFF_BINARY = "uff-binary"
+"""The format `uff` at a fifth of the size."""
 
 
 def _export(to: str, options: ExportOptions, **rest: Any) -> None:
-    kind, settings = VARIANTS.get(to, (to, {}))
-    found("bank:export")(to=kind, options=replace(options, **settings), **rest)
+    binary = to == UFF_BINARY
+    found("bank:export")(to="uff" if binary else to, options=replace(options, binary=binary), **rest)
 
 
 MEASURE = (
@@ -307,8 +303,8 @@ RIG_AND_DATA = (
         (
             BANK,
             file("out", metavar="OUT", help="The file to write; for wav a folder."),
-            argument("--to", choices=(*EXPORTS, *VARIANTS), required=True, metavar="FORMAT",
-                     help=f"{', '.join(one.title for one in EXPORTS.values())}; or a variant: {', '.join(VARIANTS)}."),
+            argument("--to", choices=(*EXPORTS, UFF_BINARY), required=True, metavar="FORMAT",
+                     help=f"{', '.join(one.title for one in EXPORTS.values())}; or {UFF_BINARY}, of a fifth the size."),
             POSITIONS,
             *options_of(ExportOptions, "missing", "publication"), FORCE, JSON,
         ),

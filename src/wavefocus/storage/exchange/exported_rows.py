@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,6 @@ from wavefocus.storage.units import green_unit, response_unit
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 OnProgress = Callable[[int, int], None]
-Per = Literal["position", "actuator"]
-Convention = Literal["GeneralFIR-E", "SingleRoomMIMOSRIR"]
 
 MAX_BYTES = 4 * 2**30
 """Largest array that a format which takes a bank in one piece may hold in memory."""
@@ -30,21 +28,17 @@ class ExportedRows:
     row, int64 (rows,): Their numbers in the bank.
     known, bool (rows,): Rows that hold a measurement; the others are exported as NaN.
     left_out: Number of rows that were asked for and are not exported.
-    per, {"position", "actuator"}: Content of one file, in formats that write a folder of files.
     publication: Texts by the keys of ``[publication]`` in the run file: ``title``, ``licence``, ``people``, ...; those
         that are given.
     binary: Whether universal files hold their functions in binary.
-    convention: Of SOFA files.
     """
 
     bank: Bank
     row: Int64Array
     known: NDArray[np.bool_]
     left_out: int
-    per: Per = "position"
     publication: Mapping[str, str] = field(default_factory=dict)
     binary: bool = False
-    convention: Convention = "GeneralFIR-E"
 
     @property
     def title(self) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.exported_rows import Convention, ExportedRows, OnProgress
+from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
     Float64Array,
     Measured,
@@ -30,9 +30,6 @@ from wavefocus.storage.exchange.places import table_of
 from wavefocus.storage.hdf5_writing import attach, bare_dimension, created, filled, reserved
 from wavefocus.storage.missing import WithMissing
 from wavefocus.storage.output_files import replacement
-
-_VERSIONS: dict[Convention, str] = {"GeneralFIR-E": "2.0", "SingleRoomMIMOSRIR": "1.0"}
-"""Conventions of AES69 for one receiver and many emitters at once, and their versions."""
 
 
 def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None) -> None:
@@ -58,15 +55,10 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
         place = {"Type": "cartesian", "Units": "metre"}
         variable("ListenerPosition", "MC", _metres(rows.position_mm), **place)
         variable("ReceiverPosition", "IC", np.zeros((1, 3)), **place)
-        room = rows.convention == "SingleRoomMIMOSRIR"
-        variable("SourcePosition", "MC" if room else "IC", np.zeros((count if room else 1, 3)), **place)
-        if room:  # its views and ups are mandatory; the laser looks from above
-            for name in ("Listener", "Source"):
-                variable(f"{name}View", "IC", [[1.0, 0.0, 0.0]], **place)
-                variable(f"{name}Up", "IC", [[0.0, 0.0, 1.0]])
+        variable("SourcePosition", "IC", np.zeros((1, 3)), **place)
         variable("EmitterPosition", "EC", _metres(bank.actuator_mm), **place)
         variable("Data.SamplingRate", "I", [bank.sample_rate_hz], Units="hertz")
-        variable("Data.Delay", "IRI" if room else "IRE", np.zeros((1, 1, 1 if room else bank.actuators)))
+        variable("Data.Delay", "IRE", np.zeros((1, 1, bank.actuators)))
         variable("BankPosition", "M", rows.row)
         variable("BankStatus", "M", rows.status)
         data = reserved(file, "Data.IR", (count, 1, bank.taps, bank.actuators), "<f8", None)
@@ -82,8 +74,8 @@ def _attributes(rows: ExportedRows) -> dict[str, str]:
     attributes = {
         "Conventions": "SOFA",
         "Version": "2.1",
-        "SOFAConventions": rows.convention,
-        "SOFAConventionsVersion": _VERSIONS[rows.convention],
+        "SOFAConventions": "GeneralFIR-E",  # of AES69, for one receiver and many emitters at once
+        "SOFAConventionsVersion": "2.0",
         "DataType": "FIR-E",
         "RoomType": "reverberant" if "room" in about else "free field",
         "Title": rows.title,
@@ -100,8 +92,6 @@ def _attributes(rows: ExportedRows) -> dict[str, str]:
         " surface, origin at its centre, x right, y up, seen from the laser"
         + (f"; notes: {about['notes']}" if "notes" in about else ""),
     }
-    if rows.convention == "SingleRoomMIMOSRIR":
-        attributes["DatabaseName"] = "not stated"
     optional = {"RoomDescription": "room", "DatabaseName": "database", "References": "references"}
     return attributes | {name: about[key] for name, key in optional.items() if key in about}
 

@@ -1,4 +1,4 @@
-"""A bank as sound files, one multichannel WAV per position or actuator; exports and folders with a table are read."""
+"""A bank as sound files, one multichannel WAV per position; exports and folders with a table are read."""
 
 import hashlib
 import json
@@ -42,16 +42,13 @@ def write(folder: Path, rows: ExportedRows, on_progress: OnProgress | None = Non
     """Write a folder of WAV files (float32), with ``bank.json`` and ``places.csv`` that describe them.
 
     An older folder of that name is replaced as a whole. ``bank.json`` has the SHA-256 of each file.
-    A file holds one position with a channel per actuator, or the other way round, as `rows.per` says; per actuator the
-    whole bank is in memory. All are divided by one power of two, so that nothing exceeds 1 and the numbers of the bank
-    come back exactly: value = sample * ``scale``.
+    A file holds one position with a channel per actuator. All are divided by one power of two, so that nothing exceeds
+    1 and the numbers of the bank come back exactly: value = sample * ``scale``.
     """
-    bank, per = rows.bank, rows.per
-    channels = bank.actuators if per == "position" else len(rows.row)
-    if channels > _MAX_CHANNELS:
+    bank = rows.bank
+    if bank.actuators > _MAX_CHANNELS:
         raise InputError(
-            f"{folder}: {channels} channels in a file are too many, {_MAX_CHANNELS} are allowed; export some"
-            " --positions at a time, or one file per position"
+            f"{folder}: {bank.actuators} channels in a file are too many, {_MAX_CHANNELS} are allowed; use npz"
         )
     rate_hz = round(bank.sample_rate_hz)
     if rate_hz != bank.sample_rate_hz:
@@ -67,7 +64,7 @@ def write(folder: Path, rows: ExportedRows, on_progress: OnProgress | None = Non
         "band_hz": bank.band_hz,
         "publication": dict(rows.publication),
         "sample_rate_hz": rate_hz,
-        "channels": "actuators" if per == "position" else "positions",
+        "channels": "actuators",
         "position": rows.row.tolist(),
         "position_mm": rows.position_mm.tolist(),
         "status": rows.status.tolist(),
@@ -77,29 +74,18 @@ def write(folder: Path, rows: ExportedRows, on_progress: OnProgress | None = Non
         require_room(staged / TABLE_NAME, 4 * len(rows.row) * bank.actuators * bank.taps)
         files: list[dict[str, Any]] = []
         names = file_names(rows)[:-2]
-        if per == "position":
-            for name, (row, green) in zip(names, rows.each(on_progress), strict=True):
-                checksum = _write(staged / name, green.T / scale, rate_hz)
-                place_mm = bank.position_mm[row].tolist()
-                files.append({"file": name, "sha256": checksum, "position": row, "position_mm": place_mm})
-        else:
-            green = rows.green(np.float32, on_progress)
-            for actuator, name in enumerate(names):
-                checksum = _write(staged / name, green[:, actuator].T / scale, rate_hz)
-                place = {"actuator": actuator, "actuator_mm": _known(bank.actuator_mm[actuator])}
-                files.append({"file": name, "sha256": checksum, **place})
-        first = ("file", names) if per == "position" else ("channel", range(len(rows.row)))
-        (staged / PLACES_NAME).write_text(table(rows, *first), encoding="utf-8")
+        for name, (row, green) in zip(names, rows.each(on_progress), strict=True):
+            checksum = _write(staged / name, green.T / scale, rate_hz)
+            place_mm = bank.position_mm[row].tolist()
+            files.append({"file": name, "sha256": checksum, "position": row, "position_mm": place_mm})
+        (staged / PLACES_NAME).write_text(table(rows, "file", names), encoding="utf-8")
         (staged / TABLE_NAME).write_text(json.dumps({**facts, "files": files}, indent=1), encoding="utf-8")
 
 
 def file_names(rows: ExportedRows) -> list[str]:
     """Names of the files: sound files in their order, then the tables."""
-    if rows.per == "position":
-        width = len(str(rows.bank.positions - 1))
-        return [*(f"position-{row:0{width}d}.wav" for row in rows.row.tolist()), PLACES_NAME, TABLE_NAME]
-    width = len(str(rows.bank.actuators - 1))
-    return [*(f"actuator-{actuator:0{width}d}.wav" for actuator in range(rows.bank.actuators)), PLACES_NAME, TABLE_NAME]
+    width = len(str(rows.bank.positions - 1))
+    return [*(f"position-{row:0{width}d}.wav" for row in rows.row.tolist()), PLACES_NAME, TABLE_NAME]
 
 
 def older_files(folder: Path) -> set[str]:
