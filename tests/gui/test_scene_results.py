@@ -278,11 +278,11 @@ def started(qtbot: QtBot, tab: SceneTab) -> None:
 
 
 def sounds(tab: SceneTab, name: str, *at_mm: float) -> bool:
-    """Whether a source was reported last, at a place if one is given, or left out because the machine is busy."""
+    """Whether a source was reported last, at a place if one is given."""
     state = tab.live_run.latest
     here = [] if state is None else [one for one in state.sources if one.name == name]
     if not here or not at_mm:
-        return bool(here) or (state is not None and name in state.dropped)
+        return bool(here)
     return here[0].at_mm == pytest.approx(at_mm, abs=SHORT_MM)
 
 
@@ -378,13 +378,13 @@ def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_so
     assert not tab.live_run.running
 
 
-def test_figures_then_latency_underruns_limiter_and_what_is_left_out_are_marked():
+def test_figures_then_latency_underruns_and_limiter_are_marked():
     ready = LiveReady("player", "bank", 3, 5.0, 50.0, 215.0, 12.0, (0.0, 4.5), (0.0, 3.0))
-    good = LiveState(2.0, 6.0, 9.0, 0.4, 0, "none", (), 0.0, ())
-    late = LiveState(2.0, 30.0, 25.0, 1.3, 2, "sources", ("finger 2",), -3.0, ())
+    good = LiveState(2.0, 6.0, 9.0, 0.4, 0, 0.0, ())
+    late = LiveState(2.0, 30.0, 25.0, 1.3, 2, -3.0, ())
     assert not any(wrong for _, wrong in live_figures(ready, good))
     assert [words for words, wrong in live_figures(ready, late) if wrong] == [
-        "latency: 25.0 ms", "underruns: 2", "left out: source finger 2", "limiter: -3.0 dB",
+        "latency: 25.0 ms", "underruns: 2", "limiter: -3.0 dB",
     ]  # fmt: skip
     assert ("pointer to sound: 87 ms", False) in live_figures(ready, late)
     assert live_figures(None, None) == []

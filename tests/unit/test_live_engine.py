@@ -146,7 +146,6 @@ def test_order_takes_effect_with_next_block_even_where_that_was_computed_before(
         lambda engine: engine.move("finger", (-3.0, 6.0)),
         lambda engine: engine.set_signal("finger", emitted_by(Sine(90.0, 0.1), RATE_HZ)),
         lambda engine: engine.end_source("finger"),
-        lambda engine: engine.limit_sources(0),
     )
     for blocks, order in itertools.product((11, 12, 13), orders):
         ordered, other = engine_of(), engine_of()
@@ -157,23 +156,6 @@ def test_order_takes_effect_with_next_block_even_where_that_was_computed_before(
         order(ordered)
         difference = ordered.next_block() - other.next_block()
         assert np.abs(difference).max() > 1e-3 * np.abs(other.next_block()).max()
-
-
-def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
-    engine, heard = engine_of(), {}
-
-    def order(block):
-        for place, name in enumerate(("first", "second", "third")):
-            engine.move(name, (5.0 * place, 0.0))
-        if block in (20, 50):
-            engine.limit_sources(2 if block == 20 else None)
-        heard[block] = [(one.name, one.dropped, one.amplitude) for one in engine.state()]
-
-    _, lives = run(engine, 70, order)
-    assert [parts[0].name for parts in lives.values()] == ["first", "second", "third", "third"]
-    assert heard[19] == [("first", False, 1.0), ("second", False, 1.0), ("third", False, 1.0)]
-    assert heard[40] == [("first", False, 1.0), ("second", False, 1.0), ("third", True, 0.0)]
-    assert heard[60] == heard[19]
 
 
 def test_of_more_names_than_are_kept_one_that_moved_lately_keeps_its_signal():

@@ -41,8 +41,7 @@ from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.bank.reading import Bank, open_bank
 
 DURATION_S, QUICK_S = 600.0, 3.0
-MARK_GROWTH_MB, MARK_DEGRADED = 10.0, 0.01
-"""Memory, and the share of the time in which sources may be left out."""
+MARK_GROWTH_MB = 10.0
 POSITIONS_HZ = 100.0
 RADIUS_MM, SPEED_MM_S, AMPLITUDE = 30.0, 100.0, 0.01
 LEVEL_RADII_MM, QUIET_SOURCES = (30.0, 17.0), 4
@@ -158,7 +157,6 @@ def _latency(bank: Path, folder: Path, case: _LatencyCase, seconds: float) -> En
         marks=(
             Mark("latency_p999_ms", case.mark_ms, at_most=True),
             Mark("underruns", 0, at_most=True),
-            Mark("degraded_share", MARK_DEGRADED, at_most=True),
             Mark("memory_growth_mb", MARK_GROWTH_MB, at_most=True),
         ),
     )
@@ -230,7 +228,6 @@ def _figures(
         "latency_largest_ms": float(max(latencies, default=math.nan)),
         "underruns": float(ended["underruns"]),
         "stall_ms": 1e3 * stall_s,
-        "degraded_share": sum(state["degradation"] != "none" for state in states) / len(states),
     }
     return found | ({"memory_growth_mb": settled[-1] - settled[0]} if settled and settled[0] else {})
 

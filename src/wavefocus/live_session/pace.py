@@ -1,44 +1,25 @@
-"""Pace of a live session: when blocks begin, how many sources sound where computing is slow; latencies, priority."""
+"""Pace of a live session: when blocks begin; latencies, priority."""
 
 import math
 import os
 import sys
 import threading
-from collections import deque
 from contextlib import suppress
-from typing import Literal
 
 import numpy as np
 
-BUSY = 0.8
-"""Share of a block's time above which computing it counts as too slow."""
-LOOKED_AT = 10
-CALM_S, MAX_CALM_S = 2.0, 16.0
-RELAPSE_S = 10.0
-Change = Literal["slower", "faster"]
-
 
 class Pace:
-    """Chooses from the time that each block took when the next one begins, and how many sources sound.
+    """Chooses when the next block begins, and whether orders wait for it.
 
-    Computing is slow while the latest blocks took more than 0.8 of their time on average. Where it is slow and less
-    than 0.4 of what is to wait is left to be played, the latest source is left out, then the one before it; one
-    remains. Where that was not so for 2 s, one is taken back; for twice as long after each relapse, up to 16 s. A
-    player that ran dry without computing being slow was stalled, which fewer sources would not mend.
-
-    Before any of that orders wait for one block or two: a computation is enough for three blocks, so that computing
-    keeps pace as long as it takes less than the time of them.
+    Where computing falls behind, orders wait for one block or two: a computation is enough for three blocks, so that
+    computing keeps pace as long as it takes less than the time of them.
 
     block_s: Time of a block. ahead_s: What is to wait to be played.
     """
 
     def __init__(self, block_s: float, ahead_s: float) -> None:
         self._block_s, self._ahead_s = block_s, ahead_s
-        self.most_sources: int | None = None
-        """Sources that may sound; None: all."""
-        self._latest: deque[float] = deque(maxlen=LOOKED_AT)
-        self._calm_s, self._filled = 0.0, False
-        self._needed_s, self._since_faster_s = CALM_S, RELAPSE_S
         self._begin_s = -math.inf
         self.short = False
         """Whether little was left to be played at the last block: orders are to wait if a block is there without."""
@@ -48,6 +29,8 @@ class Pace:
 
         now_s: When the block before was taken. waiting_s: How much was still to be played before it.
         """
+        # With less of it left to be played, a block that was computed beforehand is played before orders are taken.
+        self.short = waiting_s < 0.75 * self._ahead_s
         # Without room the player took it only when there was some.
         full = waiting_s + self._block_s >= self._ahead_s
         earliest_s = now_s if full else now_s - self._ahead_s
@@ -56,62 +39,9 @@ class Pace:
         self._begin_s = max(self._begin_s + 0.95 * self._block_s, earliest_s)
         return self._begin_s
 
-    def add(self, computed_s: float, waiting_s: float, sources: int) -> Change | None:
-        """Note a block: what it took, how much was still to be played when it was written, and the number of sources.
-
-        Returns how that number has changed.
-        """
-        self._latest.append(computed_s)
-        self._since_faster_s += self._block_s
-        # With less of it left to be played, a block that was computed beforehand is played before orders are taken.
-        self.short = waiting_s < 0.75 * self._ahead_s
-        # With less of it left to be played, computing has fallen behind.
-        low = waiting_s < 0.4 * self._ahead_s
-        self._filled |= not low
-        if self._slow and low:
-            self._calm_s = 0.0
-            return "slower" if self._filled and self._slower(sources) else None
-        # Some slow blocks in a row are no reason to wait longer while enough is left to be played.
-        self._calm_s += self._block_s
-        return "faster" if self._calm_s >= self._needed_s and self._faster(sources) else None
-
-    def ran_dry(self, sources: int, ahead_s: float) -> Change | None:
-        """Note that nothing was left to be played, and begin anew. Returns how the number of sources has changed.
-
-        ahead_s: What is to wait from now on.
-        """
-        self._ahead_s, self._begin_s, self._filled = ahead_s, -math.inf, False
-        return "slower" if self._slow and self._slower(sources) else None
-
-    @property
-    def _slow(self) -> bool:
-        # Without the longest: one stall of the machine is not slow computing.
-        typical_s = (sum(self._latest) - max(self._latest, default=0.0)) / (LOOKED_AT - 1)
-        return len(self._latest) == LOOKED_AT and typical_s > BUSY * self._block_s
-
-    def _slower(self, sources: int) -> bool:
-        """Step down; returns whether there was a step left."""
-        if self._since_faster_s < RELAPSE_S:
-            self._needed_s, self._since_faster_s = min(2 * self._needed_s, MAX_CALM_S), RELAPSE_S
-        self._start_anew()
-        most = sources if self.most_sources is None else min(self.most_sources, sources)
-        if most <= 1:
-            return False
-        self.most_sources = most - 1
-        return True
-
-    def _faster(self, sources: int) -> bool:
-        self._start_anew()
-        if self.most_sources is None:
-            self._needed_s = CALM_S
-            return False
-        self.most_sources = self.most_sources + 1 if self.most_sources + 1 < sources else None
-        self._since_faster_s = 0.0
-        return True
-
-    def _start_anew(self) -> None:
-        self._latest.clear()
-        self._calm_s, self._filled = 0.0, False
+    def ran_dry(self, ahead_s: float) -> None:
+        """Begin anew: nothing was left to be played. ahead_s: What is to wait from now on."""
+        self._ahead_s, self._begin_s = ahead_s, -math.inf
 
 
 LEAST_MS, MOST_MS = 0.01, 1e7

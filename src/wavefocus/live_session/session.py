@@ -10,18 +10,27 @@ from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 
 import numpy as np
+from msgspec.structs import replace
 
 from wavefocus.acquisition.engine.recovery import back_off_s
 from wavefocus.calibration.numerics import one_blas_thread
 from wavefocus.config.messages import Message, Refused
-from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveState, MoveSource, NoticeCode
-from wavefocus.config.messages.live import SoundingSource as Sounding
+from wavefocus.config.messages.live import (
+    EndLive,
+    EndSource,
+    LiveEnded,
+    LiveNotice,
+    LiveState,
+    MoveSource,
+    NoticeCode,
+    SoundingSource,
+)
 from wavefocus.console import one_line
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.live_session.orders import Inbox, Order, UseSignal
-from wavefocus.live_session.pace import Change, LatencyHistogram, Pace
-from wavefocus.rendering.live.engine import LiveEngine, SourceState
+from wavefocus.live_session.pace import LatencyHistogram, Pace
+from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.storage.errors import InputError
@@ -30,6 +39,7 @@ Publish = Callable[[Message], object]
 
 NOTICES_EVERY_S = 2.0
 MAX_AHEAD_S = 1.0
+TOO_SLOW = "use fewer sources, sources that are not independent, or in Python a longer block_ms"
 
 
 class LiveSession:
@@ -79,7 +89,6 @@ class LiveSession:
         self._gain, self._amplitudes = gain, dict[str, float]()
         self._late: set[str] = set()
         self._bounded = False
-        self._sounding_sources = 0  # of the last report
 
     @property
     def played_s(self) -> float:
@@ -148,13 +157,13 @@ class LiveSession:
         arrived_s = [] if self._pace.short and self.engine.foreseen else self._apply_orders()
         first = self._frames + self._limiter.look_ahead_frames
         frames = self._limiter.limit(self.engine.next_block())
-        computed_s = time.monotonic() - begun_s
+        self._load = max(self._load, (time.monotonic() - begun_s) / self._block_s)
         self._unwritten.extend((first, one_s) for one_s in arrived_s)
         waiting_s = self._player.add_piece(frames)
         self._frames += frames.shape[1]
         while self._unwritten and self._unwritten[0][0] < self._frames:
             self._latency.add(self._player.written_s - self._unwritten.popleft()[1])
-        self._account(computed_s, waiting_s)
+        self._account()
         now_s = time.monotonic()
         time.sleep(max(0.0, self._pace.begin_s(now_s, waiting_s) - now_s))
 
@@ -199,10 +208,9 @@ class LiveSession:
                     with suppress(InputError):  # it fades already
                         self._apply(EndSource(source.name))
 
-    def _account(self, computed_s: float, waiting_s: float) -> None:
-        """Figures, the sources that sound, notices, and five times a second the state."""
+    def _account(self) -> None:
+        """Figures, notices, and five times a second the state."""
         self._blocks += 1
-        self._load = max(self._load, computed_s / self._block_s)
         if self._limiter.gain_db < 0:
             self._limited_s += self._block_s
             self._limited_db = min(self._limited_db, self._limiter.gain_db)
@@ -220,24 +228,12 @@ class LiveSession:
                 " the energy",
             )
         self._bounded = self.engine.energy_bounded
-        change = self._pace.add(computed_s, waiting_s, self._sounding_sources)
-        if change:
-            self._limit_sources(change)
         # Five times a second.
         if self._blocks >= 0.2 / self._block_s:
             self._report(self.engine.state())
 
-    def _limit_sources(self, change: Change) -> None:
-        most = self._pace.most_sources
-        self.engine.limit_sources(most)
-        left_out = "nothing is left out" if most is None else f"the latest sources are left out, {most} sound"
-        if change == "slower":
-            self._notice("degraded", f"computing did not keep pace: {left_out}", always=True)
-        else:
-            self._notice("recovered", f"computing keeps pace again: {left_out}", always=True)
-
-    def _report(self, sources: tuple[SourceState, ...]) -> None:
-        names, self._sounding_sources = {source.name for source in sources}, len(sources)
+    def _report(self, sources: tuple[SoundingSource, ...]) -> None:
+        names = {source.name for source in sources}
         self._late &= names
         self._amplitudes = {name: one for name, one in self._amplitudes.items() if name in names}
         self._publish(
@@ -247,14 +243,8 @@ class LiveSession:
                 self._latency.percentile_ms(99.9),
                 round(self._load, 3),
                 self._underruns,
-                "none" if self._pace.most_sources is None else "sources",
-                tuple(source.name for source in sources if source.dropped),
                 round(self._limited_db, 2),
-                tuple(
-                    Sounding(one.name, one.at_mm, one.amplitude / self._gain, one.fading)
-                    for one in sources
-                    if not one.dropped
-                ),
+                tuple(replace(one, amplitude=one.amplitude / self._gain) for one in sources),
             )
         )
         self._blocks, self._load, self._limited_db = 0, 0.0, 0.0
@@ -275,8 +265,10 @@ class LiveSession:
         if self._adapts and self._ahead_s < MAX_AHEAD_S:
             self._ahead_s = min(2 * self._ahead_s, MAX_AHEAD_S)
             more = f"; from now on {1e3 * self._ahead_s:.0f} ms wait to be played"
-        if change := self._pace.ran_dry(len(self.engine.state()), self._ahead_s):
-            self._limit_sources(change)
+        if self._load > 1.0:
+            took_ms, block_ms = 1e3 * self._load * self._block_s, 1e3 * self._block_s
+            more += f"; computing a block of {block_ms:.3g} ms took up to {took_ms:.3g} ms: {TOO_SLOW}"
+        self._pace.ran_dry(self._ahead_s)
         self._unwritten.clear()
         self._notice("underrun", f"{dry.instrument}: {dry.cause}{more}", always=True)
         self._player.mute()

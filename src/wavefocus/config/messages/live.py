@@ -64,7 +64,7 @@ class LiveReady(EventMessage, frozen=True, tag="ready"):
 
 
 class SoundingSource(Message, frozen=True):
-    """A source as it sounds now; `fading` where its positions are late or it was ended."""
+    """A source as its drives begin now; `fading` where its positions are late or it was ended."""
 
     name: str
     at_mm: PointMm
@@ -72,10 +72,7 @@ class SoundingSource(Message, frozen=True):
     fading: bool = False
 
 
-Degradation = Literal["none", "sources"]
 NoticeCode = Literal[
-    "degraded",
-    "recovered",
     "underrun",
     "limited",
     "late",
@@ -95,7 +92,6 @@ class LiveState(EventMessage, frozen=True, tag="state"):
         since the last line; 99.9th percentile of the session.
     load: Time to compute a block over the block's, largest since the last line.
     underruns: Blocks that came too late, in all.
-    degradation: What is left out to keep pace; `dropped`: names of sources that are left out.
     limited_db: Least gain of the limiter since the last line, 0 where it did nothing.
     """
 
@@ -104,14 +100,12 @@ class LiveState(EventMessage, frozen=True, tag="state"):
     latency_p999_ms: float | None
     load: Number
     underruns: int
-    degradation: Degradation
-    dropped: tuple[str, ...]
     limited_db: Number
     sources: tuple[SoundingSource, ...]
 
 
 class LiveNotice(EventMessage, frozen=True, tag="notice"):
-    """Something that a person should read: degraded, recovered, ran dry, limited."""
+    """Something that a person should read: a player that ran dry, drives that were limited."""
 
     code: NoticeCode
     sentence: str

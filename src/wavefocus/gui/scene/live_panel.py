@@ -35,7 +35,6 @@ _DEFINITIONS = (
     f"latency: from a position received to its first drive sample written, 99.9 % of them; at most {LATENCY_GOAL_MS:g}"
     " ms is the goal\n"
     "underruns: blocks that came too late; sources began anew\n"
-    "left out: the sources that came last, so that computing keeps pace\n"
     "limiter: the least gain on all drives since the last figures; without it they would exceed the rig's limits\n"
     "look-ahead: delay by which sources follow their pointers on purpose; nothing is predicted from the second figure"
     " on\n"
@@ -51,8 +50,6 @@ def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[tuple[s
     if state is None:
         return found
     found.append((f"underruns: {state.underruns}", state.underruns > 0))
-    names = f"source{'s' if len(state.dropped) > 1 else ''} {', '.join(state.dropped)}" if state.dropped else "nothing"
-    found.append((f"left out: {names}", state.degradation != "none"))
     limits = state.limited_db < 0.0
     found.append((f"limiter: {state.limited_db:.1f} dB" if limits else "limiter: not reached", limits))
     if (p999_ms := state.latency_p999_ms) is not None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wavefocus.config.messages.live import SoundingSource
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.regularisation import BankRows
@@ -39,21 +40,6 @@ MAX_AMPLITUDE = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class SourceState:
-    """A source as its drives begin now.
-
-    fading: It was ended, or its positions are late.
-    dropped: It is left out, see `LiveEngine.limit_sources`.
-    """
-
-    name: str
-    at_mm: tuple[float, float]
-    amplitude: float
-    fading: bool
-    dropped: bool
-
-
-@dataclass(frozen=True, slots=True)
 class RecordedLife:
     """Knots of one life of a source that became final: from its appearance to its end, with one signal.
 
@@ -76,7 +62,6 @@ class _Source:
     """A name, its signal, and its life where it sounds."""
 
     emitted: Emitted
-    at_mm: tuple[float, float] = (0.0, 0.0)
     amplitude: float = 1.0
     life: Life | None = None
     appeared: int = 0
@@ -140,7 +125,6 @@ class LiveEngine:
             jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
         )  # fmt: skip
         self._record, self._positions = record, bank.positions
-        self._most: int | None = None  # sources that sound, the first ones
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
         self._lives_begun = self._appearances = 0
@@ -174,10 +158,8 @@ class LiveEngine:
         former = self._sources[name] if name in sounding else None
         loudness = (1.0 if former is None else former.amplitude) if amplitude is None else float(amplitude)
         life = None if former is None else former.life
-        if life is not None:
-            life.settle(due)
         end = -1 if life is None else life.end
-        goes_on = life is not None and not life.ended and life.moved(due, place, loudness)
+        goes_on = life is not None and life.moved(due, place, loudness)
         if not goes_on:
             self._surface.require(place, name)
         source = self._named(name)
@@ -185,10 +167,10 @@ class LiveEngine:
         if former is None:
             self._appearances += 1
             source.appeared, source.life = self._appearances, None
-        source.at_mm, source.due, source.amplitude = place, due, loudness
+        source.due, source.amplitude = due, loudness
         # Of a source that rests only the end of its course changes, mostly after all that is computed now.
         self._changed |= not (goes_on and life is not None and life.rests and end > self.next_sample + self._reach)
-        if goes_on or name in self._dropped(due):
+        if goes_on:
             return
         if life is not None:
             life.finish(due)
@@ -219,38 +201,19 @@ class LiveEngine:
         source = self._sources[name]
         source.due, self._changed = -1, True
         if source.life is not None:
-            source.life.settle(due)
             source.life.finish(due)
 
-    def limit_sources(self, most: int | None) -> None:
-        """Let only so many sources sound from the next block on, the first to appear; the others fade. None: all.
-
-        Raises InputError: the value is out of range.
-        """
-        if most is not None and most < 0:
-            raise InputError(f"most is {most}; it must be 0 or more")
-        self._most, self._changed = most, True
-        due = self.next_sample + self._look_ahead
-        for name in self._dropped(due):
-            life = self._sources[name].life
-            if life is not None:
-                life.settle(due)
-                life.finish(due)
-                self._sources[name].life = None
-
-    def state(self) -> tuple[SourceState, ...]:
-        """Sources that sound now, in the order of their appearance, the dropped ones too."""
+    def state(self) -> tuple[SoundingSource, ...]:
+        """Sources that sound now, in the order of their appearance."""
         due, now = self.next_sample + self._look_ahead, np.array([self.next_sample])
-        dropped, states = self._dropped(due), []
+        states = []
         for name, source in sorted(self._sources.items(), key=lambda item: item[1].appeared):
             life = source.life
-            if name in dropped:
-                states.append(SourceState(name, source.at_mm, 0.0, fading=False, dropped=True))
-            elif life is not None and life.end >= self.next_sample:
+            if life is not None and life.end >= self.next_sample:
                 (place_mm,), (amplitude,) = life.course.at(now)
                 fading = life.ended or due > source.due + self._timing.hold
                 at_mm = (float(place_mm[0]), float(place_mm[1]))
-                states.append(SourceState(name, at_mm, float(amplitude), fading=fading, dropped=False))
+                states.append(SoundingSource(name, at_mm, float(amplitude), fading))
         return tuple(states)
 
     @property
@@ -332,14 +295,10 @@ class LiveEngine:
                     source.life = None
 
     def _active(self, due: int) -> list[str]:
-        """Names that sound or are dropped, in the order of their appearance: those with a position not too late."""
-        names = [
+        """Names of sources that sound: those with a position not too late."""
+        return [
             name for name, source in self._sources.items() if source.due >= 0 and due <= source.due + self._timing.hold
         ]
-        return sorted(names, key=lambda name: self._sources[name].appeared)
-
-    def _dropped(self, due: int) -> list[str]:
-        return [] if self._most is None else self._active(due)[self._most :]
 
     def _named(self, name: str, emitted: Emitted | None = None) -> _Source:
         """The source of a name, a new one with the default signal, or the given one."""
