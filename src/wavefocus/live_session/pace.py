@@ -39,10 +39,6 @@ class Pace:
         self._begin_s = max(self._begin_s + 0.95 * self._block_s, earliest_s)
         return self._begin_s
 
-    def ran_dry(self, ahead_s: float) -> None:
-        """Begin anew: nothing was left to be played. ahead_s: What is to wait from now on."""
-        self._ahead_s, self._begin_s = ahead_s, -math.inf
-
 
 LEAST_MS, MOST_MS = 0.01, 1e7
 STEP = 1.01

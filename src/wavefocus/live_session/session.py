@@ -268,7 +268,7 @@ class LiveSession:
         if self._load > 1.0:
             took_ms, block_ms = 1e3 * self._load * self._block_s, 1e3 * self._block_s
             more += f"; computing a block of {block_ms:.3g} ms took up to {took_ms:.3g} ms: {TOO_SLOW}"
-        self._pace.ran_dry(self._ahead_s)
+        self._pace = Pace(self._block_s, self._ahead_s)
         self._unwritten.clear()
         self._notice("underrun", f"{dry.instrument}: {dry.cause}{more}", always=True)
         self._player.mute()

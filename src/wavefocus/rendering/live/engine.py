@@ -65,6 +65,7 @@ class _Source:
     amplitude: float = 1.0
     life: Life | None = None
     appeared: int = 0
+    """Number of the life with which it appeared."""
     due: int = -1
     """Sample of the last position."""
 
@@ -127,7 +128,7 @@ class LiveEngine:
         self._record, self._positions = record, bank.positions
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
-        self._lives_begun = self._appearances = 0
+        self._lives_begun = 0
         self._changed = False  # a course, since the last block
 
     def preload(self) -> None:
@@ -165,8 +166,7 @@ class LiveEngine:
         source = self._named(name)
         self._sources[name] = self._sources.pop(name)  # the last to be forgotten
         if former is None:
-            self._appearances += 1
-            source.appeared, source.life = self._appearances, None
+            source.appeared = self._lives_begun
         source.due, source.amplitude = due, loudness
         # Of a source that rests only the end of its course changes, mostly after all that is computed now.
         self._changed |= not (goes_on and life is not None and life.rests and end > self.next_sample + self._reach)

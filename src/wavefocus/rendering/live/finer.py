@@ -225,11 +225,10 @@ class _KernelRowsBetween:
 
     def __init__(self, bank: GreenSource) -> None:
         position_mm = np.asarray(bank.position_mm, dtype=np.float64)
-        lattice, rate_hz = PositionGrid(position_mm).lattice, float(bank.sample_rate_hz)
+        lattice = PositionGrid(position_mm).lattice
         if lattice is None:
             raise InputError("interpolation is 'kernel', and the positions are not on a lattice; use 'nearest'")
         self._kernel = KernelInterpolation(bank, position_mm[usable(bank)])
-        self._rate_hz = rate_hz
         parts = [max(1, int(np.ceil(pitch / PITCH_MM - 1e-6))) for pitch in lattice.pitch_mm]
         right, up = (part.ravel() for part in np.meshgrid(np.arange(parts[0]), np.arange(parts[1])))
         self._offset_mm = np.stack([right / parts[0], up / parts[1]], axis=1)[1:] * lattice.pitch_mm
