@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.rendering.drive.coil_limits import DriveLimits, dynamic_range_db, levels_of, limit_drive
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, levels_of, limit_drive
 from wavefocus.rendering.live.limiter import LiveLimiter
+from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
@@ -20,7 +21,7 @@ def sines(seconds, *amplitudes):
 @given(st.integers(1, 400), st.integers(1, 90), st.booleans(), st.integers(0, 2**32))
 def test_given_any_drive_then_its_levels_are_those_of_direct_evaluation(samples, window, repeated, seed):
     drive_v = np.random.default_rng(seed).standard_normal((2, samples)) * np.array([[1e-6], [1e5]])
-    found = levels_of(drive_v, RATE_HZ, window / RATE_HZ, repeated=repeated).rms_v
+    found = levels_of(drive_v, window, repeated=repeated).rms_v  # the window is a second
     length = window if repeated else min(window, samples)
     long = np.tile(drive_v, 1 + -(-window // samples)) if repeated else drive_v
     starts = range(samples) if repeated else range(samples - length + 1)
@@ -52,8 +53,9 @@ def test_a_limit_that_is_none_is_refused_and_the_range_of_actuators_is_stated():
     for limit in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="limit_rms_v"):
             limit_drive(sines(0.1, 1.0), RATE_HZ, DriveLimits(rms_v=limit))
-    assert dynamic_range_db(np.array([1.0, 0.0, 0.1, 1e-3])) == pytest.approx(60.0)
-    assert dynamic_range_db(np.zeros(3)) == 0.0
+    for relative, range_db in ([1.0, 0.0, 0.1, 1e-3], 60.0), (np.zeros(3), 0.0):
+        report = RenderReport((), Limiting(), np.array(relative), (), 0.0)
+        assert report.dynamic_range_db == pytest.approx(range_db)
 
 
 def limited(drive_v, limits, look_ahead, sizes):

@@ -14,7 +14,7 @@ from wavefocus.config.scene import Output
 from wavefocus.rendering.device import host_device
 from wavefocus.rendering.field.convolution import BankSpectra
 from wavefocus.rendering.field.foci import focus_figures, predicted_at
-from wavefocus.rendering.field.prediction import Prediction, measured_positions, predict, share_above
+from wavefocus.rendering.field.prediction import Prediction, predict, share_above
 from wavefocus.storage.field_file import LowPass
 
 NONE = np.zeros(0, np.int64)
@@ -69,7 +69,6 @@ def test_a_field_starts_with_its_drive_and_leaves_out_unmeasured_positions():
     np.testing.assert_allclose(field.field, [[1, 3, 3, 2]] * 2)
     assert (field.start_s, field.sample_rate_hz, field.response_unit) == (-0.002, 1000.0, "m/s")
     assert field.position_index.tolist() == [0, 2]
-    assert [rows.tolist() for rows in measured_positions(bank)] == [[0, 2], [1, 3, 4]]
     with pytest.raises(InputError, match="positions holds 1, 3: not measured"):
         predict(make_drive([[1.0]]), bank, [0, 1, 3])
     with pytest.raises(InputError, match="no measured position"):

@@ -97,7 +97,7 @@ def render(
     if limiting.decided_by is not None:
         say(limited_words(limiting, rig_file))
     if options.tolerance_db is not None:
-        what = "" if facts.single else ": double precision"
+        what = "" if facts.omitted_bound else ": double precision"
         say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
     for level in quiet:
         say(f"quiet: {level}")

@@ -283,7 +283,7 @@ def _measured(path: Path, _state: FileState) -> tuple[Int64Array, PlotSurface]:
 
     with open_bank(path) as bank:
         bank.require_sound()
-        rows = measured_positions(bank)[0]
+        rows = measured_positions(bank)
         if not len(rows):
             raise InputError(f"{path} has no measured position yet; results are shown when it has")
         return rows, surface_of(bank).with_rows(rows)

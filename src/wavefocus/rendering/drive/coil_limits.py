@@ -121,39 +121,28 @@ def peaks(drive_v: Float64Array) -> Float64Array:
     return np.asarray(np.maximum(drive_v.max(axis=1, initial=0.0), -drive_v.min(axis=1, initial=0.0)))
 
 
-def rms_window(samples: int, sample_rate_hz: float, window_s: float = RMS_WINDOW_S) -> int:
+def rms_window(samples: int, sample_rate_hz: float) -> int:
     """Samples of the window of the rms; a drive that is shorter is one window."""
-    return max(1, min(samples, round(window_s * sample_rate_hz)))
+    return max(1, min(samples, round(RMS_WINDOW_S * sample_rate_hz)))
 
 
 def levels_of(
-    drive_v: Float64Array,
-    sample_rate_hz: float,
-    window_s: float = RMS_WINDOW_S,
-    *,
-    repeated: bool = False,
-    limits: DriveLimits | None = None,
+    drive_v: Float64Array, sample_rate_hz: float, *, repeated: bool = False, limits: DriveLimits | None = None
 ) -> RunningLevels:
     """Find the levels of a whole drive (actuators, samples), finite.
 
     repeated: The drive begins anew at its end, so that a window of the rms may span both, or several.
     limits: What the levels are held against; without a limit of the rms none is found. None: all levels are found.
     """
-    samples, wanted = drive_v.shape[1], round(window_s * sample_rate_hz)
+    samples, wanted = drive_v.shape[1], round(RMS_WINDOW_S * sample_rate_hz)
     if repeated and samples < wanted:
         drive_v = np.tile(drive_v, -(-wanted // samples))
-    window = rms_window(drive_v.shape[1], sample_rate_hz, window_s)
+    window = rms_window(drive_v.shape[1], sample_rate_hz)
     levels = RunningLevels(len(drive_v), None if limits is not None and limits.rms_v is None else window)
     levels.add(drive_v)
     if repeated:
         levels.add(drive_v[:, : window - 1])
     return levels
-
-
-def dynamic_range_db(relative: Float64Array) -> float:
-    """Largest over smallest rms of all actuators that are driven at all, in dB; 0 where fewer than two are."""
-    driven = relative[relative > 0]
-    return float(20.0 * np.log10(driven.max() / driven.min())) if driven.size > 1 else 0.0
 
 
 def limit_drive(drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimits) -> Limiting:

@@ -74,16 +74,12 @@ class InterfaceRate:
         """Samples of drive beyond a piece that it is made of, too."""
         self._skipped = lead_samples(self._ratio) + self.around_samples * up // down
 
-    def frames(self, samples: int) -> int:
-        """Number of samples at the interface's rate of so many samples of drive."""
-        return math.ceil(samples * self._ratio)
-
     def pieces(
         self, blocks: Iterable[Float64Array], actuators: int, samples: int, piece_samples: int
     ) -> Iterator[Float64Array]:
         """Give drives at the interface's rate, piece by piece, as blocks of them come."""
         up, down = self._ratio.numerator, self._ratio.denominator
-        left = self.frames(samples)
+        left = math.ceil(samples * self._ratio)
         for chunk in self._chunks(blocks, actuators, down * max(1, piece_samples // down)):
             count = min((chunk.shape[1] - 2 * self.around_samples) * up // down, left)
             yield converted(chunk, self._ratio)[:, self._skipped : self._skipped + count]

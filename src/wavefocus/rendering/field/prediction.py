@@ -149,10 +149,9 @@ def share_above(drive: Drive, bank: GreenSource, positions: Int64Array, highest_
     return float(np.divide(power[:, above].sum(axis=1), whole, out=np.zeros_like(whole), where=whole > 0).max())
 
 
-def measured_positions(bank: GreenSource) -> tuple[Int64Array, Int64Array]:
-    """Rows of a field by default, and rows left out as not measured."""
-    allowed = usable(bank)
-    return np.flatnonzero(allowed).astype(np.int64), np.flatnonzero(~allowed).astype(np.int64)
+def measured_positions(bank: GreenSource) -> Int64Array:
+    """Rows of a field by default."""
+    return np.flatnonzero(usable(bank)).astype(np.int64)
 
 
 def field_unit(bank: GreenSource) -> str:
@@ -174,7 +173,7 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Positions | Non
     if drive_of("", drive.drive_unit) != drive_unit(bank):
         raise InputError(f"the drive is in {drive.drive_unit}, the bank takes {drive_unit(bank)}; they must agree")
     if positions is None:
-        index, _ = measured_positions(bank)
+        index = measured_positions(bank)
         if not len(index):
             raise InputError("the bank has no measured position; nothing can be predicted")
         return index

@@ -12,8 +12,8 @@ import numpy as np
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import fast_length
-from wavefocus.rendering.drive.coil_limits import Limiting, dynamic_range_db
-from wavefocus.rendering.field.metrics import band_weights
+from wavefocus.rendering.drive.coil_limits import Limiting
+from wavefocus.rendering.field.metrics import band_weights, range_db
 from wavefocus.rendering.field.wave_figures import impulse_travel
 from wavefocus.rendering.greens.interpolation.errors import InterpolationErrors
 from wavefocus.rendering.greens.regularisation import BankRows
@@ -111,8 +111,7 @@ class RenderReport:
     relative_rms_drive, float64 (actuators,): RMS of each actuator's drive relative to the largest (the paper's figure
         3B, right).
     out_of_band: Per source, the share of the emitted windows' energy outside the bank's band; None where it is unknown.
-    omitted_bound: Proved bound on the relative error of the drives.
-    single: Computed in single precision.
+    omitted_bound: Proved bound on the relative error of the drives, 0 in double precision.
     interpolation_errors: Estimated error of the Green's functions between the bank's positions, by band; None where the
         paths keep to the positions, or the bank has too few of them.
     tail: Ends of some of the Green's functions, and an estimate of the response beyond them.
@@ -124,7 +123,6 @@ class RenderReport:
     relative_rms_drive: Float64Array
     out_of_band: tuple[float | None, ...]
     omitted_bound: float
-    single: bool
     interpolation_errors: InterpolationErrors | None = None
     tail: ResponseTail | None = None
     quiet: QuietFigures | None = None
@@ -141,8 +139,9 @@ class RenderReport:
 
     @property
     def dynamic_range_db(self) -> float:
-        """Largest over smallest rms of all actuators that are driven at all, in dB."""
-        return dynamic_range_db(self.relative_rms_drive)
+        """Largest over smallest rms of all actuators that are driven at all, in dB; 0 where fewer than two are."""
+        found_db = range_db(self.relative_rms_drive)
+        return 0.0 if math.isnan(found_db) else found_db
 
 
 def report_render(
@@ -181,7 +180,6 @@ def report_render(
         relative_rms_drive=norms / peak if peak > 0 else norms,
         out_of_band=outside,
         omitted_bound=omitted_bound,
-        single=omitted_bound > 0,
         interpolation_errors=errors,
         tail=tail,
         quiet=quiet,

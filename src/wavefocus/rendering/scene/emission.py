@@ -257,18 +257,15 @@ class PointEmission:
         self._nodes_at = nodes_at
 
     def events(self, start: int, stop: int) -> Events:
-        found = [self._piece_events(piece, start, stop) for piece in range(len(self._pieces))]
+        found = []
+        for piece in range(len(self._pieces)):
+            # Path points whose emission comes to this piece in [start, stop).
+            delay = piece * self.event_samples
+            first, last = np.searchsorted(self.focus_sample, [start - delay, stop - delay]).tolist()
+            found.append((*self._nodes_at(first, last), self.focus_sample[first:last] + delay - start))
         rows, weights, by, sample = (np.concatenate(part) for part in zip(*found, strict=True))
         piece = np.repeat(np.arange(len(found)), [len(entry[3]) for entry in found])
         return Events(rows, weights, by, sample, np.ones(len(sample)), piece)
-
-    def _piece_events(
-        self, piece: int, start: int, stop: int
-    ) -> tuple[Int64Array, Float64Array, Int64Array, Int64Array]:
-        """Nodes and samples of path points whose emission comes to this piece in [start, stop)."""
-        delay = piece * self.event_samples
-        first, last = np.searchsorted(self.focus_sample, [start - delay, stop - delay])
-        return *self._nodes_at(int(first), int(last)), self.focus_sample[first:last] + delay - start
 
     def piece_spectra(self, fft_samples: int) -> Complex128Array:
         return np.stack([np.fft.rfft(piece, fft_samples) for piece in self._pieces])

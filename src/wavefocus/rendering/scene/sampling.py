@@ -119,7 +119,7 @@ SAMPLES_AT_ONCE = 2**16
 class SampledSource:
     """A source ready to be accumulated.
 
-    arc_length_mm, float64 (points,): Arc lengths of the path points, m * d; of a trajectory those of its foci.
+    points_mm, float64 (points, 2): The path points, at arc lengths m * d; of a trajectory its foci.
     focus_sample, int64 (points,): n_m, counted from scene time zero.
     focus_position, int64 (points,): Bank row nearest to each path point.
     signal, float64 (samples,): The whole signal, amplitude included.
@@ -128,7 +128,6 @@ class SampledSource:
 
     index: int
     emission: Emission
-    arc_length_mm: Float64Array
     points_mm: Float64Array
     focus_sample: Int64Array
     focus_position: Int64Array
@@ -146,7 +145,7 @@ def sample_source(
     A path of no length is a static focus: it emits its whole signal at `start_s`. A trajectory is at its place of every
     sample, whatever the method.
 
-    Raises InputError: the source does not move although its path does, emits nothing, is too long, or leaves the grid.
+    Raises InputError: the source does not move although its path does, emits nothing, or leaves the grid.
     """
     try:
         signal = source.amplitude * source.signal.samples(sample_rate_hz)
@@ -161,8 +160,6 @@ def sample_source(
     number = np.arange(points + 1)
     arc_length: Float64Array = number[:-1] * np.float64(source.step_mm) if points > 1 else np.zeros(1)
     instants_s = source.start_s + number * source.step_mm / source.speed_mm_s if moving else np.full(2, source.start_s)
-    if instants_s[-1] * sample_rate_hz + len(signal) > MAX_SAMPLES:
-        raise InputError(f"source {index} would go on for {instants_s[-1]:.3g} s; {MAX_SAMPLES} samples are allowed")
     focus = np.rint(instants_s * sample_rate_hz).astype(np.int64)
     exact = method == "exact" and moving and source.emission == "continuous"
     with _off_grid(lambda _: f"the path of source {index}"):
@@ -197,8 +194,7 @@ def sample_source(
             if exact
             else ContinuousEmission(signal, int(focus[0]), last, of_points, focus[:-1])
         )
-    foci = focus[:-1]
-    return SampledSource(index, emission, arc_length, points_mm, foci, nodes.nearest, signal, nodes.rows.shape[1])
+    return SampledSource(index, emission, points_mm, focus[:-1], nodes.nearest, signal, nodes.rows.shape[1])
 
 
 def _sample_trajectory(
@@ -243,11 +239,8 @@ def _sample_trajectory(
     focus = np.rint(focus_s * sample_rate_hz).astype(np.int64)
     with _off_grid(lambda point: f"row {path.focus_rows[point]} of the trajectory of source {index}"):
         nodes = nodes_at(focus)
-    emission, arc_mm = (
-        ContinuousEmission(signal, first, stop, of_samples),
-        path.arc_length_mm(focus_s - source.start_s),
-    )
-    return SampledSource(index, emission, arc_mm, points_mm, focus, nodes.nearest, signal, nodes.rows.shape[1])
+    emission = ContinuousEmission(signal, first, stop, of_samples)
+    return SampledSource(index, emission, points_mm, focus, nodes.nearest, signal, nodes.rows.shape[1])
 
 
 def _follow_strokes(
@@ -341,7 +334,7 @@ class SampledScene:
         return f"{near}path point {point} of source {source} at {show_mm(self.focus_mm[focus])} mm"
 
 
-def sample_scene(scene: Scene, bank: GreenSource, method: str | None = None) -> SampledScene:
+def sample_scene(scene: Scene, bank: GreenSource, method: Method | None = None) -> SampledScene:
     """Sample the sources of a scene, once its size is found to be within the limits.
 
     method: "sampled", eq. (16), or "exact", eq. (9); by default sampled where all emission is per point, for which the
@@ -353,15 +346,14 @@ def sample_scene(scene: Scene, bank: GreenSource, method: str | None = None) -> 
         raise InputError(f"method is {method!r}; allowed are 'sampled' and 'exact'")
     if method is None:
         method = "sampled" if all(source.emission == "per_point" for source in scene.sources) else "exact"
-    chosen: Method = "sampled" if method == "sampled" else "exact"
     rate_hz, taps = float(bank.sample_rate_hz), bank.taps
     for index, source in enumerate(scene.sources):
         point_count(source, index)
     check_scene_size(scene, sample_rate_hz=rate_hz, taps=taps, actuators=bank.actuators)
     interpolation = scene_interpolation(scene, bank)
     sources = [
-        sample_source(source, index, interpolation, sample_rate_hz=rate_hz, taps=taps, method=chosen)
+        sample_source(source, index, interpolation, sample_rate_hz=rate_hz, taps=taps, method=method)
         for index, source in enumerate(scene.sources)
     ]
     samples = max(source.emission.stop_sample for source in sources) + taps - 1
-    return SampledScene(interpolation, sources, chosen, samples, -(taps - 1) / rate_hz)
+    return SampledScene(interpolation, sources, method, samples, -(taps - 1) / rate_hz)
