@@ -67,7 +67,7 @@ def limited(drive_v, limits, look_ahead, sizes):
         pieces.append(limiter.limit(drive_v[:, at : at + size]))
         least = min(least, limiter.gain_db)
         at += size
-    pieces.append(limiter.flush())
+    pieces.append(limiter.limit(np.zeros((len(drive_v), look_ahead))))
     return np.concatenate(pieces, axis=1)[:, look_ahead:], min(least, limiter.gain_db)
 
 

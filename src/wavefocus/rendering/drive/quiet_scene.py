@@ -29,6 +29,7 @@ from wavefocus.rendering.drive.quiet_filters import (
     least_energy,
 )
 from wavefocus.rendering.field.quiet_levels import QuietLevel, quiet_levels, rendered_levels
+from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, Events, PointEmission
@@ -107,13 +108,12 @@ class _QuietEmission:
         along = np.clip((made.sample + start - self._knots[0]) / step, 0.0, last)
         low = along.astype(np.int64)
         before, after = self._sets[low], self._sets[np.minimum(low + 1, last)]
-        rows = self._rows.numbers(before, made.rows, made.regularised_by)
-        if (before == after).all():
-            return replace(made, rows=rows)
-        share = np.where(before == after, 0.0, along - low)[:, None]
-        following = self._rows.numbers(after, made.rows, made.regularised_by)
-        weights = np.concatenate([made.weights * (1.0 - share), made.weights * share], axis=1)
-        return replace(made, rows=np.concatenate([rows, following], axis=1), weights=weights)
+        rows, weights = self._rows.numbers(before, made.nodes), made.nodes.weights
+        if (before != after).any():
+            share = np.where(before == after, 0.0, along - low)[:, None]
+            rows = np.concatenate([rows, self._rows.numbers(after, made.nodes)], axis=1)
+            weights = np.concatenate([weights * (1.0 - share), weights * share], axis=1)
+        return replace(made, nodes=Nodes(rows, weights, made.nodes.nearest))
 
 
 class QuietRows(BankRows):
@@ -156,10 +156,10 @@ class QuietRows(BankRows):
     def taps(self) -> int:
         return self.bank.taps + self.tail
 
-    def numbers(self, sets: Int64Array, rows: Int64Array, regularised_by: Int64Array) -> Int64Array:
-        """Numbers of the rows that focus like `rows` (n, k) with sets of the plan, (n,), as (n, k)."""
-        by = regularised_by if self._saturates else np.full_like(regularised_by, -1)
-        key = np.stack(np.broadcast_arrays(sets[:, None], rows, by[:, None]), axis=2).reshape(-1, 3)
+    def numbers(self, sets: Int64Array, nodes: Nodes) -> Int64Array:
+        """Numbers of the rows that focus like those of nodes (n, k) with sets of the plan, (n,), as (n, k)."""
+        by = nodes.nearest if self._saturates else np.full_like(nodes.nearest, -1)
+        key = np.stack(np.broadcast_arrays(sets[:, None], nodes.rows, by[:, None]), axis=2).reshape(-1, 3)
         different, inverse = np.unique(key, axis=0, return_inverse=True)
         numbers = np.empty(len(different), dtype=np.int64)
         for place, one in enumerate(map(tuple, different.tolist())):
@@ -167,7 +167,7 @@ class QuietRows(BankRows):
                 self._numbers[one] = len(self._keys)
                 self._keys.append(one)
             numbers[place] = self._numbers[one]
-        return np.asarray(numbers[inverse.ravel()].reshape(rows.shape))
+        return np.asarray(numbers[inverse.ravel()].reshape(nodes.rows.shape))
 
     def read(self, row: int, *, single: bool = False) -> RealArray:
         """The row of a number, (actuators, taps)."""

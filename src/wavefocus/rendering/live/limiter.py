@@ -90,10 +90,6 @@ class LiveLimiter:
         self._waiting, self._gains = self._waiting[:, frames:], self._gains[frames:]
         return limited
 
-    def flush(self) -> Float64Array:
-        """Give the samples that wait, (channels, look_ahead_frames)."""
-        return self.limit(np.zeros_like(self._waiting))
-
     def _peak_gains(self, block: Float64Array) -> Float64Array:
         """Gain r of each sample of a block, released after a fall."""
         if not block.shape[1]:

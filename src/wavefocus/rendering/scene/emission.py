@@ -11,6 +11,7 @@ import numpy as np
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import WORKERS, Device, threaded_map
+from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
 
 Weigh = Callable[[Int64Array], tuple[Float64Array, BoolArray]]
@@ -26,17 +27,13 @@ SPAN = 2**31
 class Events:
     """Samples that rows emit within a block.
 
-    rows, int64 (events, k): Bank rows that make each event.
-    weights, float64 (events, k): Their weights; 0 where a row is not used.
-    regularised_by, int64 (events,): Row whose regularisation counts.
+    nodes: Rows and weights that make each event; those of weight 0 are not used.
     sample, int64 (events,): When, from the block's start.
     values, float64 (events,): What is emitted.
     piece, int64 (events,): Which piece of a signal each event is the beginning of, where it is not a sample.
     """
 
-    rows: Int64Array
-    weights: Float64Array
-    regularised_by: Int64Array
+    nodes: Nodes
     sample: Int64Array
     values: Float64Array
     piece: Int64Array | None = None
@@ -58,12 +55,12 @@ class Windows:
     """The row whose sigma each window takes, -1 where no actuator is saturated."""
 
     def __init__(self, events: Events, delay: int = 0) -> None:
-        nodes = events.rows.shape[1]
-        self._amount = (events.weights * events.values[:, None]).T.ravel()
-        key = (events.rows * SPAN + events.regularised_by[:, None]).T.ravel()
+        nodes, each = events.nodes, events.nodes.rows.shape[1]
+        self._amount = (nodes.weights * events.values[:, None]).T.ravel()
+        key = (nodes.rows * SPAN + nodes.nearest[:, None]).T.ravel()
         key[self._amount == 0] = -1
-        self._sample = np.concatenate([events.sample + delay] * nodes)
-        self._piece = None if events.piece is None else np.concatenate([events.piece] * nodes)
+        self._sample = np.concatenate([events.sample + delay] * each)
+        self._piece = None if events.piece is None else np.concatenate([events.piece] * each)
         # Runs of one key are few: only they go through what takes long.
         begins = np.concatenate([[0], np.flatnonzero(key[1:] != key[:-1]) + 1])[: len(key)]
         first = np.minimum.reduceat(self._sample, begins) if len(begins) else begins
@@ -161,8 +158,8 @@ class RowSpectra:
         return values, max(norm, MIN_ROW_NORM)
 
 
-NodesAt = Callable[[int, int], tuple[Int64Array, Float64Array, Int64Array]]
-"""Rows (n, k), weights (n, k) and regularising rows (n,) of a range of samples or path points."""
+NodesAt = Callable[[int, int], Nodes]
+"""Nodes of a range of samples or path points."""
 
 
 class Emission(Protocol):
@@ -221,12 +218,13 @@ class ContinuousEmission:
         begin, end = start - self.first_sample, stop - self.first_sample
         signal = self.signal[begin:end]
         if self._focus is None:
-            return Events(*self._nodes_at(begin, end), np.arange(end - begin), signal)
+            return Events(self._nodes_at(begin, end), np.arange(end - begin), signal)
         point = self._last_point[np.searchsorted(self._focus, np.arange(start, stop), side="right") - 1]
         first = int(point[0])
-        rows, weights, by = self._nodes_at(first, int(point[-1]) + 1)
+        nodes = self._nodes_at(first, int(point[-1]) + 1)
         point = point - first
-        return Events(rows[point], weights[point], by[point], np.arange(end - begin), signal)
+        nodes = Nodes(nodes.rows[point], nodes.weights[point], nodes.nearest[point])
+        return Events(nodes, np.arange(end - begin), signal)
 
     def piece_spectra(self, fft_samples: int) -> None:
         return None
@@ -262,10 +260,10 @@ class PointEmission:
             # Path points whose emission comes to this piece in [start, stop).
             delay = piece * self.event_samples
             first, last = np.searchsorted(self.focus_sample, [start - delay, stop - delay]).tolist()
-            found.append((*self._nodes_at(first, last), self.focus_sample[first:last] + delay - start))
-        rows, weights, by, sample = (np.concatenate(part) for part in zip(*found, strict=True))
-        piece = np.repeat(np.arange(len(found)), [len(entry[3]) for entry in found])
-        return Events(rows, weights, by, sample, np.ones(len(sample)), piece)
+            nodes, sample = self._nodes_at(first, last), self.focus_sample[first:last] + delay - start
+            found.append((nodes.rows, nodes.weights, nodes.nearest, sample, np.full(len(sample), piece)))
+        rows, weights, nearest, sample, pieces = (np.concatenate(part) for part in zip(*found, strict=True))
+        return Events(Nodes(rows, weights, nearest), sample, np.ones(len(sample)), pieces)
 
     def piece_spectra(self, fft_samples: int) -> Complex128Array:
         return np.stack([np.fft.rfft(piece, fft_samples) for piece in self._pieces])

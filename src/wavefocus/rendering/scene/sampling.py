@@ -168,14 +168,14 @@ def sample_source(
     with _off_grid(lambda point: f"source {index}, path point {point},"):
         nodes = follow(arc_length)
 
-    def of_points(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
-        return nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop]
+    def of_points(start: int, stop: int) -> Nodes:
+        return Nodes(nodes.rows[start:stop], nodes.weights[start:stop], nodes.nearest[start:stop])
 
-    def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+    def of_samples(start: int, stop: int) -> Nodes:
         along = np.minimum(source.speed_mm_s * np.arange(start, stop) / sample_rate_hz, source.path.length_mm)
         with _off_grid(lambda point: f"source {index}, sample {start + point} after its start,"):
             found = follow(along)
-        return found.rows, found.weights, found.nearest
+        return found
 
     emission: Emission
     if source.emission == "per_point" and moving:
@@ -228,12 +228,12 @@ def _sample_trajectory(
         # need be no grid.
         return interpolation.nodes(on_strokes.at(path.on_stroke(sample, source.start_s, sample_rate_hz)[1])[0])
 
-    def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+    def of_samples(start: int, stop: int) -> Nodes:
         sample = first + np.arange(start, stop)
         at_s = sample / sample_rate_hz - source.start_s
         with _off_grid(lambda point: f"source {index}, {at_s[point]:.6g} s after its start,"):
             found = nodes_at(sample)
-        return found.rows, found.weights, found.nearest
+        return found
 
     focus_s, points_mm = path.foci(source.start_s)
     focus = np.rint(focus_s * sample_rate_hz).astype(np.int64)
