@@ -1,6 +1,5 @@
 """Whole experiments through the command, answered by a program: what is stored, refused, repeated, muted, analysed."""
 
-import csv
 import json
 import random
 import sys
@@ -27,7 +26,7 @@ from tests.system.captures import wavefocus
 from tests.system.conftest import with_faults, write_lab
 from tests.system.crash.processes import How, Order, Processes
 from tests.system.lines import Lines, in_process
-from wavefocus.trials.answers import COLUMNS, AnswersFile, read_answers, read_facts
+from wavefocus.trials.answers import AnswersFile, read_answers, read_facts
 from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import order_of
 
@@ -164,19 +163,7 @@ def test_answers_of_a_simulated_participant_are_analysed_into_one_folder(lab, ba
     assert (function["factor"], function["track"]) == ("amplitude", rows[0].track)
     assert sum(function["fit"]["right"]) == sum(bool(row.correct) for row in rows)
     assert "report.html" in written["files"]
-
-    place = result / "bids" / "sub-A1" / "beh"
-    with (place / "sub-A1_task-feltornot_beh.tsv").open(encoding="utf-8") as file:
-        table = list(csv.DictReader(file, delimiter="\t"))
-    sidecar = json.loads((place / "sub-A1_task-feltornot_beh.json").read_text(encoding="utf-8"))
-    assert list(table[0]) == [name for name in COLUMNS if name != "participant"]
-    assert set(table[0]) <= set(sidecar)
-    assert [int(one["trial"]) for one in table] == list(range(1, 13))
-    assert [float(one["reaction_s"]) for one in table] == [row.reaction_s for row in rows]
-    people = (result / "bids" / "participants.tsv").read_text(encoding="utf-8").splitlines()
-    assert people == ["participant_id\tcode\ttrials", "sub-A1\tA-1\t12"]
-    described = json.loads((result / "bids" / "dataset_description.json").read_text(encoding="utf-8"))
-    assert {"Name", "BIDSVersion", "DatasetType"} <= set(described)
+    assert not (result / "bids").exists()
 
     assert "--force" in captures.refused(capsys, "analyse", out)
     (result / "notes.txt").write_text("mine")

@@ -1,4 +1,4 @@
-"""``wavefocus analyse``: statistics of the answers to trials, a report, and a BIDS-like folder."""
+"""``wavefocus analyse``: statistics of the answers to trials, and a report."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ from wavefocus.storage.output_files import replaced_folder, require_replaceable_
 from wavefocus.storage.text_file import read_regular
 from wavefocus.trials.analysis.consistency import stored_design, unfit_rows
 from wavefocus.trials.analysis.report import build_report, left_out_lines, percent
-from wavefocus.trials.analysis.results import FORMAT, analysis_of, write_bids
+from wavefocus.trials.analysis.results import FORMAT, analysis_of
 from wavefocus.trials.analysis.statistics import RIGHT
 from wavefocus.trials.answers import ANSWERS, FACTS, read_answers, read_facts
 
@@ -43,12 +43,10 @@ def analyse(folder: Path, out: Path | None, *, force: bool, as_json: bool) -> No
     ]
     html, pictures = build_report(analysis, sources)
     with replaced_folder(out) as place:
-        (place / "bids").mkdir()
-        write_bids(place / "bids", rows, analysis, facts)
         (place / "report.html").write_bytes(html.encode())
         for picture in pictures:
             (place / f"{picture.name}.png").write_bytes(picture.png)
-        names = sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
+        names = sorted(path.name for path in place.iterdir())
         document = {**analysis.document(), "files": [*names, _RESULT]}
         (place / _RESULT).write_bytes((json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
     if as_json:

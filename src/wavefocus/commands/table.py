@@ -235,7 +235,7 @@ USE = (
     ),
     Command(
         "analyse", "analyse:analyse",
-        "Analyse the answers to trials: accuracy, psychometric functions, report, BIDS-like folder.\n\n"
+        "Analyse the answers to trials: accuracy, psychometric functions, a report.\n\n"
         "docs/reference/trials.md defines every figure.",
         (file("folder", metavar="FOLDER", help="The folder that `wavefocus trials` wrote."),
          _out("OUT", "Folder for the results; by default FOLDER/analysis.", required=False), FORCE, JSON),

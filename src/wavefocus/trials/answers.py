@@ -41,12 +41,12 @@ def _column(
     least: int | None = None,
     absent: Any = MISSING,
 ) -> Any:
-    """A column: its description with the keys of BIDS sidecar files, and its value where a file lacks it.
+    """A column: its description, and its value where a file lacks it.
 
     least: Of a whole number. absent: A column that a later version adds has it.
     """
-    bids = {"Description": about, **({"Units": unit} if unit else {}), **({"Levels": levels} if levels else {})}
-    return field(metadata={"bids": bids, "least": least, "absent": absent})
+    description = {"Description": about, **({"Units": unit} if unit else {}), **({"Levels": levels} if levels else {})}
+    return field(metadata={"description": description, "least": least, "absent": absent})
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +96,8 @@ class Row:
     trials_sha256: str = _column("SHA-256 of the trials file, a byte-order mark left out")
 
 
-COLUMNS: Mapping[str, Mapping[str, Any]] = {one.name: one.metadata["bids"] for one in fields(Row)}
-"""Description of every column, in their order, with the keys of BIDS sidecar files."""
+COLUMNS: Mapping[str, Mapping[str, Any]] = {one.name: one.metadata["description"] for one in fields(Row)}
+"""Description of every column, in their order, as ``trials.json`` has it."""
 DEFAULTS = {one.name: one.metadata["absent"] for one in fields(Row) if one.metadata["absent"] is not MISSING}
 """Values of columns that a file may lack."""
 

@@ -1,1 +1,1 @@
-"""Statistics of answers: accuracy, sensitivity, psychometric functions, reaction times; report and BIDS-like folder."""
+"""Statistics of answers: accuracy, sensitivity, psychometric functions, reaction times, and a report."""
