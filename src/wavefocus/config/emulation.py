@@ -103,6 +103,7 @@ class PlateKeys(Table):
         if self.gone is not None and info.context is not KEPT:
             raise mistake(*self.gone)
         shear, pressure = self.shear_speed_m_s or GEL_SPEED_M_S, self.pressure_speed_m_s or GEL_PRESSURE_SPEED_M_S
+        # The bulk modulus of a solid with slower pressure waves would be negative.
         if not pressure > (slowest := 2 / 3**0.5 * shear) and info.context is not KEPT:
             raise mistake("pressure_speed_m_s", pressure, f"must be above {slowest:.4g}, 2 / sqrt(3) shear_speed_m_s")
         return self

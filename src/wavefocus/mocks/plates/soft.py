@@ -176,7 +176,7 @@ class SolidPlate(InfinitePlate):
     """A gel without a rim that moves in its plane: g^{alpha beta} for one direction of force and one of oscillation.
 
     actuator_mm, outline, chain: See `Plate`.
-    shear_speed_m_s, pressure_speed_m_s: Speeds of the fronts of both waves.
+    shear_speed_m_s, pressure_speed_m_s: Speeds of the fronts of both waves, which `PlateKeys` checks.
     damping_per_s: Rate b of relaxation, >= 0.
     force_deg, oscillation_deg: Direction in which every actuator pushes, and in which the velocity is seen, from x
         towards y.
@@ -199,12 +199,6 @@ class SolidPlate(InfinitePlate):
     ) -> None:
         self.unit_force_n = UNIT_FORCE_N * (shear_speed_m_s / SOFT_PLATE.speed_m_s) ** 2
         shear, pressure = change.speed * shear_speed_m_s, change.speed * pressure_speed_m_s
-        slowest = 2 / np.sqrt(3) * shear
-        if not pressure > slowest:
-            raise ValueError(
-                f"pressure_speed_m_s is {pressure:g}; it must be above {slowest:.4g}, 2 / sqrt(3) times the shear"
-                " speed, for the bulk modulus would be negative"
-            )
         loss = change.loss * damping_per_s
         waves = _SolidWave(shear, loss, shear, is_shear=True), _SolidWave(pressure, loss, shear, is_shear=False)
         super().__init__(actuator_mm, outline, change.softened(chain), waves)

@@ -7,8 +7,6 @@ from wavefocus.config.emulation import RigFault
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Instrument, RecordLabel
 
-_RAISED = ("timeout", "underflow", "short_read")
-
 
 class _FaultPlan:
     """The faults that one instrument has before it.
@@ -55,7 +53,7 @@ class _FaultPlan:
         if hangs:
             threading.Event().wait()
         for fault in due:
-            if fault.kind in _RAISED:
+            if fault.kind in _EXPLANATIONS:
                 cause, remedy = _EXPLANATIONS[fault.kind]
                 raise TransientInstrumentError(self._device, doing, cause, remedy)
         return due
