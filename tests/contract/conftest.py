@@ -15,7 +15,6 @@ from tests.wire.daq_bench import Tone
 from tests.wire.emulated import analog_rig, free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL
 from tests.wire.serial_bench import wire as serial_wire
-from wavefocus.commands.emulate import wiring_of
 from wavefocus.config.rig import default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
@@ -117,7 +116,7 @@ def emulated_rig(folder, stack):
     rig_file = folder / "rig.toml"
     rig_file.write_text(rig_text(folder, f"localhost:{free_port()}", period_frames=PERIOD_FRAMES))
     rig = load_rig(rig_file)
-    sides = stack.enter_context(closing(EmulatedRig(virtual_settings(rig), wiring_of(rig, rig_file))))
+    sides = stack.enter_context(closing(EmulatedRig(virtual_settings(rig), rig)))
     environment = stack.enter_context(pytest.MonkeyPatch.context())
     for name, value in sides.audio.environment.items():
         environment.setenv(name, value)

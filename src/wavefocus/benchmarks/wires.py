@@ -20,11 +20,12 @@ from wavefocus.benchmarks.rig_bank import RATE_HZ
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.calibration.timing import ClockFitter
+from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.audio.resampling import HALF_STEP, converted, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream.player import StreamPlayer
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.mirror.asi_tiger import AsiTiger
+from wavefocus.drivers.mirror.generic import GenericMirror
 from wavefocus.drivers.protocols import Float64Array, RecordLabel, WallClock
 from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.drivers.serial_device import SerialMirror
@@ -34,8 +35,6 @@ ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
 SWEEP_V = 1.0
 INTERFACE_RATE_HZ = 48_000
 FULL_SCALE_V = 5.0
-PERIOD_FRAMES = 4096
-"""Of the audio server: the emulated interface never runs dry on a busy machine, and answers late."""
 
 
 def settings() -> VirtualSettings:
@@ -53,15 +52,15 @@ def excitation(sweep_s: float, averages: int) -> PlayedExcitation:
 
 def _serve_instruments() -> None:
     """Be the emulated instruments until standard input ends; a line asks for the starts received since the last."""
-    from wavefocus.mocks.wire.emulated_rig import EmulatedRig, Wiring
+    from wavefocus.mocks.wire.emulated_rig import EmulatedRig
 
-    virtual = settings()
-    wiring = Wiring(
-        mirror_dialect="asi-tiger", mirror_port="socket://127.0.0.1:0", mirror_full_scale_mrad=virtual.limit_mrad,
-        ni_product="USB-6211", ni_device="Dev1", ni_address="localhost:0", period_frames=PERIOD_FRAMES,
-        full_scale_v=(FULL_SCALE_V,) * virtual.player_channels, interface_rate_hz=INTERFACE_RATE_HZ,
-    )  # fmt: skip
-    with EmulatedRig(virtual, wiring) as sides:
+    rig = RigConfig.model_validate({
+        "actuators": {"position_mm": ACTUATOR_MM},
+        "mirror": {"driver": "generic", "port": "socket://127.0.0.1:0"},
+        "recorder": {"driver": "nidaqmx", "device": "Dev1", "address": "localhost:0"},
+        "player": {"driver": "sounddevice", "device": "wavefocus interface"},
+    })  # fmt: skip
+    with EmulatedRig(settings(), rig) as sides:
         assert sides.mirror is not None  # it is on a serial line
         places = {"mirror": sides.mirror.address, "recorder": sides.recorder.address}
         print(json.dumps({**places, "environment": sides.audio.environment}), flush=True)
@@ -108,7 +107,7 @@ def opened(sides: EmulatedInstruments) -> Iterator[Setup]:
     of_mirror = MirrorSettings(
         port=sides.mirror, settle_s=0.0, limit_mrad=virtual.limit_mrad, park_mrad=virtual.park_mrad, clock=clock
     )
-    mirror = SerialMirror(AsiTiger(), of_mirror)
+    mirror = SerialMirror(GenericMirror(), of_mirror)
     recorder = NiRecorder(
         "Dev1", address=sides.recorder, reference_input="ai0", response_input="ai1", terminal="differential",
         trigger=None,

@@ -19,7 +19,7 @@ from wavefocus.rig.virtual_bench import virtual_settings
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
-    from wavefocus.mocks.wire.emulated_rig import EmulatedRig, Wiring
+    from wavefocus.mocks.wire.emulated_rig import EmulatedRig
 
 COMMANDS = (
     "unplug ROLE, plug ROLE (mirror, recorder, player, vibrometer); "
@@ -48,7 +48,8 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
     stop = StopRequest()
     with stop_on_signals(stop):
         try:
-            emulated = EmulatedRig(virtual_settings(rig), wiring_of(rig, rig_file), rig.emulation.fault_plan)
+            _check_addresses(rig, rig_file)
+            emulated = EmulatedRig(virtual_settings(rig), rig)
         except InputError as wrong:
             raise InputError(f"{wrong}; wavefocus init DIR --rig emulated writes a rig that can be emulated") from None
         except (JackServerError, RuntimeError, ValueError) as refused:
@@ -67,14 +68,9 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
     return Exit.DONE
 
 
-def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
-    """Where the emulated instruments are put: where the rig's drivers look for theirs.
-
-    Raises InputError: an address that no emulated instrument can be put at.
-    """
-    from wavefocus.mocks.wire.emulated_rig import Wiring
-
-    mirror, recorder, player = rig.mirror, rig.recorder, rig.player
+def _check_addresses(rig: RigConfig, rig_file: Path) -> None:
+    """Refuse an address, of those where the rig's drivers look for their instruments, that none can be put at."""
+    mirror, recorder = rig.mirror, rig.recorder
     if recorder.address is None:
         raise InputError(
             f'{rig_file}: recorder.address is missing: an emulated box is behind a gRPC Device Server; give "HOST:PORT"'
@@ -87,16 +83,6 @@ def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
     for key, port in (("mirror.port", mirror.port), ("vibrometer.port", rig.vibrometer.port)):
         if port is not None:
             _check_free(f"{rig_file}: {key} = {port}", port)
-    return Wiring(
-        mirror_dialect=mirror.driver, mirror_port=mirror.port or "", mirror_full_scale_mrad=mirror.full_scale_mrad,
-        mirror_outputs=(mirror.x_output or "", mirror.y_output or ""),
-        mirror_volts_per_degree=mirror.volts_per_degree or 0.0,
-        ni_product=rig.emulation.ni_product, ni_device=recorder.device or "", ni_address=recorder.address,
-        reference_input=recorder.reference_input or "", response_input=recorder.response_input or "",
-        full_scale_v=player.output_full_scale_v, interface_rate_hz=player.interface_rate_hz,
-        period_frames=rig.emulation.period_frames,
-        vibrometer_port=rig.vibrometer.port, vibrometer_driver=rig.vibrometer.driver,
-    )  # fmt: skip
 
 
 def _check_free(key: str, port: str) -> None:

@@ -9,12 +9,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from wavefocus.config.emulation import WireFault
+from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.virtual import NANOSECONDS, PatchBay
 from wavefocus.mocks.virtual.mirror import MirrorMotion
@@ -183,71 +183,39 @@ class WireBench:
 _SOCKET = "socket://"
 
 
-@dataclass(frozen=True, slots=True)
-class Wiring:
-    """Which instrument is at the end of each wire, and where it is reached.
-
-    mirror_dialect: A dialect of `wavefocus.drivers.serial_device`.
-    mirror_port: Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
-    mirror_full_scale_mrad: Optical angle at full deflection, see `mirror_device`.
-    ni_product, ni_device, ni_address: Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.
-    reference_input, response_input: Inputs that the loopback and the patch bay are wired to.
-    full_scale_v: Volts at full scale that each output of the audio interface is believed to have.
-    interface_rate_hz, period_frames: Of the audio interface.
-    vibrometer_port: Where the vibrometer's controller is reached, as `mirror_port`; none, if absent.
-    vibrometer_driver: The driver that reaches it, see `vibrometer_device`.
-    mirror_outputs, mirror_volts_per_degree: Analog outputs of the NI box that the mirror of dialect ``"analog"``
-        follows, and how far.
-    """
-
-    mirror_dialect: str
-    mirror_port: str
-    ni_product: str
-    ni_device: str
-    ni_address: str
-    full_scale_v: tuple[float, ...]
-    mirror_full_scale_mrad: float | None = None
-    reference_input: str = "ai0"
-    response_input: str = "ai1"
-    interface_rate_hz: int = 48_000
-    period_frames: int = 4096
-    vibrometer_port: str | None = None
-    vibrometer_driver: str = "polytec-ofv5000"
-    mirror_outputs: tuple[str, str] = ("ao0", "ao1")
-    mirror_volts_per_degree: float = 0.8
-
-
 class EmulatedRig(ExitStack):
     """Mirror, vibrometer, DAQ and audio interface on their wires, before one plate; a context, or close it.
 
     Raises ValueError or RuntimeError.
 
     settings: Plate, noise, clocks, geometry and flaws.
+    rig: Its drivers find their instruments where it says; its recorder has an address.
 
     bench: The analog world, with the patch bay.
     audio: The audio interface; `audio.environment` is what a player's process must have.
     """
 
-    def __init__(self, settings: VirtualSettings, wiring: Wiring, faults: tuple[WireFault, ...] = ()) -> None:
+    def __init__(self, settings: VirtualSettings, rig: RigConfig) -> None:
         super().__init__()
-        states_delay = wiring.vibrometer_port is not None and wiring.vibrometer_driver == "polytec-ofv5000"
-        if states_delay and not settings.vibrometer_latency_s:
+        if rig.vibrometer.driver == "polytec-ofv5000" and not settings.vibrometer_latency_s:
             # What a velocity decoder of the emulated controller makes the response late by, where the rig does not say
             # it.
             settings = replace(settings, vibrometer_latency_s=8.16e-6)
         try:
-            self._start(settings, wiring, faults)
+            self._start(settings, rig)
         except BaseException:
             self.close()
             raise
 
-    def _start(self, settings: VirtualSettings, wiring: Wiring, faults: tuple[WireFault, ...]) -> None:
+    def _start(self, settings: VirtualSettings, rig: RigConfig) -> None:
+        mirror, recorder, vibrometer = rig.mirror, rig.recorder, rig.vibrometer
+        full_scale_v, faults = rig.player.output_full_scale_v, rig.emulation.fault_plan
         motion = MirrorMotion(settings.park_mrad, settings.settle_s, settings.slew_mrad_s, settings.limit_mrad)
         self.audio = self.enter_context(
             JackServer(
-                period_frames=wiring.period_frames,
-                channels=max(24, len(wiring.full_scale_v)),
-                rate_hz=wiring.interface_rate_hz,
+                period_frames=rig.emulation.period_frames,
+                channels=max(24, len(full_scale_v)),
+                rate_hz=rig.player.interface_rate_hz,
                 faults=faults,
             )
         )
@@ -255,11 +223,11 @@ class EmulatedRig(ExitStack):
             settings,
             self.audio.played,
             motion,
-            full_scale_v=wiring.full_scale_v,
-            reference_input=wiring.reference_input,
-            response_input=wiring.response_input,
+            full_scale_v=full_scale_v,
+            reference_input=recorder.reference_input,
+            response_input=recorder.response_input,
         )
-        self.recorder = NiServer(self.bench, wiring.ni_product, wiring.ni_device, wiring.ni_address, faults)
+        self.recorder = NiServer(self.bench, rig.emulation.ni_product, recorder.device, recorder.address, faults)
         self.recorder.start()
         self.callback(self.recorder.stop)
         self._plugs: dict[str, tuple[Callable[[], None], Callable[[], None]]] = {
@@ -267,22 +235,22 @@ class EmulatedRig(ExitStack):
             "player": (self.audio.kill, self.audio.restart),
         }
         self.mirror: EmulatedSerial | None = None
-        if wiring.mirror_dialect == "analog":
+        if mirror.driver == "analog":
             self.recorder.box.output_changed = analog_scanner(
-                motion, wiring.mirror_outputs, wiring.mirror_volts_per_degree
+                motion, (mirror.x_output, mirror.y_output), mirror.volts_per_degree
             )
         else:
-            device = mirror_device(wiring.mirror_dialect, motion, wiring.mirror_full_scale_mrad)
-            self.mirror = self._serial("mirror", device, wiring.mirror_port, faults)
+            device = mirror_device(mirror.driver, motion, mirror.full_scale_mrad)
+            self.mirror = self._serial("mirror", device, mirror.port or "", rig)
             self._plugs["mirror"] = (self.mirror.unplug, self.mirror.plug)
-        if wiring.vibrometer_port is not None:
+        if vibrometer.port is not None:
             controller = vibrometer_device(
-                wiring.vibrometer_driver, settings.sensitivity_m_s_per_v, settings.vibrometer_latency_s
+                vibrometer.driver, settings.sensitivity_m_s_per_v, settings.vibrometer_latency_s
             )
             nominal = controller.sensitivity_m_s_per_v
             self.bench.output_scale = lambda: nominal / controller.sensitivity_m_s_per_v
-            vibrometer = self._serial("vibrometer", controller, wiring.vibrometer_port, faults)
-            self._plugs["vibrometer"] = (vibrometer.unplug, vibrometer.plug)
+            side = self._serial("vibrometer", controller, vibrometer.port, rig)
+            self._plugs["vibrometer"] = (side.unplug, side.plug)
 
     def unplug(self, role: str) -> None:
         """Pull the cable of one instrument. Raises ValueError.
@@ -300,8 +268,9 @@ class EmulatedRig(ExitStack):
             raise ValueError(f"there is no {role!r} here; there is: {', '.join(self._plugs)}")
         return self._plugs[role]
 
-    def _serial(self, role: str, device: SerialDevice, port: str, faults: tuple[WireFault, ...]) -> EmulatedSerial:
-        return self.enter_context(EmulatedSerial(device, _wire(role, port), WireFaultPlan(role, faults)))
+    def _serial(self, role: str, device: SerialDevice, port: str, rig: RigConfig) -> EmulatedSerial:
+        plan = WireFaultPlan(role, rig.emulation.fault_plan)
+        return self.enter_context(EmulatedSerial(device, _wire(role, port), plan))
 
 
 def _wire(role: str, port: str) -> Wire:
