@@ -129,7 +129,6 @@ class DriverProcess:
     name: What the process is, for messages: ``"the process that owns its stream"``.
     receive: Gets every message, in order, in a thread of its own, and with the lock of `wait_for` held.
     environment: Added to the environment of this process.
-    defaults: Added where this process's environment has not the variable.
 
     gone: Why the process is gone; empty while it lives.
     at_rest: It is gone, and has put its outputs to rest before.
@@ -142,7 +141,6 @@ class DriverProcess:
         name: str,
         receive: Callable[[Any], None],
         environment: Mapping[str, str] | None = None,
-        defaults: Mapping[str, str] | None = None,
     ) -> None:
         self._name = name
         self._receive = receive
@@ -161,7 +159,6 @@ class DriverProcess:
             stderr=self._errors,
             env={
                 "OPENBLAS_NUM_THREADS": "1",  # it adds and multiplies nothing
-                **(defaults or {}),
                 **os.environ,
                 **(environment or {}),
                 "PYTHONPATH": os.pathsep.join(paths),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -347,9 +348,8 @@ class _Stream:
             "wavefocus.drivers.audio.stream.player_process",
             "the process that owns its stream",
             self._note,
-            environment,
             # PortAudio would start an audio server of its own where there is none.
-            {"JACK_NO_START_SERVER": "1"},
+            {"JACK_NO_START_SERVER": os.environ.get("JACK_NO_START_SERVER", "1"), **environment},
         )
 
     def _note(self, message: Any) -> None:

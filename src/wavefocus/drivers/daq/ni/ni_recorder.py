@@ -284,14 +284,10 @@ class NiRecorder(Recorder):
             session.close()
 
     def _discard(self, failure: BaseException) -> None:
-        """Clear the task after a failure, which is raised; a second failure becomes its note."""
+        """Clear the task after a failure."""
         task, self._task = self._task, None
-        if task is None:
-            return
-        try:
-            task.close()
-        except Exception as second:
-            failure.add_note(f"and the task could not be cleared: {second}")
+        if task is not None:
+            task.close_after(failure)
 
     def _check_open(self, doing: str) -> None:
         if self._closed:

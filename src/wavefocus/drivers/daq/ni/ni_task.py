@@ -118,7 +118,7 @@ class RecordTask:
             self._commit()
             self.converters = (self._scale(channels[0], timing.range_v[0]), self._scale(channels[1], timing.range_v[1]))
         except BaseException as failure:
-            self._close_after(failure)
+            self.close_after(failure)
             raise
 
     def start(self) -> None:
@@ -199,7 +199,8 @@ class RecordTask:
         coefficients = self._session.reported(lambda: [float(value) for value in channel.ai_dev_scaling_coeff])
         return count_scale(range_v, round(channel.ai_resolution), coefficients)
 
-    def _close_after(self, failure: BaseException) -> None:
+    def close_after(self, failure: BaseException) -> None:
+        """Give the device back after a failure, which is raised; a second failure becomes its note."""
         try:
             self._task.close()
         except Exception as second:
