@@ -115,15 +115,20 @@ class Plate(ABC):
         length: Length of the transform.
         bins: Which bins, start and stop given.
         """
-        full, folds = impulse_length(taps, sample_rate_hz, self.ringing_s), -(-taps // length)
-        spectra = []
-        for x, y in np.asarray(position_mm, dtype=np.float64).reshape(-1, 2).tolist():
-            whole = scipy.fft.irfft(self.response((x, y), sample_rate_hz / full, full // 2 + 1, single=False), full)
-            # Folded, a transform of any length has the values at its frequencies.
-            cut = np.zeros((len(whole), folds * length))
-            cut[:, :taps] = whole[:, :taps]
-            spectra.append(scipy.fft.rfft(cut.reshape(len(whole), folds, length).sum(axis=1))[:, bins])
+        full = impulse_length(taps, sample_rate_hz, self.ringing_s)
+        spectra = [
+            _cut(self.response((x, y), sample_rate_hz / full, full // 2 + 1, single=False), full, taps, length)[:, bins]
+            for x, y in np.asarray(position_mm, dtype=np.float64).reshape(-1, 2).tolist()
+        ]
         return np.stack(spectra)
+
+
+def _cut(spectra: NDArray[np.complexfloating], full: int, taps: int, length: int) -> Complex128Array:
+    """Transforms, of some length, of the first taps of responses whose transforms of length `full` are given."""
+    # Folded, a transform of any length has the values at its frequencies.
+    folded = np.zeros((len(spectra), -(-taps // length) * length))
+    folded[:, :taps] = scipy.fft.irfft(spectra, full)[:, :taps]
+    return np.asarray(scipy.fft.rfft(folded.reshape(len(spectra), -1, length).sum(axis=1)))
 
 
 PLATES = Registry("wavefocus.mocks.plates")
@@ -237,10 +242,7 @@ class ModalPlate(Plate):
         full = impulse_length(taps, sample_rate_hz, self.ringing_s)
         frequency_hz = sample_rate_hz / full * np.arange(full // 2 + 1, dtype=np.float64)
         spectra = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
-        # Folded, a transform of any length has the values at its frequencies.
-        folded = np.zeros((len(spectra), -(-taps // length) * length))
-        folded[:, :taps] = scipy.fft.irfft(spectra, full)[:, :taps]
-        return np.asarray(scipy.fft.rfft(folded.reshape(len(spectra), -1, length).sum(axis=1))[:, start:stop])
+        return _cut(spectra, full, taps, length)[:, start:stop]
 
 
 def _spread(

@@ -120,13 +120,6 @@ class PlateTable:
         return np.asarray(np.exp(self._turn_per_mm * radius_mm) / np.sqrt(radius_mm))
 
 
-def _summed(parts: list[NDArray[np.complexfloating]]) -> NDArray[np.complexfloating]:
-    total = parts[0]
-    for part in parts[1:]:
-        total += part
-    return total
-
-
 class InfinitePlate(Plate):
     """A plate whose waves leave each actuator and never come back.
 
@@ -149,7 +142,10 @@ class InfinitePlate(Plate):
     ) -> Complex64Array | Complex128Array:
         gap = np.asarray(place_mm, dtype=np.float64) - self._actuator_mm
         distance_mm, weights = np.hypot(*gap.T), self.weights(gap)
-        return _summed([table.evaluate(distance_mm, weights) for table in self._table(step_hz, bins, single)])
+        total, *others = (table.evaluate(distance_mm, weights) for table in self._table(step_hz, bins, single))
+        for part in others:
+            total += part
+        return total
 
     def _make_tables(self, step_hz: float, bins: int, single: bool) -> list[PlateTable]:
         chain = self._chain(step_hz * np.arange(bins, dtype=np.float64))
