@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 CALIBRATION_PARTS = ("inputs", "outputs", "mirror", "actuators")
+"""What a calibration is made of, in the order of measuring: each uses what those before it have found."""
 
 
 def option(

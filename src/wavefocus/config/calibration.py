@@ -12,15 +12,12 @@ from pydantic import AwareDatetime, Field, ValidationError, model_validator
 from wavefocus.config.fields import Finite, Matrix, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 from wavefocus.config.loading import parse_toml, printable, read_toml, shown, validated
 from wavefocus.drivers.protocols import DeviceIdentity
-from wavefocus.options import CALIBRATION_PARTS
 from wavefocus.storage.errors import ExistsError, InputError
 from wavefocus.storage.output_files import replacement, write_whole
 from wavefocus.storage.text_file import read_text
 
 FORMAT = "wavefocus-calibration"
 FORMAT_VERSION = 1
-PARTS = CALIBRATION_PARTS
-"""What a calibration is made of, in the order of measuring: each uses what those before it have found."""
 
 _Polarity = Literal[1, -1]
 Index = Annotated[Whole, Field(ge=0, le=4095)]

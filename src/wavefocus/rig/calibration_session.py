@@ -36,7 +36,6 @@ from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, fit_mirror_ma
 from wavefocus.config.calibration import (
     FORMAT,
     FORMAT_VERSION,
-    PARTS,
     ActuatorMeasured,
     ActuatorsMeasured,
     CalibrationRecord,
@@ -51,7 +50,7 @@ from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
 from wavefocus.drivers.timeouts import Role
-from wavefocus.options import CalibrationOptions
+from wavefocus.options import CALIBRATION_PARTS, CalibrationOptions
 from wavefocus.rig.operation import MIN_LEVEL_V, SAMPLE_RATE_HZ, largest_level_v
 from wavefocus.storage.errors import InputError
 
@@ -129,7 +128,7 @@ class CalibrationSession:
         before = rig.calibration.measured
         self._found: dict[str, Table] = {}
         if before is not None:
-            kept = {name: getattr(before, name) for name in PARTS}
+            kept = {name: getattr(before, name) for name in CALIBRATION_PARTS}
             self._found = {name: part for name, part in kept.items() if part is not None}
         self._names: dict[str, str] = {}
         self.measured: list[str] = []
@@ -147,7 +146,7 @@ class CalibrationSession:
         self._identities = identities_of(setup)
         operator.plug = plug
         try:
-            for part in PARTS:
+            for part in CALIBRATION_PARTS:
                 if part not in self._request.parts:
                     continue
                 try:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from wavefocus.campaign.blueprint import Blueprint
-from wavefocus.config.calibration import PARTS
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import plan_sha256
 from wavefocus.console import say
 from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.options import CALIBRATION_PARTS
 from wavefocus.storage.errors import InputError
 
 _ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
@@ -43,7 +43,7 @@ def calibration_warnings(
     file, stale_days = rig.calibration.file, rig.calibration.stale_after_days
     now = now or datetime.now().astimezone()
     warnings = []
-    for name in PARTS:
+    for name in CALIBRATION_PARTS:
         part = getattr(record, name)
         if part is None:
             continue
@@ -71,7 +71,7 @@ def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity
     if record is None:
         return {}
     found = {}
-    for name in PARTS:
+    for name in CALIBRATION_PARTS:
         part, there = getattr(record, name), identities.get(_ROLE_OF[name])
         if part is None or part.identity is None or there is None:
             continue
