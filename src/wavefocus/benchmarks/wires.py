@@ -10,6 +10,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,31 +20,34 @@ from wavefocus.acquisition.setup import Setup, take_record
 from wavefocus.benchmarks.harness import Entry, Findings, Mark
 from wavefocus.benchmarks.rig_bank import RATE_HZ
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.calibration.timing import ClockFitter
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.audio.resampling import HALF_STEP, converted, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream.player import StreamPlayer
-from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.mirror.generic import GenericMirror
-from wavefocus.drivers.protocols import Float64Array, RecordLabel, WallClock
-from wavefocus.drivers.registry import MirrorSettings
-from wavefocus.drivers.serial_device import SerialMirror
-from wavefocus.mocks.virtual.settings import VirtualSettings
+from wavefocus.drivers.protocols import Float64Array, RecordLabel
+from wavefocus.rig.instruments import openers_of
+from wavefocus.rig.setup import open_rig
+from wavefocus.rig.virtual_bench import virtual_settings
 
 ACTUATOR_MM = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (20.0, -60.0))
 SWEEP_V = 1.0
 INTERFACE_RATE_HZ = 48_000
-FULL_SCALE_V = 5.0
+DEVICE = "wavefocus interface"
 
 
-def settings() -> VirtualSettings:
-    """The plate behind the wires."""
-    # 60 dB below the rms of a sweep of 1 V peak.
-    return VirtualSettings(
-        actuator_mm=ACTUATOR_MM, reference_noise_v=SWEEP_V / np.sqrt(2) / 1000, dropout_probability=0.0
-    )
+def rig_at(mirror: str = "socket://127.0.0.1:0", recorder: str = "localhost:0") -> RigConfig:
+    """The rig, with the addresses of mirror and recorder; port 0 is any free one."""
+    return RigConfig.model_validate({
+        "actuators": {"position_mm": ACTUATOR_MM},
+        "mirror": {"driver": "generic", "port": mirror, "settle_s": 0.0},
+        "recorder": {
+            "driver": "nidaqmx", "device": "Dev1", "address": recorder, "reference_range_v": 5.0, "post_roll_s": 0.4,
+        },
+        "player": {"driver": "sounddevice", "device": DEVICE, "interface_rate_hz": INTERFACE_RATE_HZ},
+        # 60 dB below the rms of a sweep of 1 V peak.
+        "emulation": {"reference_noise_v": SWEEP_V / np.sqrt(2) / 1000},
+    })  # fmt: skip
 
 
 def excitation(sweep_s: float, averages: int) -> PlayedExcitation:
@@ -54,13 +59,8 @@ def _serve_instruments() -> None:
     """Be the emulated instruments until standard input ends; a line asks for the starts received since the last."""
     from wavefocus.mocks.wire.emulated_rig import EmulatedRig
 
-    rig = RigConfig.model_validate({
-        "actuators": {"position_mm": ACTUATOR_MM},
-        "mirror": {"driver": "generic", "port": "socket://127.0.0.1:0"},
-        "recorder": {"driver": "nidaqmx", "device": "Dev1", "address": "localhost:0"},
-        "player": {"driver": "sounddevice", "device": "wavefocus interface"},
-    })  # fmt: skip
-    with EmulatedRig(settings(), rig) as sides:
+    rig = rig_at()
+    with EmulatedRig(virtual_settings(rig), rig) as sides:
         assert sides.mirror is not None  # it is on a serial line
         places = {"mirror": sides.mirror.address, "recorder": sides.recorder.address}
         print(json.dumps({**places, "environment": sides.audio.environment}), flush=True)
@@ -103,26 +103,13 @@ class EmulatedInstruments:
 @contextmanager
 def opened(sides: EmulatedInstruments) -> Iterator[Setup]:
     """Production drivers on the emulated instruments."""
-    virtual, clock = settings(), WallClock()
-    of_mirror = MirrorSettings(
-        port=sides.mirror, settle_s=0.0, limit_mrad=virtual.limit_mrad, park_mrad=virtual.park_mrad, clock=clock
-    )
-    mirror = SerialMirror(GenericMirror(), of_mirror)
-    recorder = NiRecorder(
-        "Dev1", address=sides.recorder, reference_input="ai0", response_input="ai1", terminal="differential",
-        trigger=None,
-    )  # fmt: skip
-    player = StreamPlayer(
-        "JACK Audio Connection Kit", "wavefocus interface", channels=virtual.player_channels,
-        channel_full_scale_v=(FULL_SCALE_V,) * virtual.player_channels, interface_rate_hz=INTERFACE_RATE_HZ,
+    rig = rig_at(sides.mirror, sides.recorder)
+    player = partial(
+        StreamPlayer, "JACK Audio Connection Kit", DEVICE, channels=rig.player.outputs,
+        channel_full_scale_v=rig.player.output_full_scale_v, interface_rate_hz=INTERFACE_RATE_HZ,
         environment=sides.environment,
     )  # fmt: skip
-    setup = Setup(
-        mirror=mirror, recorder=recorder, player=player, clock=clock, mirror_map=MirrorMap.straight(1000.0),
-        actuator_channels=virtual.channel_of_actuator, loopback_channel=virtual.channel_of_loopback,
-        range_v=(5.0, 10.0), response_per_volt=virtual.sensitivity_m_s_per_v, inter_channel_delay_s=1.4e-5,
-        post_roll_s=0.4,
-    )  # fmt: skip
+    setup = open_rig(rig, replace(openers_of(rig), player=player))
     try:
         yield setup
     finally:
@@ -136,9 +123,10 @@ def _clock_errors(
     signal_v = sweep.signal_v()
     fitter = ClockFitter(signal_v)
     # The first frame that is received is the first one that the player does not leave out as silence, near sample 0.
-    ratio = rate_ratio(RATE_HZ, INTERFACE_RATE_HZ)
-    frames = np.flatnonzero(np.abs(converted(signal_v, ratio).astype(np.float32)) > HALF_STEP * FULL_SCALE_V)
-    first = (frames[0] - lead_samples(ratio)) / INTERFACE_RATE_HZ * RATE_HZ * settings().clock_ratio
+    ratio, true_ratio = rate_ratio(RATE_HZ, INTERFACE_RATE_HZ), virtual_settings(rig_at()).clock_ratio
+    full_scale_v = setup.instruments.player.full_scale_v
+    frames = np.flatnonzero(np.abs(converted(signal_v, ratio).astype(np.float32)) > HALF_STEP * full_scale_v)
+    first = (frames[0] - lead_samples(ratio)) / INTERFACE_RATE_HZ * RATE_HZ * true_ratio
     ratio_ppm: list[float] = []
     offset: list[float] = []
     repeated = 0
@@ -152,7 +140,7 @@ def _clock_errors(
             repeated += 1
             continue
         fit = fitter.fit(recording.volts[0].astype(np.float64))
-        ratio_ppm.append(1e6 * (fit.ratio - settings().clock_ratio))
+        ratio_ppm.append(1e6 * (fit.ratio - true_ratio))
         offset.append(fit.offset_samples + first - sides.received()[-1])
     return np.array(ratio_ppm), np.array(offset), repeated
 
