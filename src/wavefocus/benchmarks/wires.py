@@ -109,7 +109,7 @@ def opened(sides: EmulatedInstruments) -> Iterator[Setup]:
         channel_full_scale_v=rig.player.output_full_scale_v, interface_rate_hz=INTERFACE_RATE_HZ,
         environment=sides.environment,
     )  # fmt: skip
-    setup = open_rig(rig, replace(openers_of(rig), player=player))
+    setup = open_rig(replace(openers_of(rig), player=player))
     try:
         yield setup
     finally:
