@@ -3,10 +3,7 @@
 import itertools
 import os
 import shutil
-from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
-from typing import Any, TypeVar
 
 import pytest
 
@@ -14,30 +11,25 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 # One pixel is one unit, whatever the platform thinks of its screen.
 os.environ.setdefault("QT_FONT_DPI", "96")
 
-from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt
+from PyQt5.QtCore import QEvent, QPointF, QSettings, Qt
 from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QAction, QApplication, QMenu, QTabWidget, QToolButton, QWidget
+from PyQt5.QtWidgets import QAction, QApplication, QTabWidget, QToolButton
 from pytestqt.exceptions import TimeoutError
-from pytestqt.qtbot import QtBot
 
 from tests.lab_files import RIG, RUN, change_text, write_positions
 from wavefocus.__main__ import run
 from wavefocus.config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.files import Settings
-from wavefocus.gui.scene.document import SOURCE, SceneDocument, build_draft, scene_toml
-from wavefocus.gui.surface_view import SurfaceView
-from wavefocus.gui.tab import Tab
+from wavefocus.gui.scene.document import SOURCE, build_draft, scene_toml
 from wavefocus.gui.window import Window, require_fonts
-from wavefocus.rendering.scene.model import Scene
 
-AnyTab = TypeVar("AnyTab", bound=Tab)
 LEFT, NO_KEY = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 # What a busy machine may take; nothing is judged by it.
 SOON_MS = 90_000
 
 
-def write_lab(folder: Path, columns: int, rows: int) -> Path:
+def write_lab(folder, columns, rows):
     """Write the files of a campaign on a grid of 1.5 mm; return the run file."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
@@ -62,12 +54,6 @@ def finished(measured, tmp_path):
 
 
 @pytest.fixture
-def long_run(tmp_path):
-    """The run file of a campaign that takes longer than any order on a busy machine; no test waits for its end."""
-    return write_lab(tmp_path / "lab", 50, 40)
-
-
-@pytest.fixture
 def memory(tmp_path):
     """What the windows of a test remember."""
     return Settings(QSettings(str(tmp_path / "memory.ini"), QSettings.Format.IniFormat))
@@ -78,7 +64,7 @@ def open_window(qtbot, memory):
     """Opens windows, and fails when anything went wrong in them that the test did not ask for."""
     with ExitStack() as opened:
 
-        def make(*files: Path) -> Window:
+        def make(*files):
             window = opened.enter_context(kept_window(memory))
             for path in files:
                 window.open_file(path)
@@ -98,7 +84,7 @@ def shared_window(qapp, tmp_path_factory):
 
 
 @contextmanager
-def kept_window(memory: Settings) -> Generator[Window]:
+def kept_window(memory):
     """A window that leaves nothing running, and has no error that a test did not ask for."""
     require_fonts()
     window = Window(memory)
@@ -113,28 +99,26 @@ def kept_window(memory: Settings) -> Generator[Window]:
         window.deleteLater()
 
 
-def tab_of(window: Window, kind: type[AnyTab]) -> AnyTab:
-    """The tab of a kind in a window."""
+def tab_of(window, kind):
     (tab,) = (one for one in window.tabs if isinstance(one, kind))
     return tab
 
 
-def shown_tab(window: Window, kind: type[AnyTab]) -> AnyTab:
+def shown_tab(window, kind):
     """The tab of a kind, brought to the front."""
     pages_of(window).setCurrentWidget(tab := tab_of(window, kind))
     return tab
 
 
-def pages_of(window: Window) -> QTabWidget:
-    """The tabs of a window."""
+def pages_of(window):
     return next(one for one in window.findChildren(QTabWidget) if one.count() == len(window.tabs))
 
 
-def campaign_of(window: Window) -> CampaignTab:
+def campaign_of(window):
     return tab_of(window, CampaignTab)
 
 
-def wait(qtbot: QtBot, true: Callable[[], object], within_ms: int = SOON_MS) -> None:
+def wait(qtbot, true, within_ms=SOON_MS):
     """Let the window live until something is so; else say what it showed."""
     try:
         qtbot.waitUntil(lambda: bool(true()), timeout=within_ms)
@@ -144,7 +128,7 @@ def wait(qtbot: QtBot, true: Callable[[], object], within_ms: int = SOON_MS) -> 
         pytest.fail(f"it did not come about; the windows show {shown}")
 
 
-def press(qtbot: QtBot, button: QWidget | QAction) -> None:
+def press(qtbot, button):
     """Click a button, or that of an action, as soon as it can be clicked."""
     if isinstance(button, QAction):
         button = next(one for one in button.associatedWidgets() if isinstance(one, QToolButton))
@@ -152,35 +136,33 @@ def press(qtbot: QtBot, button: QWidget | QAction) -> None:
     qtbot.mouseClick(button, LEFT)
 
 
-def menus(window: Window) -> dict[str, QMenu]:
+def menus(window):
     """The menus of a window, by their titles."""
-    bar = window.menuBar()
-    assert bar is not None
-    return {action.text().replace("&", ""): menu for action in bar.actions() if (menu := action.menu()) is not None}
+    found = ((action.text().replace("&", ""), action.menu()) for action in window.menuBar().actions())
+    return {title: menu for title, menu in found if menu is not None}
 
 
-def answer(window: Window, word: str) -> None:
-    """Press a button of the message bar."""
+def answer(window, word):
     next(button for button in window.messages.buttons if button.text() == word).click()
 
 
-def edit(document: SceneDocument, draft: SceneConfig, chosen: int | None = None) -> None:
+def edit(document, draft, chosen=None):
     """Type the text of a scene, and perhaps go to one of its sources."""
     document.replace(scene_toml(draft))
     if chosen is not None:
         document.choose((SOURCE, chosen))
 
 
-def scene_of(document: SceneDocument) -> Scene:
+def scene_of(document):
     """The scene that commands make of the text."""
     return build_draft(document.draft, document.place)
 
 
-def pixel(shown: SurfaceView, x_mm: float, y_mm: float) -> QPoint:
+def pixel(shown, x_mm, y_mm):
     return shown.mapFromScene(shown.box.mapViewToScene(QPointF(x_mm, y_mm)))
 
 
-def mouse(shown: SurfaceView, kind: QEvent.Type, at: QPoint, keys: Qt.KeyboardModifier, *, held: bool) -> None:
+def mouse(shown, kind, at, keys, *, held):
     button = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else LEFT
     buttons = LEFT if held else Qt.MouseButton.NoButton
     viewport = shown.viewport()
@@ -188,13 +170,13 @@ def mouse(shown: SurfaceView, kind: QEvent.Type, at: QPoint, keys: Qt.KeyboardMo
     QApplication.sendEvent(viewport, QMouseEvent(kind, QPointF(at), place, button, Qt.MouseButtons(buttons), keys))
 
 
-def click(shown: SurfaceView, at: QPoint, keys: Qt.KeyboardModifier = NO_KEY) -> None:
+def click(shown, at, keys=NO_KEY):
     mouse(shown, QEvent.Type.MouseMove, at, keys, held=False)
     mouse(shown, QEvent.Type.MouseButtonPress, at, keys, held=True)
     mouse(shown, QEvent.Type.MouseButtonRelease, at, keys, held=False)
 
 
-def drag(qtbot: QtBot, shown: SurfaceView, points: list[QPoint], keys: Qt.KeyboardModifier) -> None:
+def drag(qtbot, shown, points, keys):
     mouse(shown, QEvent.Type.MouseMove, points[0], keys, held=False)
     mouse(shown, QEvent.Type.MouseButtonPress, points[0], keys, held=True)
     for one, other in itertools.pairwise(points):
@@ -204,7 +186,7 @@ def drag(qtbot: QtBot, shown: SurfaceView, points: list[QPoint], keys: Qt.Keyboa
     mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
 
 
-def line_scene(end_mm: float = 4.5, amplitude: float = 1.0, **output: Any) -> SceneConfig:
+def line_scene(end_mm=4.5, amplitude=1.0, **output):
     """A sine of 150 Hz that moves along the first row of the measured bank."""
     source = SourceTable(
         path=LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)),

@@ -4,7 +4,6 @@ import math
 import threading
 import time
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pyqtgraph
@@ -47,11 +46,11 @@ def test_a_growing_log_then_only_whole_new_lines_are_read_and_a_replaced_one_ane
     assert tail.read() == ([], True)
 
 
-def _said(campaign: model.CampaignModel, *said: events.Event) -> None:
+def _said(campaign, *said):
     campaign.add_records([events.Logged(AT, event) for event in said], anew=False)
 
 
-def _asked(campaign: model.CampaignModel, *, owned: bool, silent: bool = False) -> None:
+def _asked(campaign, *, owned, silent=False):
     owner = Owner("here", 7) if owned else None
     at = datetime.now(UTC) - timedelta(seconds=60 if silent else 0)
     campaign.owner, campaign.asked_s = owner, time.monotonic() + 1.0
@@ -142,7 +141,6 @@ def test_records_of_a_later_version_then_each_is_a_plain_line_and_changes_nothin
     campaign = model.CampaignModel()
     lines = [model.read_record({"at": AT.isoformat(), **record}) for record in LATER]
     for line, record in zip(lines, LATER, strict=True):
-        assert isinstance(line, model.EventLine)
         assert (line.weight, line.at_s) == (model.Weight.DETAIL, AT.timestamp())
         assert all(str(value) in line.text for key, value in record.items() if key != "time_s")
     campaign.add_records(lines, anew=False)
@@ -176,7 +174,7 @@ def test_any_grid_then_every_position_has_pixels_but_checks_and_a_click_finds_it
 def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(tmp_path):
     hangs, continues = threading.Event(), threading.Event()
 
-    def hanging(_bank: Path) -> None:
+    def hanging(_bank):
         hangs.set()
         continues.wait(60)
 
@@ -228,7 +226,6 @@ def test_click_on_map_then_green_s_functions_and_quality_of_that_position_are_sh
         np.testing.assert_array_equal(panel.greens.green, bank.green(6))
         snr_db = bank.quality["snr_db"][6, 2]
         error_db = bank_noise_error_db(bank)
-        assert error_db is not None
     assert panel.actuators.item(2, 1).text() == f"{snr_db:.1f}"
     assert panel.actuators.item(2, 5).text() == f"{error_db[6, 2]:.1f}"
     tab.window().resize(1240, 720)
@@ -279,7 +276,7 @@ def test_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_hol
 def test_given_a_weight_or_a_position_then_only_its_events_are_listed(qtbot, tab):
     events = tab.events
 
-    def shown() -> list[int]:
+    def shown():
         return [row for row in range(events.view.rowCount()) if not events.view.isRowHidden(row)]
 
     notes = len(shown())

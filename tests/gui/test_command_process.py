@@ -4,11 +4,8 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 
 import pytest
-from PyQt5.QtCore import QObject
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import SOON_MS
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
@@ -29,38 +26,29 @@ while True:
 """
 
 
-def started(script: str, owner: QObject, **options: object) -> CommandProcess:
-    return CommandProcess(["echo"], owner, program=(sys.executable, "-c", script), **options)  # type: ignore[arg-type]
+def started(script, owner, **options):
+    return CommandProcess(["echo"], owner, program=(sys.executable, "-c", script), **options)
 
 
-def finished(qtbot: QtBot, process: CommandProcess, act: Callable[[], object] = lambda: None) -> None:
+def finished(qtbot, process, act=lambda: None):
     """Let a process end, perhaps by an act."""
     with qtbot.waitSignal(process.finished, timeout=SOON_MS):
         act()
 
 
-def test_given_json_lines_then_each_object_arrives_before_the_end(qtbot, qapp):
-    process, received = started(ECHO, qapp), []
-    process.received.connect(received.append)
-    with qtbot.waitSignal(process.received, timeout=SOON_MS):
-        pass
-    assert process.running
-    process.send(order="mute")
-    finished(qtbot, process, process.close_input)
-    assert received == [{"event": "ready"}, {"order": "mute"}]
-    assert (process.exit_code, process.last_line, process.failure) == (0, "all is done", "")
-
-
-def test_a_message_written_before_anybody_listens_is_received(qtbot, qapp, tmp_path):
-    written = tmp_path / "written"
+def test_each_object_is_received_also_one_written_before_anybody_listens(qtbot, qapp, tmp_path):
+    written, received = tmp_path / "written", []
     process = started(ECHO.replace("for line", f"open({str(written)!r}, 'w').close()\nfor line", 1), qapp)
     while not written.exists():
         time.sleep(0.01)
     time.sleep(0.1)  # a thread that read already would have emitted it by now
-    with qtbot.waitSignal(process.received, timeout=SOON_MS) as received:
+    process.received.connect(received.append)
+    with qtbot.waitSignal(process.received, timeout=SOON_MS):
         pass
+    process.send(order="mute")
     finished(qtbot, process, process.close_input)
-    assert received.args == [{"event": "ready"}]
+    assert received == [{"event": "ready"}, {"order": "mute"}]
+    assert (process.exit_code, process.last_line, process.failure) == (0, "all is done", "")
 
 
 ENDS = {

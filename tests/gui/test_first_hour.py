@@ -22,14 +22,13 @@ from tests.gui.conftest import (
 )
 from tests.lab_files import change_text
 from wavefocus.gui.field_map import ColourBar
-from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
+from wavefocus.gui.files import FileKind, Settings, misplaced
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
-from wavefocus.gui.window import Window
 
 
-def type_path(field: PathField, path: Path | str) -> None:
+def type_path(field, path):
     field.line.setText(str(path))
     field.line.editingFinished.emit()
 
@@ -59,8 +58,6 @@ def test_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_ban
     window.open_file(run)
     wait(qtbot, lambda: tab.map_panel.map.surface is not None)
     surface = tab.map_panel.map.surface
-    assert surface is not None
-    assert surface.outline_mm is not None
     assert (surface.positions, len(surface.actuator_mm)) == (12, 3)
     assert np.ptp(surface.outline_mm, axis=0) == pytest.approx([250.0, 150.0])
     wait(qtbot, lambda: "12 positions" in tab.progress.figures.text())
@@ -111,7 +108,7 @@ def test_given_a_run_rig_bank_or_scene_in_one_tab_then_all_tabs_have_it(qtbot, o
     assert scene.rig_field.line.text() == "virtual"  # a word, no path
 
 
-def make_lab(window: Window, lab: Path, word: str) -> None:
+def make_lab(window, lab, word):
     """Choose a folder for a new lab, and its kind of rig."""
     next(action for action in menus(window)["File"].actions() if "lab" in action.text()).trigger()
     (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())

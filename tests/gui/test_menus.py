@@ -1,6 +1,5 @@
 """Every action of every menu, triggered in every tab, and what File > Open opens."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,15 +7,12 @@ from PyQt5 import QtWidgets
 from PyQt5.QtCore import QObject, Qt, QUrl, pyqtSlot
 from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtTest import QTest
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import campaign_of, line_scene, menus, pages_of, tab_of, wait
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.document import scene_toml
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.surface_view import SurfaceView
-from wavefocus.gui.tab import Tab
-from wavefocus.gui.window import Window
 
 # What can be done in an empty window; Play and Stop, for one, cannot.
 ALWAYS = (
@@ -25,11 +21,11 @@ ALWAYS = (
 )  # fmt: skip
 
 
-def actions(menu: QtWidgets.QMenu) -> list[QtWidgets.QAction]:
+def actions(menu):
     return [action for action in menu.actions() if not action.isSeparator() and action.menu() is None]
 
 
-def close_dialogs(window: Window) -> int:
+def close_dialogs(window):
     dialogs = [dialog for dialog in window.findChildren(QtWidgets.QFileDialog) if dialog.isVisible()]
     for dialog in dialogs:
         dialog.reject()
@@ -48,7 +44,7 @@ def test_given_every_action_of_every_menu_then_no_error_is_raised(qtbot, open_wi
     window = open_window(*(lab if with_files else ()))
     campaign, rig = campaign_of(window), tab_of(window, RigTab)
     wait(qtbot, lambda: campaign.campaign.measured == 12 or not with_files)
-    enabled: list[str] = []
+    enabled = []
     for menu in menus(window).values():
         menu.aboutToShow.emit()
         for action in actions(menu):
@@ -69,7 +65,7 @@ def test_given_every_action_of_every_menu_then_no_error_is_raised(qtbot, open_wi
     wait(qtbot, lambda: not (rig.session.running or rig.examination.command.running))
 
 
-def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
+def each_page(window):
     """Show each page of each tab, one after the other."""
     for tab in window.tabs:
         pages_of(window).setCurrentWidget(tab)
@@ -81,22 +77,20 @@ def each_page(window: Window) -> Iterator[tuple[Tab, int]]:
 
 
 def test_given_alt_and_a_letter_then_it_leads_to_one_place_on_each_page(shared_window):
-    bar = shared_window.menuBar()
-    assert bar is not None
     for tab, page in each_page(shared_window):
         QtWidgets.QApplication.processEvents()
         parts = [one for one in tab.findChildren((QtWidgets.QAbstractButton, QtWidgets.QLabel)) if one.isVisible()]
-        texts = [one.text() for one in (*bar.actions(), *parts)]
+        texts = [one.text() for one in (*shared_window.menuBar().actions(), *parts)]
         letters = [text[text.index("&") + 1].lower() for text in texts if "&" in text[:-1] and "&nbsp" not in text]
         assert sorted(letters) == sorted(set(letters)), f"page {page} of {tab.title}"
 
 
 def test_given_help_then_the_documentation_beside_the_program_is_opened(shared_window):
-    opened: list[str] = []
+    opened = []
 
     class Desktop(QObject):
         @pyqtSlot(QUrl)
-        def open(self, url: QUrl) -> None:
+        def open(self, url):
             opened.append(url.toLocalFile())
 
     desktop = Desktop()  # Qt holds no reference
@@ -147,13 +141,13 @@ def test_given_the_tab_key_alone_then_it_reaches_every_control_of_each_tab(qtbot
         assert not_reached(qtbot, window, tab) == [], f"page {page} of {tab.title}"
 
 
-def not_reached(qtbot: QtBot, window: Window, tab: QtWidgets.QWidget) -> list[str]:
+def not_reached(qtbot, window, tab):
     """Press Tab until the focus is where it was; the controls that never had it."""
     with qtbot.waitActive(window):
         window.activateWindow()
     window.refresh()
     QtWidgets.QApplication.processEvents()
-    reached: list[QtWidgets.QWidget | None] = []
+    reached = []
     while (here := QtWidgets.QApplication.focusWidget()) not in reached:
         reached.append(here)
         QTest.keyClick(here or window, Qt.Key.Key_Tab)

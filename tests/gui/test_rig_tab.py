@@ -10,14 +10,12 @@ from types import SimpleNamespace
 import pytest
 from msgspec.structs import replace
 from PyQt5.QtCore import Qt
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, pixel, press, shown_tab, tab_of, wait
 from tests.system.test_calibrate import PRACTICE, TRUE
-from wavefocus.config.messages.rig_checks import Act, AskJog, Finding
+from wavefocus.config.messages.rig_checks import Act, Finding
 from wavefocus.gui.files import FileKind, kind_of, names_virtual_rig, rig_of_run
 from wavefocus.gui.rig.tab import RigTab, button_of, remedy_of
-from wavefocus.gui.window import Window
 
 RIG = PRACTICE.replace("limit_v = 4.0", "limit_v = 2.0") + "dead_actuators = [2]\n"
 REAL_RIG = '[rig]\nname = "lab"\n\n[mirror]\ndriver = "mirrorcle"\n\n[player]\nlimit_v = 2.0\n'
@@ -39,7 +37,7 @@ def tab(shared_window, rig):
     return tab
 
 
-def in_hands(qtbot: QtBot, window: Window) -> RigTab:
+def in_hands(qtbot, window):
     """The tab with the instruments in its hands."""
     tab = shown_tab(window, RigTab)
     tab.pages.setCurrentWidget(tab.manual_page)
@@ -132,7 +130,6 @@ def test_given_marks_then_the_wizard_measures_draws_mends_and_writes_the_map(qtb
     for number in range(1, 8):
         meet(qtbot, window, number, off_mm=9.0 if number == 2 else 0.0)
     wait(qtbot, lambda: page.residuals.rowCount() == 7)
-    assert calibration.levels is not None
     assert "mark 2 is wrong" in page.note.text()
     assert not page.yes.isEnabled()
     assert page.chosen_mark == 2
@@ -197,7 +194,7 @@ def test_given_no_rig_or_a_wrong_one_then_it_is_said_and_nothing_is_offered(qtbo
     window = open_window()
     tab = shown_tab(window, RigTab)
 
-    def enabled() -> set[str]:
+    def enabled():
         window.refresh()
         return {action.text() for action in tab.menu_actions() if action is not None and action.isEnabled()}
 
@@ -249,12 +246,11 @@ def test_the_kind_of_a_file_follows_from_its_tables_whatever_editor_wrote_it(tmp
     assert not names_virtual_rig(rig)
 
 
-def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None:
+def meet(qtbot, window, number, off_mm=0.0):
     """Bring the spot onto the mark that is asked for, as a person does who sees where it really is."""
     tab = shown_tab(window, RigTab)
     page, calibration = tab.calibration_page, tab.calibration
     wait(qtbot, lambda: page.question.text().startswith(f"Mark {number} of 7") and page.yes.isEnabled())
-    assert isinstance(calibration.question, AskJog)
     place, at = calibration.question.place_mm, calibration.question.at_mrad
     x_mrad, y_mrad = (float(one) for one in TRUE.angles_mrad(place[0] + off_mm, place[1]))
     if number == 1:

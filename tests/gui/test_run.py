@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import subprocess
 import sys
 from functools import partial
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 
 from tests.gui.conftest import answer, campaign_of, edit, line_scene, press, shown_tab, tab_of, wait, write_lab
 from tests.lab_files import ABSENT_RIG, change_text
+from tests.system.lines import python
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.gui.campaign.follower import Follower
 from wavefocus.gui.rig.tab import RigTab
@@ -34,7 +34,7 @@ def real_rig(tmp_path):
 def test_orders_and_files_that_fail_then_their_sentences_are_messages(qtbot, shared_window, finished, tmp_path):
     window, tab = shared_window, campaign_of(shared_window)
 
-    def refused(words: str) -> None:
+    def refused(words):
         wait(qtbot, lambda: words in window.messages.sentence)
         assert "Traceback" not in window.messages.sentence
 
@@ -78,7 +78,7 @@ def test_a_bank_deleted_under_the_window_is_told_and_followed_when_it_is_back(qt
     wait(qtbot, lambda: scene.live.backdrop.surface is not None)
     shown = shown_tab(window, type(tab)).map_panel.map
 
-    def seen() -> bool:
+    def seen():
         if shown.marked != 4:  # the bank is opened anew at some time, and then no position is shown
             shown.show_position(4)
         return tab.position_panel.greens is not None and window.messages.sentence == ""
@@ -169,8 +169,9 @@ def test_instruments_in_hand_then_a_campaign_on_them_is_not_started_silently(qtb
     wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
 
 
-def test_own_run_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(qtbot, open_window, long_run):
-    window, bank = open_window(long_run), long_run.with_name("plate.h5")
+def test_own_run_and_unsaved_scene_then_closing_asks_one_after_other_and_then_acts(qtbot, open_window, tmp_path):
+    run_file = write_lab(tmp_path / "lab", 50, 40)  # it takes longer than any order on a busy machine
+    window, bank = open_window(run_file), run_file.with_name("plate.h5")
     tab, scene = campaign_of(window), tab_of(window, SceneTab)
     press(qtbot, tab.controls.actions_by_name["start"])
     wait(qtbot, lambda: tab.campaign.measured > 0)
@@ -222,12 +223,11 @@ def test_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
     wait(qtbot, tab.controls.actions_by_name["start"].isEnabled)
 
 
-def refused_at_start(*words: str, **environment: str) -> None:
+def refused_at_start(*words, **environment):
     """The window's command ends with exit 2 and one sentence that has some words."""
     without = "DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"
     kept = {key: value for key, value in os.environ.items() if key not in without} | environment
-    command = [sys.executable, "-m", "wavefocus", "gui"]
-    done = subprocess.run(command, env=kept, capture_output=True, text=True, timeout=60, check=False)
+    done = python("-m", "wavefocus", "gui", env=kept)
     assert done.returncode == 2, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("wavefocus: ")]
     assert "Traceback" not in done.stderr

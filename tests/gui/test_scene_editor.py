@@ -4,10 +4,9 @@ import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QTextDocument
 from PyQt5.QtWidgets import QApplication, QFileDialog
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, answer, click, drag, edit, line_scene, pixel, scene_of, shown_tab, wait
-from wavefocus.config.scene import PathTable, SceneConfig, SceneTable, TextTable
+from wavefocus.config.scene import SceneConfig, SceneTable, TextTable
 from wavefocus.gui.files import kind_of
 from wavefocus.gui.scene.document import NEW_SCENE, NOTHING, changed, new_source
 from wavefocus.gui.scene.tab import SceneTab
@@ -49,8 +48,7 @@ def tab(qtbot, shared_window):
     return shown
 
 
-def draw(qtbot: QtBot, tab: SceneTab, kind: str) -> PathTable:
-    """Draw a path with the mouse."""
+def draw(qtbot, tab, kind):
     canvas = tab.surface.canvas
     qtbot.mouseClick(tab.surface.tools[kind], LEFT)
     if kind in ("point", "quiet"):

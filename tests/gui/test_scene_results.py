@@ -5,7 +5,6 @@ import os
 import re
 import signal
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,22 +12,20 @@ import pytest
 import soundfile
 from PyQt5.QtCore import QEvent, QPoint, QPointF, Qt
 from PyQt5.QtGui import QTouchEvent
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, click, edit, line_scene, mouse, pixel, press, shown_tab, wait
 from tests.lab_files import green_of, record_of, write_bank
 from wavefocus.config.messages.live import LiveReady, LiveState
-from wavefocus.config.scene import Output, QuietTable, SceneConfig
+from wavefocus.config.scene import Output, QuietTable
 from wavefocus.gui.scene.calculation import NO_BANK, _drives, _field
 from wavefocus.gui.scene.document import EMPTY, changed
 from wavefocus.gui.scene.exports import IDLE, LIVE, OPENING, PLAYING, RENDERING
-from wavefocus.gui.scene.live_panel import KEYS, MOUSE, LiveSurface
+from wavefocus.gui.scene.live_panel import KEYS, MOUSE
 from wavefocus.gui.scene.live_panel import figures_of as live_figures
 from wavefocus.gui.scene.results_panel import GOOD, HELD, MISSED, figures_of
 from wavefocus.gui.scene.tab import DRAW, SceneTab
 from wavefocus.gui.scene.tab import LIVE as LIVE_PAGE
 from wavefocus.gui.surface import VIRTUAL
-from wavefocus.gui.window import Window
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.drive_file import read_drive
 
@@ -44,7 +41,7 @@ amplitude = 0.001
 class Bench:
     """The Scene tab, empty and without a rig, on the measured bank."""
 
-    def __init__(self, qtbot: QtBot, window: Window, bank: Path) -> None:
+    def __init__(self, qtbot, window, bank):
         self.qtbot, self.window = qtbot, window
         self.tab = shown_tab(window, SceneTab)
         self.panel, self.document = self.tab.results, self.tab.document
@@ -54,20 +51,20 @@ class Bench:
         self.document.use_bank(bank)
         self.use_rig("")
 
-    def use_rig(self, name: str) -> None:
+    def use_rig(self, name):
         self.tab.rig_field.line.setText(name)
         self.tab.rig_field.line.editingFinished.emit()
 
-    def edit(self, draft: SceneConfig, *, complete: bool = True) -> None:
+    def edit(self, draft, *, complete=True):
         edit(self.document, draft)
         self.qtbot.wait(60)  # edits are reported together
         if complete:
             wait(self.qtbot, lambda: self.panel.calculation.complete)
 
-    def says(self, words: str) -> None:
+    def says(self, words):
         wait(self.qtbot, lambda: words in self.panel.problem.text())
 
-    def told(self, words: str) -> None:
+    def told(self, words):
         wait(self.qtbot, lambda: words in self.window.messages.sentence)
 
 
@@ -224,7 +221,7 @@ def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench, finish
     assert panel.actions_by_name["play"].isEnabled()
     panel.gain.setValue(0.0)
     panel.loops.setValue(2)
-    states: list[str] = []
+    states = []
     playing.changed.connect(lambda: states.append(playing.state))
     bench.qtbot.mouseClick(panel.buttons["play"], LEFT)
     assert playing.state == RENDERING
@@ -262,7 +259,7 @@ def test_given_quiet_places_then_the_levels_reached_are_shown_beside_those_asked
 SHORT_MM = 0.75
 
 
-def live_page(bench: Bench, rig: str = "") -> SceneTab:
+def live_page(bench, rig=""):
     """The Live page with a bank of the virtual rig, ready to start."""
     tab = bench.tab
     bench.use_rig(rig or str(bench.document.bank.with_name("rig.toml")))
@@ -271,13 +268,13 @@ def live_page(bench: Bench, rig: str = "") -> SceneTab:
     return tab
 
 
-def started(qtbot: QtBot, tab: SceneTab) -> None:
+def started(qtbot, tab):
     press(qtbot, tab.live_panel.buttons["start"])
     wait(qtbot, lambda: tab.live_run.state in (LIVE, IDLE))
     assert tab.live_run.state == LIVE, tab.context.messages.sentence
 
 
-def sounds(tab: SceneTab, name: str, *at_mm: float) -> bool:
+def sounds(tab, name, *at_mm):
     """Whether a source was reported last, at a place if one is given."""
     state = tab.live_run.latest
     here = [] if state is None else [one for one in state.sources if one.name == name]
@@ -286,7 +283,7 @@ def sounds(tab: SceneTab, name: str, *at_mm: float) -> bool:
     return here[0].at_mm == pytest.approx(at_mm, abs=SHORT_MM)
 
 
-def touch(surface: LiveSurface, kind: QEvent.Type, *fingers: tuple[int, Qt.TouchPointState, float, float]) -> None:
+def touch(surface, kind, *fingers):
     """Send a touch event: number, state and place (mm) of each finger; Qt's own points can be made in C++ only."""
     event = QTouchEvent(kind)
     points = [
@@ -355,7 +352,6 @@ def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(qtb
     independent = changed(scene.regularisation, independent=True)
     edit(tab.document, changed(scene, regularisation=independent))
     started(qtbot, tab)
-    assert tab.live_run.ready is not None
     assert tab.live_run.ready.independent
     tab.modes[DRAW].click()
     wait(qtbot, lambda: tab.live_run.state == IDLE)
@@ -365,7 +361,6 @@ def test_source_that_sounds_then_leaving_page_or_closing_window_ends_session(qtb
     mouse(surface, QEvent.Type.MouseButtonPress, pixel(surface, 1.5, 1.5), NO_KEY, held=True)
     wait(qtbot, lambda: sounds(tab, MOUSE))
     window.close_at_once()
-    assert pid is not None
     _, status = os.waitpid(pid, 0)  # the window does not wait for it; it ends by itself, muted
     assert os.waitstatus_to_exitcode(status) == 0
 

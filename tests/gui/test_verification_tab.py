@@ -12,7 +12,6 @@ import pytest
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, pixel, shown_tab, wait
 from tests.lab_files import stroke_scene, with_check_rows
@@ -21,7 +20,6 @@ from wavefocus.gui.files import FileKind, kind_of
 from wavefocus.gui.film_player import TimeSlider
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.verification.tab import VerificationTab, unused_folder
-from wavefocus.gui.window import Window
 
 SCENE = stroke_scene(
     [0, 1.5], [4.5, 1.5], 'kind = "sine", frequency_hz = 200.0, duration_s = 0.02', 'emission = "per_point"',
@@ -46,7 +44,7 @@ def lab(verified, tmp_path):
     return shutil.copytree(verified, tmp_path / "lab")
 
 
-def other_bank(lab: Path, name: str, *, gain: float = 1.0, copies: int = 1) -> Path:
+def other_bank(lab, name, *, gain=1.0, copies=1):
     """A bank with the measured one's Green's functions, louder by `gain`, and its grid several times side by side."""
     away_mm = np.array([[0.1 * copy, 0.1 * (copy % 7)] for copy in range(copies)])
     with h5py.File(lab / "plate.h5", "r") as file, h5py.File(lab / name, "w") as other:
@@ -58,7 +56,7 @@ def other_bank(lab: Path, name: str, *, gain: float = 1.0, copies: int = 1) -> P
     return lab / name
 
 
-def opened(qtbot: QtBot, window: Window, file: Path) -> VerificationTab:
+def opened(qtbot, window, file):
     """The tab with a verification that is read anew."""
     tab = shown_tab(window, VerificationTab)
     former = tab.results
@@ -67,7 +65,7 @@ def opened(qtbot: QtBot, window: Window, file: Path) -> VerificationTab:
     return tab
 
 
-def ready(window: Window, bank: Path) -> VerificationTab:
+def ready(window, bank):
     """The tab with all chosen that a verification of a bank needs; the folder is a new one."""
     tab = shown_tab(window, VerificationTab)
     tab.form.take_bank(bank)

@@ -2,18 +2,14 @@
 
 import os
 import signal
-from pathlib import Path
 
 import pytest
-from PyQt5.QtCore import QModelIndex, Qt
-from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
-from pytestqt.qtbot import QtBot
+from PyQt5.QtCore import Qt
+from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar
 
 from tests.gui.conftest import LEFT, NO_KEY, campaign_of, click, drag, pixel, press, tab_of, wait, write_lab
-from wavefocus.gui.files import PathField
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
-from wavefocus.gui.window import Window
 from wavefocus.storage.bank.ledger import not_valid
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.ledger.owner import bank_owner
@@ -22,13 +18,12 @@ DARK = 5
 FAULT = f'{{ role = "recorder", operation = "read", kind = "dropout", position = {DARK}, count = 99 }}'
 
 
-def turn_to(qtbot: QtBot, window: Window, title: str) -> None:
-    """Click on a tab."""
+def turn_to(qtbot, window, title):
     bar = window.findChild(QTabBar)
     qtbot.mouseClick(bar, LEFT, pos=bar.tabRect([one.title for one in window.tabs].index(title)).center())
 
 
-def take(qtbot: QtBot, name: str, window: Window) -> None:
+def take(qtbot, name, window):
     """In the dialog that is open, click on a file where it is there, and on what accepts."""
     wait(qtbot, lambda: any(one.isVisible() for one in window.findChildren(QFileDialog)))
     dialog = next(one for one in window.findChildren(QFileDialog) if one.isVisible())
@@ -36,7 +31,7 @@ def take(qtbot: QtBot, name: str, window: Window) -> None:
         files = dialog.findChild(QListView, "listView")
         model = files.model()
 
-        def found() -> list[QModelIndex]:
+        def found():
             rows = (model.index(row, 0, files.rootIndex()) for row in range(model.rowCount(files.rootIndex())))
             return [one for one in rows if one.data() == name]
 
@@ -47,7 +42,7 @@ def take(qtbot: QtBot, name: str, window: Window) -> None:
     press(qtbot, next(one for one in box.buttons() if box.buttonRole(one) == QDialogButtonBox.ButtonRole.AcceptRole))
 
 
-def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
+def choose(qtbot, window, field, name):
     """Choose a file through the button behind its field."""
     press(qtbot, field.browse)
     take(qtbot, name, window)
@@ -73,9 +68,7 @@ def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone
     press(qtbot, buttons["pause"])
     wait(qtbot, lambda: tab.progress.state.text() == "paused" and "paused by the user" in window.messages.sentence)
     assert tab.controls.actions_by_name["pause"].text() == "Continue"
-    owner = bank_owner(bank)
-    assert owner is not None
-    os.kill(owner.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)  # the power is cut
+    os.kill(bank_owner(bank).pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)  # the power is cut
     wait(qtbot, lambda: tab.progress.state.text() == "gone")
     assert "ended unexpectedly" in window.messages.sentence
     press(qtbot, buttons["resume"])
@@ -126,10 +119,10 @@ def test_a_night_is_run_interrupted_resumed_rendered_and_verified_by_mouse_alone
         press(qtbot, verification.maps.time.play)
 
 
-def _not_valid(bank: Path) -> list[int]:
+def _not_valid(bank):
     with open_bank(bank) as view:
         return not_valid(view.status)
 
 
-def _named(tab: QWidget, words: str) -> QAbstractButton:
+def _named(tab, words):
     return next(one for one in tab.findChildren(QAbstractButton) if one.text().replace("&", "") == words)

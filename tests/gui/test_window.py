@@ -1,16 +1,15 @@
 """The window's frame: errors, messages, files, size, theme, settings, accessibility, fast start."""
 
-import subprocess
-import sys
 import threading
 
 import numpy as np
 import pytest
 from PyQt5 import QtWidgets
-from PyQt5.QtCore import QRect, Qt, QTimer
+from PyQt5.QtCore import Qt, QTimer
 from PyQt5.QtGui import QColor, QFont
 
 from tests.gui.conftest import campaign_of, pages_of, shown_tab, tab_of, wait
+from tests.system.lines import python
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, palette_of
@@ -40,10 +39,10 @@ def test_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives
     window = shared_window
     window.open_file(finished)
 
-    def slip() -> None:
+    def slip():
         raise KeyError("a slip")
 
-    def mistake() -> None:
+    def mistake():
         raise InputError("plate.h5: this and that is wrong")
 
     QTimer.singleShot(0, mistake)
@@ -164,7 +163,7 @@ def test_given_size_files_splitters_and_numbers_then_the_next_window_has_them_ag
     again.close_at_once()
 
 
-def splitters_of(window: Window) -> dict[str, QtWidgets.QSplitter]:
+def splitters_of(window):
     return {
         name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QtWidgets.QSplitter)
     }
@@ -208,7 +207,7 @@ def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot, them
     whole = style.subElementRect(QtWidgets.QStyle.SubElement.SE_CheckBoxIndicator, option, box)
     inside = whole.adjusted(2, 2, -2, -2)
 
-    def share(colour: str, part: QRect) -> float:
+    def share(colour, part):
         image, wanted = box.grab(part).toImage(), QColor(colour).getRgb()
         colours = [image.pixelColor(x, y).getRgb() for x in range(image.width()) for y in range(image.height())]
         return float(np.mean(np.abs(np.subtract(colours, wanted)).max(axis=1) < 40))
@@ -222,7 +221,6 @@ def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot, them
 
 @pytest.mark.smoke
 def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path):
-    command = [sys.executable, "-c", OPEN_WINDOW]
-    loaded = set(subprocess.run(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True).stdout.split())
+    loaded = set(python("-c", OPEN_WINDOW, cwd=tmp_path).stdout.split())
     assert "wavefocus.gui.verification.tab" in loaded
     assert not loaded & NOT_LOADED
