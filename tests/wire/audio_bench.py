@@ -13,10 +13,7 @@ RATE_HZ = 48_000
 FULL_SCALE_V = tuple(2.0 ** (channel % 4) for channel in range(CHANNELS))
 
 # One worker runs all tests that need an audio server: each takes 42 MB of shared memory, of which containers have 64.
-needs_audio_server = [
-    pytest.mark.xdist_group("audio server"),
-    *of_linux("jackd's dummy driver runs on Linux"),
-]
+needs_audio_server = [pytest.mark.xdist_group("audio server"), *of_linux("jackd's dummy driver runs on Linux")]
 
 
 class AudioBench:

@@ -2,7 +2,6 @@
 
 import os
 import socket
-from collections.abc import Mapping
 from contextlib import contextmanager
 
 from tests.system.lines import Lines, wait_until
@@ -96,7 +95,7 @@ class EmulatedInstruments(Lines):
         first = self.told()
         assert first is not None, self.said
         wait_until(lambda: any("and here:" in line for line in self.said), "the emulated instruments")
-        self.environment: Mapping[str, str] = {**os.environ, **first["environment"]}
+        self.environment = {**os.environ, **first["environment"]}
 
     def say(self, line):
         """Type a line; what the emulated instruments answer."""

@@ -4,7 +4,6 @@ import math
 import os
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
-from typing import Any
 
 from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MIRRORS, MirrorSettings
@@ -68,7 +67,7 @@ class MirrorBench:
 
     def mirror(self, *, port="", answer_s=0.5, patience_s=0.5, **changes):
         driver = MIRRORS.all()[self.dialect]
-        settings: dict[str, Any] = {
+        settings = {
             "settle_s": 0.02, "limit_mrad": LIMIT_MRAD, "park_mrad": PARK_MRAD, "clock": ImpatientClock(),
             "full_scale_mrad": LIMIT_MRAD, "port": port or self.far.address, **changes,
         }  # fmt: skip

@@ -45,7 +45,7 @@ class Box:
         opened.callback(self.server.stop)
         self._opened = opened
         self.motion = MirrorMotion((0.0, 0.0), 0.0, math.inf, 300.0)
-        self.written: list[tuple[float, float]] = []
+        self.written = []
         scanner = analog_scanner(self.motion, ("ao0", "ao1"))
 
         def changed(levels):
@@ -285,7 +285,6 @@ def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_park
     box.rig(tmp_path, OPENS_AT_ONCE)
     command = [sys.executable, "-c", HOLD, str(tmp_path / "rig.toml")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
-        assert program.stdout is not None
         assert program.stdout.readline() == "there\n"
         assert box.level(LINE) == 1.0
         program.kill()

@@ -14,14 +14,7 @@ import pytest
 
 import wavefocus
 from tests.system.lines import wait_until
-from tests.wire.audio_bench import (
-    CHANNELS,
-    FULL_SCALE_V,
-    RATE_HZ,
-    AudioBench,
-    needs_audio_server,
-    sounding,
-)
+from tests.wire.audio_bench import CHANNELS, FULL_SCALE_V, RATE_HZ, AudioBench, needs_audio_server, sounding
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 

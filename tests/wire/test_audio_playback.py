@@ -4,8 +4,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from wavefocus.drivers.audio.resampling import HALF_STEP, converted, converted_frames, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream import FADE_S, PLAYED, UNDERFLOW, Playback, StreamPlay
@@ -140,15 +138,6 @@ def test_a_tone_in_the_band_then_it_is_the_same_tone_at_the_other_rate_to_100_db
         made = converted(made, ratio)
         made[lead : lead + meant.size] -= meant
         assert np.abs(made).max() < 1e-5 * min(1.0, np.abs(meant).max())
-
-
-@given(st.integers(0, 40), st.sampled_from(RATES_HZ))
-def test_given_a_pulse_then_it_peaks_where_its_sample_was(place, rates_hz):
-    ratio = rate_ratio(*rates_hz)
-    pulse = np.zeros(41)
-    pulse[place] = 1.0
-    made = converted(pulse, ratio)
-    assert abs(np.argmax(np.abs(made)) - lead_samples(ratio) - place * float(ratio)) <= 0.5
 
 
 def test_nothing_begins_before_a_faded_signal_and_all_that_rings_before_a_sudden_one():
