@@ -121,7 +121,7 @@ def write_rows(path, header, green, rows=None):
             writer.commit(row, green[row].astype(np.float32), PointRecord(1, 1, figures, figures, figures, figures))
 
 
-_banks: dict[str, bytes] = {}  # measured once: each commit waits for the disk
+_banks = {}  # measured once: each commit waits for the disk
 
 
 def write_bank(

@@ -17,18 +17,21 @@ def wavefocus(*arguments):
     return run([str(argument) for argument in arguments])
 
 
+def said_by(capsys, *arguments, code=0):
+    """What a command writes to standard output, `out`, and to standard error, `err`."""
+    capsys.readouterr()
+    assert wavefocus(*arguments) == code, arguments
+    return capsys.readouterr()
+
+
 def answered(capsys, *arguments, code=0):
     """What a command answers to a program: its one object."""
-    capsys.readouterr()
-    assert wavefocus(*arguments, "--json") == code
-    return dict(json.loads(capsys.readouterr().out))
+    return dict(json.loads(said_by(capsys, *arguments, "--json", code=code).out))
 
 
 def refused(capsys, *arguments, code=2):
     """The one sentence with which a command ends; nothing is on standard output."""
-    capsys.readouterr()
-    assert wavefocus(*arguments) == code, arguments
-    told = capsys.readouterr()
+    told = said_by(capsys, *arguments, code=code)
     (line,) = [line for line in told.err.splitlines() if line.startswith("wavefocus: ")]
     assert (told.out, "Traceback" in told.err) == ("", False)
     return line
@@ -74,9 +77,7 @@ class Told:
 
 def told_by(capsys, *command, code=0):
     """What a command that measures tells."""
-    capsys.readouterr()
-    assert wavefocus(*command, "--json") == code
-    return Told(*capsys.readouterr())
+    return Told(*said_by(capsys, *command, "--json", code=code))
 
 
 def captured(capsys, lab, *options, code=0):

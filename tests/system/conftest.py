@@ -44,6 +44,12 @@ def bank(lab, measured):
     return lab / measured.name
 
 
+def add_to_rig(lab, text):
+    """Write more tables into the rig file of a lab."""
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write(text)
+
+
 def with_faults(lab, *faults):
     """Let the virtual rig of a lab show faults, each an inline TOML table; returns what mends it."""
     file = lab / "run.toml"

@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import IO, Any
 
 import pytest
 
@@ -48,16 +47,15 @@ def wait_until(happened, what, timeout_s=SOON_S):
 class Talk:
     """What a command tells, one event a line, and the orders that it is sent."""
 
-    def __init__(self, orders: IO[str] | None):
-        self._told: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+    def __init__(self, orders):
+        self._told = queue.SimpleQueue()
         self._orders = orders
-        self.said: list[str] = []
+        self.said = []
 
     def send(self, **line):
         self.send_text(json.dumps(line))
 
     def send_text(self, text):
-        assert self._orders is not None
         try:
             self._orders.write(text + "\n")
             self._orders.flush()
@@ -91,7 +89,6 @@ class Talk:
         return list(iter(self.told, None))
 
     def close_input(self):
-        assert self._orders is not None
         self._orders.close()
 
 
@@ -164,17 +161,14 @@ class Lines(Talk):
         for thread in self._threads:
             thread.join(SOON_S)
         for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
-            if stream is not None:
-                with contextlib.suppress(BrokenPipeError):  # an order that it did not wait for
-                    stream.close()
+            with contextlib.suppress(BrokenPipeError):  # an order that it did not wait for
+                stream.close()
 
     def _read(self):
-        assert self.process.stdout is not None
         for line in self.process.stdout:
             self._told.put(json.loads(line))
         self._told.put(None)
 
     def _listen(self):
-        assert self.process.stderr is not None
         for line in self.process.stderr:
             self.said.append(line.rstrip())

@@ -94,19 +94,15 @@ def test_given_a_rig_then_calibrate_finds_what_it_is_really_like(rig):
     assert f'[calibration] file = "{file.name}"' in people
     record = load_calibration(file)
     assert record == CalibrationRecord.model_validate(told["calibration"])
-    assert record.inputs is not None
     assert record.inputs.inter_channel_delay_s == pytest.approx(DELAY_S, abs=1e-7)
-    assert record.outputs is not None
     found = {one.channel: one for one in record.outputs.channel}
     relative_s = TRUE_LATE_S - TRUE_LATE_S[-1]
     late_s = np.array([found[channel].latency_s for channel in range(OUTPUTS)]) - relative_s
     assert np.sqrt(np.mean(late_s**2)) < 1e-6
     full_scale_v = np.array([found[channel].full_scale_v for channel in range(OUTPUTS)])
     assert np.abs(full_scale_v / (5.0 * TRUE_GAIN) - 1).max() < 1e-3
-    assert record.mirror is not None
     assert record.mirror.residual_rms_mm < 0.3
     assert beam_error_mm(record.mirror.map) < 0.2
-    assert record.actuators is not None
     assert {one.verdict for one in record.actuators.actuator} == {"good"}
 
 
@@ -120,7 +116,6 @@ def test_given_a_person_who_jogs_then_the_map_is_as_good_as_their_eye(rig):
         lines += ["what?", "1000 0", "0.5 -0.5", f"= {x_mrad - 1:.4f} {y_mrad + 2:.4f}", "1, -2", ""]
     told, people = calibrate(rig, "--only", "mirror", "--fiducials", file, lines=lines)
     record = load_calibration(Path(told["file"]))
-    assert record.mirror is not None
     assert record.mirror.residual_rms_mm < 1e-3
     assert beam_error_mm(record.mirror.map) < 1e-3
     assert record.inputs is record.outputs is record.actuators is None
@@ -141,7 +136,6 @@ def test_given_keys_pressed_before_a_question_then_they_are_no_answer_to_it(rig)
     command = [sys.executable, "-m", "wavefocus", "calibrate", str(rig), "--only", "inputs"]
     with subprocess.Popen(command, stdin=theirs, stderr=subprocess.PIPE, text=True) as process:
         os.close(theirs)
-        assert process.stderr is not None
         told = next(line for line in process.stderr if "press Enter" in line)
         os.write(ours, b"\x04")  # the end of input: the question still waits for its answer
         rest = process.stderr.read()
@@ -164,7 +158,6 @@ def test_given_flaws_then_each_is_named_with_what_to_do(rig):
     assert "actuator 3 on output 3 is reversed" in problems
     assert len(told["problems"]) == 5
     record = load_calibration(Path(told["file"]))
-    assert record.actuators is not None
     assert [one.polarity for one in record.actuators.actuator] == [1, 1, 1, -1, 1, -1]
 
 
@@ -252,7 +245,7 @@ def converse(rig, *answers, only="mirror", code=0):
 
 
 def test_answers_that_are_not_understood_then_each_is_sentence_and_question_stays(rig):
-    wrong: list[tuple[dict[str, object], str]] = [
+    wrong = [
         ({"answer": "yes"}, "allowed: here, by, to, cancel"),
         ({"answer": ["here"]}, "answer ['here'] is not understood"),
         ({"answer": "by", "x_mrad": 1}, "answer 'by' lacks y_mrad"),

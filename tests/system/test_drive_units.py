@@ -1,7 +1,5 @@
 """Units of drives: taken from the unit of the Green's functions, kept by exports, and played only in volts."""
 
-from typing import Any
-
 import h5py
 import numpy as np
 import pytest
@@ -90,7 +88,7 @@ def test_a_limit_of_volts_then_is_one_also_for_drives_in_millivolt(tmp_path, key
 def test_a_universal_export_then_divides_by_the_drive_once(tmp_path, unit, over, under, codes):
     bank, out = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "out.uff"
     assert wavefocus("export", bank, out, "--to", "uff") == 0
-    found: dict[str, Any] = next(one for one in pyuff.UFF(str(out)).read_sets() if one["type"] == 58)
+    found = next(one for one in pyuff.UFF(str(out)).read_sets() if one["type"] == 58)
     assert (found["ordinate_axis_units_lab"].strip(), found["orddenom_axis_units_lab"].strip()) == (over, under)
     assert (found["ordinate_spec_data_type"], found["orddenom_spec_data_type"]) == codes
 

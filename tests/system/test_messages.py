@@ -8,6 +8,7 @@ import pytest
 
 from tests.lab_files import POSITIONS, write_positions
 from tests.system.captures import captured, refused, wavefocus
+from tests.system.conftest import add_to_rig
 from tests.system.lines import wait_until
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.config.messages.campaign import Drift, Fault, SessionEnded, State, StateChanged
@@ -25,7 +26,7 @@ class Office(http.server.ThreadingHTTPServer):
 
     def __init__(self):
         super().__init__(("127.0.0.1", 0), Desk)
-        self.taken: list[dict[str, str]] = []
+        self.taken = []
         self.url = f"json://technician:{PASSWORD}@127.0.0.1:{self.server_port}/night"
 
     def wait_for(self, count):
@@ -169,8 +170,7 @@ def test_the_doctor_sends_to_each_address_and_names_the_one_that_takes_none(offi
 
 
 def test_addresses_stand_nowhere_and_resume_takes_them_from_the_environment(office, lab, capsys, monkeypatch):
-    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
-        rig.write(f'[messages]\nurls = ["{office.url}"]\n')
+    add_to_rig(lab, f'[messages]\nurls = ["{office.url}"]\n')
     write_positions(lab, POSITIONS[:2])
     told = captured(capsys, lab)
     assert [message["title"] for message in office.taken] == ["plate.h5: finished"]

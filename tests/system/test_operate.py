@@ -12,8 +12,8 @@ import time
 import pytest
 
 from tests.lab_files import ABSENT_RIG, RIG
+from tests.system.captures import said_by
 from tests.system.lines import in_process, of_posix, python
-from wavefocus.__main__ import run
 from wavefocus.configuration import load_rig
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rig.operation import order_of
@@ -193,8 +193,7 @@ def test_given_a_listener_that_goes_away_then_orders_count_until_the_input_ends(
 
 def test_instruments_that_are_not_there_then_fault_is_told_and_exit_code_is_3(rig, capsys):
     rig.write_text(ABSENT_RIG.format(folder=rig.parent), encoding="utf-8")
-    assert run(["operate", str(rig)]) == 3
-    told = capsys.readouterr()
+    told = said_by(capsys, "operate", rig, code=3)
     fault = json.loads(told.out.splitlines()[-1])
     assert (fault["event"], fault["instrument"]) == ("fault", "mirror")
     assert "there is no such port now" in fault["cause"]

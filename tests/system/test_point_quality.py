@@ -6,7 +6,7 @@ import pytest
 
 from tests.lab_files import change_text
 from tests.system.captures import answered, captured, held, wavefocus
-from tests.system.conftest import with_faults
+from tests.system.conftest import add_to_rig, with_faults
 from tests.system.lines import Lines
 from wavefocus.campaign.blueprint import blueprint_from_bank
 from wavefocus.rendering.verify.extra_measurements import drift_of, measure_sentinel
@@ -85,8 +85,7 @@ def test_given_a_dark_spot_at_the_sentinel_then_it_is_looked_at_aside_and_is_ste
 def test_given_a_sentinel_that_needs_a_larger_range_then_it_is_looked_at_with_it(lab, bank, capsys):
     low_v = 0.4 * max(held(bank, "quality/peak_v")[0])
     bank.unlink()
-    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
-        rig.write(f"\n[recorder]\nresponse_range_v = {low_v}\nresponse_ranges_v = [{low_v}, 10.0]\n")
+    add_to_rig(lab, f"\n[recorder]\nresponse_range_v = {low_v}\nresponse_ranges_v = [{low_v}, 10.0]\n")
     assert {one["verdict"] for one in captured(capsys, lab).of("drift")} == {"steady"}
 
 
@@ -98,8 +97,7 @@ def test_given_a_response_over_the_range_then_the_next_larger_one_makes_it_valid
         green = file["green"][:]
     low_v = float(np.sort(peak_v)[-2:].mean())  # the loudest position alone is over it
     bank.unlink()
-    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
-        rig.write(f"\n[recorder]\nresponse_range_v = {low_v}\nresponse_ranges_v = [{low_v}, {2 * low_v}, 10.0]\n")
+    add_to_rig(lab, f"\n[recorder]\nresponse_range_v = {low_v}\nresponse_ranges_v = [{low_v}, {2 * low_v}, 10.0]\n")
     told = captured(capsys, lab)
     loudest = int(np.argmax(peak_v))
     repeated = told.of("position_repeated")

@@ -166,12 +166,7 @@ AS_ANOTHER = f"""
 @of_posix
 @pytest.mark.parametrize(
     ("module", "act"),
-    [
-        ("wavefocus.cli", KILL),
-        ("wavefocus.commands.bank", KILL),
-        ("h5py", IN_A_FINALISER),
-        ("h5py", AS_ANOTHER),
-    ],
+    [("wavefocus.cli", KILL), ("wavefocus.commands.bank", KILL), ("h5py", IN_A_FINALISER), ("h5py", AS_ANOTHER)],
 )
 def test_ctrl_c_while_modules_are_loaded_then_exit_code_is_130_without_traceback(tmp_path, module, act):
     done = after(INTERRUPTED_AT.format(module=module, act=act), "check", "plate.h5", folder=tmp_path)

@@ -11,7 +11,7 @@ import soundfile
 from PIL import Image, ImageSequence
 
 from tests.lab_files import change_text, point_scene, stroke_scene, write_foreign
-from tests.system.captures import answered, refused, wavefocus
+from tests.system.captures import answered, refused, said_by, wavefocus
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, load_scene
@@ -64,8 +64,7 @@ def test_the_wav_of_a_scene_that_is_too_loud_reaches_full_scale_and_not_more(lab
     (lab / "scene.toml").write_text(SCENE.replace("150.0", "800.0"), encoding="utf-8")
     rig = f"{RIG}interface_rate_hz = 48000\nfull_scale_v = 1e-4\nlimit_v = 1e-4\n"
     (lab / "rig.toml").write_text(rig, encoding="utf-8")
-    assert wavefocus(*RENDER, "--json", "--rig", "rig.toml", "--wav", "drive.wav") == 0
-    told = capsys.readouterr()
+    told = said_by(capsys, *RENDER, "--json", "--rig", "rig.toml", "--wav", "drive.wav")
     heard, rate_hz = soundfile.read("drive.wav")
     drive = read_drive("drive.h5")
     assert (rate_hz, heard.shape[1]) == (48_000, len(drive.drive_v))
@@ -92,9 +91,8 @@ def test_given_a_field_then_movie_draws_it_and_tells_which_waves_are_shown(lab, 
         assert picture.width > 1000
     assert told["slowed"] == pytest.approx(10.0)
     predict("low.h5", "--rate", RATE_HZ / 2)
-    assert wavefocus("movie", "low.h5", "--bank", "bank.h5", "--out", "low.gif", *shown) == 0
     said = f"predicted at {RATE_HZ / 2:g} Hz: it shows waves up to {0.2 * RATE_HZ:g} Hz alone"
-    assert said in capsys.readouterr().err
+    assert said in said_by(capsys, "movie", "low.h5", "--bank", "bank.h5", "--out", "low.gif", *shown).err
 
 
 def test_given_a_movie_that_cannot_be_then_one_sentence_says_why(lab, capsys):
@@ -165,8 +163,7 @@ def write(amplitude_v, actuators=3):
 
 
 def test_given_a_drive_then_it_is_played_and_told(playing, capsys):
-    assert wavefocus(*PLAY, "--loop", "3", "--gain-db", "-6.0206", "--json") == 0
-    told = capsys.readouterr()
+    told = said_by(capsys, *PLAY, "--loop", "3", "--gain-db", "-6.0206", "--json")
     figures = json.loads(told.out)
     assert (figures["seconds"], figures["loops"]) == (4.5, 3)
     assert figures["peak_v"] == pytest.approx(0.25, rel=1e-5)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.lab_files import ABSENT_RIG, POSITIONS, write_positions
-from tests.system.captures import Listener, answered, capture, captured, held, wavefocus
+from tests.system.captures import Listener, answered, capture, captured, held, said_by, wavefocus
 from tests.system.lines import wait_until
 from wavefocus.campaign.control import give_order, orders_path
 
@@ -25,8 +25,7 @@ def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(lab, bank,
     assert facts["duration_s"] == pytest.approx(PLANNED_S)
     # The plan allows HDF5 four front blocks of 1 MB, of which it needs one or two.
     assert facts["bank_bytes"] - 4.5e6 < bank.stat().st_size <= facts["bank_bytes"]
-    assert wavefocus("plan", lab / "run.toml") == 0
-    told = capsys.readouterr()
+    told = said_by(capsys, "plan", lab / "run.toml")
     assert told.err == ""
     assert "6, 3 actuators, 18 records" in told.out
 
@@ -94,7 +93,7 @@ def test_a_run_then_every_position_is_valid_and_events_tell_it_and_what_is_left(
 
 def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(lab, capsys):
     bank = lab / "plate.h5"
-    told: list[str] = []
+    told = []
 
     def status(*options):
         with contextlib.redirect_stdout(io.StringIO()) as answer:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from typing import Any
 
 import h5py
 import numpy as np
@@ -133,7 +132,7 @@ def test_an_export_then_states_checksums_and_a_file_of_another_export_is_refused
     folders = [tmp_path / "1", tmp_path / "2"]
     for factor, folder in zip((1.0, 1.13), folders, strict=True):
         assert wavefocus("export", bank_of(tmp_path / f"{factor}.h5", factor), folder, "--to", "wav") == 0
-    table: dict[str, Any] = json.loads((folders[0] / "bank.json").read_text(encoding="utf-8"))
+    table = json.loads((folders[0] / "bank.json").read_text(encoding="utf-8"))
     assert all(len(one["sha256"]) == 64 for one in table["files"])
     name = table["files"][2]["file"]
     (folders[0] / name).write_bytes((folders[1] / name).read_bytes())

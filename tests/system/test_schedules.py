@@ -166,9 +166,7 @@ def test_given_white_noise_then_the_error_of_the_rows_is_stated_within_1_db(lab,
 
 
 def test_rows_that_noise_hides_then_they_are_counted_and_worst_is_one_that_is_heard(bank):
-    with open_bank(bank) as view:
-        plan = view.plan_sha256
-    with BankWriter.open(bank, plan_sha256=plan) as writer:
+    with BankWriter.open(bank) as writer:
         snr_db = np.array([10.0, -230.0, 40.0], np.float32)
         writer.commit(2, writer.green(2), replace(writer.record(2), snr_db=snr_db))
     (note,) = [found.message for found in check_bank(bank) if "white noise" in found.message]
@@ -184,20 +182,6 @@ def _with_faint_reference(lab, schedule, capsys, *faults, code=0):
     _with_capture(lab, _as(schedule))
     with_faults(lab, *(FAINT + fault for fault in faults))
     return lab / "plate.h5", captured(capsys, lab, code=code)
-
-
-@pytest.mark.parametrize(
-    ("schedule", "level_db"),
-    [("sequential", -0.3), pytest.param("staggered", 6.0, marks=pytest.mark.nightly)],
-)
-def test_a_faint_reference_in_one_record_of_each_position_is_taken_again(lab, labs, capsys, schedule, level_db):
-    records = [0] * 6 if schedule == "staggered" else [0, 1, 2] * 2
-    faults = [f"position = {row}\nrecord = {record}\nlevel_db = {level_db}" for row, record in enumerate(records)]
-    bank, told = _with_faint_reference(lab, schedule, capsys, *faults)
-    assert {tuple(one["defects"]) for one in told.of("position_repeated")} == {("reference level",)}
-    assert held(bank) == [1] * 6
-    green, right = (np.array(held(one, "green")) for one in (bank, labs[schedule] / "plate.h5"))
-    assert np.linalg.norm(green - right) < 2e-2 * np.linalg.norm(right)  # the noise of both
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ RENDER = ["render", "scene.toml", "--bank", BANK, "--out", DRIVE]
 PREDICT = ["predict", DRIVE, "--bank", BANK, "--out", FIELD]
 
 # Of each command: what must have run before, its arguments, and what it writes. In the folder of a measured lab.
-STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
+STEPS = {
     "init": ([], ["init", "new"], ["new/rig.toml", "new/run.toml", "new/scene.toml", "new/trials.toml"]),
     "doctor": ([], ["doctor", RIG], []),
     "calibrate": ([], ["calibrate", RIG, "--only", "actuators"], []),

@@ -6,7 +6,7 @@ import h5py
 import pytest
 
 from tests.lab_files import flip
-from tests.system.captures import refused, wavefocus
+from tests.system.captures import refused, said_by, wavefocus
 
 
 # Unit tests have what else may be wrong with a bank; each command opens it by one function.
@@ -27,8 +27,7 @@ def test_a_flipped_byte_is_refused_named_by_check_and_measured_again_by_resume(l
     flip(bank, offset)
     flipped = bank.read_bytes()
     assert "position 1" in refused(capsys, "render", lab / "scene.toml", "--bank", bank, "--out", lab / "drive.h5")
-    assert wavefocus("check", bank) == 1
-    assert "position 1" in capsys.readouterr().out
+    assert "position 1" in said_by(capsys, "check", bank, code=1).out
     assert bank.read_bytes() == flipped
     assert wavefocus("resume", bank) == 0
     assert bank.read_bytes() == sound

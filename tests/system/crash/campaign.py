@@ -62,8 +62,8 @@ class Campaign:
         self.resume = ("resume", self.bank, "--json")
         self.remeasure = ("remeasure", self.bank, "--status", "poor", "--json")
         # What each position may hold: as first measured, and as measured again.
-        self.rows: list[list[np.ndarray]] = [[] for _ in POSITIONS[:4]]
-        self.recordings: list[list[np.ndarray | None]] = [[] for _ in self.rows]
+        self.rows = [[] for _ in POSITIONS[:4]]
+        self.recordings = [[] for _ in self.rows]
 
     def __enter__(self):
         """Let everything be imported, and learn what an uninterrupted campaign ends as."""

@@ -44,7 +44,7 @@ def flipped_bytes(campaign, chance, share):
 
 
 def _flipped(campaign, content, at):
-    notes: list[str] = []
+    notes = []
     try:
         for command in (("check", campaign.bank), ("status", campaign.bank), campaign.resume):
             ended = campaign.processes.run(*command)

@@ -89,7 +89,7 @@ class Disk:
     def __init__(self, before, inodes):
         self._files = {inodes[path]: _File(bytearray(one)) for path, one in before.items() if one is not None}
         self._names = {str(path): None if one is None else inodes[path] for path, one in before.items()}
-        self._flying_names: list[Call] = []
+        self._flying_names = []
 
     def take(self, call):
         """Let a call happen."""
