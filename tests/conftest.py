@@ -3,6 +3,8 @@
 import gc
 import os
 import shutil
+import signal
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -96,3 +98,12 @@ def pytest_collection_modifyitems(items):
         marker = item.get_closest_marker("may_skip")
         if marker is not None and not (marker.args and marker.args[0]):
             raise pytest.UsageError(f"{item.nodeid}: may_skip needs a reason")
+
+
+@pytest.fixture
+def interruptible():
+    """Ctrl-C raises here, also where the tests run in the background and it is ignored from the start."""
+    former, hook = signal.signal(signal.SIGINT, signal.default_int_handler), sys.unraisablehook
+    yield
+    signal.signal(signal.SIGINT, former)
+    sys.unraisablehook = hook

@@ -121,6 +121,13 @@ def simulate(design, participant, observer, folder, seed):
         return answers.rows
 
 
+def design_of(folder, text):
+    """The design of a trials file, written into a folder."""
+    file = folder / "trials.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_trials(file)
+
+
 def designs(folder):
     """The three designs, read from trials files in a folder."""
     constant = [round(float(one), 6) for one in np.geomspace(0.1, 1.0, 8)]

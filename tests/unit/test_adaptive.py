@@ -7,9 +7,8 @@ import random
 import numpy as np
 import pytest
 
-from tests.simulated_people import STROKES, WHICH_WAY
+from tests.simulated_people import STROKES, WHICH_WAY, design_of
 from wavefocus.config.trials import AdaptiveTable
-from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import QuestPlus, Trial, UpDown, order_of, share_right, track_of
 
 LADDER = tuple(np.geomspace(0.01, 1.0, 17).tolist())
@@ -63,8 +62,7 @@ trials = 40
 
 
 def test_tracks_take_random_turns_and_resume_from_the_answers_alone(tmp_path):
-    (tmp_path / "trials.toml").write_text(DESIGN)
-    design = load_trials(tmp_path / "trials.toml")
+    design = design_of(tmp_path, DESIGN)
     assert (design.tracks, design.trials) == (("200mm_s-burst", "200mm_s-tap"), None)
     order, chance = order_of(design, "P1"), random.Random(1)
     trials: list[Trial] = []

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.lab_files import write_arrays
+from tests.simulated_people import design_of
 from tests.unit.plate_banks import ACTUATOR_MM, RATE_HZ, SQUARE_MM, plate_greens
 from wavefocus import InputError, open_bank, read_drive, render, write_drive
 from wavefocus.rendering.drive.coil_limits import DriveLimits, peaks
 from wavefocus.rendering.drive.wav import Interface
-from wavefocus.trials.design import load_trials
 from wavefocus.trials.stimuli import prepare
 
 TRIALS = """
@@ -50,17 +50,12 @@ def write_bank(path, position_mm):
     write_arrays(path, plate_greens(position_mm).astype(np.float32), position_mm, RATE_HZ)
 
 
-def design_of(folder, text=TRIALS):
-    (folder / "trials.toml").write_text(text, encoding="utf-8")
-    return load_trials(folder / "trials.toml")
-
-
 def prepared(design, bank, limits=NO_LIMITS, interface=INTERFACE, out="out", **more):
     return prepare(design, bank, design.file.parent / out, limits=limits, interface=interface, **more)
 
 
 def test_stimuli_are_the_drives_of_their_scenes_and_stand_in_the_manifest(tmp_path, bank):
-    design = design_of(tmp_path)
+    design = design_of(tmp_path, TRIALS)
     done: list[tuple[int, int]] = []
     made = prepared(design, bank, on_progress=lambda *count: done.append(count))
     assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
@@ -79,7 +74,7 @@ def test_stimuli_are_the_drives_of_their_scenes_and_stand_in_the_manifest(tmp_pa
 
 
 def test_given_again_then_only_what_is_missing_is_rendered(tmp_path, bank):
-    design = design_of(tmp_path)
+    design = design_of(tmp_path, TRIALS)
     first = prepared(design, bank)
     (first.folder / f"{LOUDEST}.h5").unlink()
     times = {file: file.stat().st_mtime_ns for file in first.folder.iterdir()}
@@ -109,10 +104,10 @@ def test_stimuli_begun_by_an_earlier_version_go_on_with_their_interpolation(tmp_
 
 
 def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fits(tmp_path, bank):
-    peak_v = float(peaks(render(design_of(tmp_path).stimuli[LOUDEST].scene, bank).drive_v).max())
+    peak_v = float(peaks(render(design_of(tmp_path, TRIALS).stimuli[LOUDEST].scene, bank).drive_v).max())
     for limits in (DriveLimits(peak_v=0.9 * peak_v, peak_key="player.limit_v"), DriveLimits(rms_v=0.1 * peak_v)):
         with pytest.raises(InputError) as refused:
-            prepared(design_of(tmp_path), bank, limits)
+            prepared(design_of(tmp_path, TRIALS), bank, limits)
         text = str(refused.value)
         assert text.startswith(f"{tmp_path / 'trials.toml'}: stimulus {LOUDEST}: ")
         assert (limits.peak_key if limits.peak_v else limits.rms_key) in text
@@ -124,7 +119,7 @@ def test_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fi
 
 
 def test_what_does_not_fit_the_rig_or_bank_or_the_stimuli_that_are_there_is_refused(tmp_path, bank):
-    design = design_of(tmp_path)
+    design = design_of(tmp_path, TRIALS)
     for match, view, interface in (
         ("full scale", bank, Interface(int(RATE_HZ), np.full(len(ACTUATOR_MM), 1e-6))),
         ("10 actuators, the rig 3", bank, Interface(int(RATE_HZ), np.full(3, 5.0))),
@@ -140,11 +135,11 @@ def test_what_does_not_fit_the_rig_or_bank_or_the_stimuli_that_are_there_is_refu
         prepared(design_of(tmp_path, TRIALS + "# another\n"), bank)
     write_bank(tmp_path / "other.h5", SQUARE_MM[:1])
     with open_bank(tmp_path / "other.h5") as other, pytest.raises(InputError, match=r"manifest.json: .*other.h5"):
-        prepared(design_of(tmp_path), other)
+        prepared(design_of(tmp_path, TRIALS), other)
 
 
 def test_a_damaged_or_exchanged_drive_or_a_file_of_others_is_named_and_stays(tmp_path, bank):
-    design = design_of(tmp_path)
+    design = design_of(tmp_path, TRIALS)
     made = prepared(design, bank)
     file = made.folder / f"{LOUDEST}.h5"
     content = file.read_bytes()

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import threading
 from types import SimpleNamespace
 
@@ -50,15 +49,6 @@ def test_given_nohup_then_a_terminal_that_is_gone_changes_nothing():
 
 
 LONG_S = 60.0
-
-
-@pytest.fixture
-def interruptible():
-    """Where the tests run in a shell's background, SIGINT is ignored from the start."""
-    former, hook = signal.signal(signal.SIGINT, signal.default_int_handler), sys.unraisablehook
-    yield
-    signal.signal(signal.SIGINT, former)
-    sys.unraisablehook = hook
 
 
 @pytest.mark.usefixtures("interruptible")

@@ -1,7 +1,6 @@
 """Calls in a thread of their own: what they return, what they raise, and what becomes of a wait broken off."""
 
 import _thread
-import signal
 import threading
 import time
 from types import SimpleNamespace
@@ -17,14 +16,6 @@ from wavefocus.drivers.timeouts import BoundedMirror, BoundedPlayer, BoundedReco
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 
 SOON_S = 0.05
-
-
-@pytest.fixture
-def interruptible():
-    """Ctrl-C raises here, also where the tests run in the background and it is ignored."""
-    former = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, former)
 
 
 @pytest.mark.parametrize("urgent", [False, True])

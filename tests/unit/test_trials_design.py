@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.simulated_people import design_of
 from wavefocus import InputError, Line, Noise, Point, Source
-from wavefocus.trials.design import load_trials
 from wavefocus.trials.order import Draws, FixedOrder, order_of, ordered
 
 TRIALS = """
@@ -41,12 +41,6 @@ plays = 2
 POINT = '\n[[stimuli]]\npath = "here"\nsignal = ["tap", "burst"]\namplitude = [0, 0.5]\n'
 ADAPTIVE = '\n[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\n'
 ONE = '\n[[stimuli]]\npath = ["left", "right"]\nsignal = "tap"\nspeed_mm_s = 40\nstep_mm = 24\n'
-
-
-def design_of(folder, text):
-    file = folder / "trials.toml"
-    file.write_text(text, encoding="utf-8")
-    return load_trials(file)
 
 
 def test_stimuli_are_all_combinations_of_the_levels_of_each_table(tmp_path):

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from tests.simulated_people import STROKES, WHICH_WAY
+from tests.simulated_people import STROKES, WHICH_WAY, design_of
 from wavefocus.config.messages import Refused
 from wavefocus.config.messages.trials import Answer, AnswerStored, EndTrials, GoOn, Replay, TrialsState, Welcome
 from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, read_answers
-from wavefocus.trials.design import load_trials
 from wavefocus.trials.presentation import Onset
 from wavefocus.trials.session import TrialsSession
 from wavefocus.trials.stimuli import Prepared
@@ -73,8 +72,7 @@ def experiment(tmp_path):
 
 
 def made(folder, text):
-    (folder / "trials.toml").write_text(text, encoding="utf-8")
-    design = load_trials(folder / "trials.toml")
+    design = design_of(folder, text)
     return design, Prepared(folder, "b" * 64, dict.fromkeys(design.stimuli, "a" * 64))
 
 
