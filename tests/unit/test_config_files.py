@@ -186,6 +186,11 @@ SCENE_MISTAKES = [
      "regularisation.saturation_absolute = 1.0: must be 0 or left out where saturation is given"),
     (POINT + "[output]\ninterpolation = 'cubic'", 'output.interpolation = "cubic": must be "nearest", "bilinear"'),
     (POINT + "[output]\nemission = 'x'", 'output.emission = "x": unknown key; it belongs to [[source]]'),
+    (POINT + "[[quiet]]", "quiet[0].at_mm: a quiet place has either at_mm, or path with speed_mm_s"),
+    (POINT + "[[quiet]]\nat_mm = [24, 0]\nat = 3", "quiet[0].at = 3: unknown key; "),
+    (POINT + "[[quiet]]\nat_mm = [24, 0]\npath = { kind = 'point', at_mm = [0, 0] }", "quiet[0].path = "),
+    (POINT + "[[quiet]]\npath = { kind = 'line', start_mm = [0, 0], end_mm = [9, 0] }",
+     "quiet[0].speed_mm_s: is needed in mm/s for a path of kind line"),
 ]  # fmt: skip
 
 MISTAKES = {"rig": RIG_MISTAKES, "run": RUN_MISTAKES, "scene": SCENE_MISTAKES}

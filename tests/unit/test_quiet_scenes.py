@@ -5,7 +5,6 @@ import re
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -17,7 +16,7 @@ from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SPACING_MM, SQUARE_MM, TAPS
 from wavefocus import Circle, GreenArray, Impulse, InputError, Line, Noise, Point, Sine, predict, quiet_levels
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.scene.model import QuietPlace, Scene, Source, read_scene
+from wavefocus.rendering.scene.model import QuietPlace, Scene, Source
 from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.scene.trajectory import TrajectoryPath
 from wavefocus.rendering.verify.correction import control_rows
@@ -328,21 +327,3 @@ def test_banks_of_one_actuator_on_one_line_or_without_a_band():
     apart_mm = np.concatenate([line_mm, np.add(line_mm, (0.0, 40.0))])
     with pytest.raises(InputError, match=r"quiet\[0\] lies at \(16, 20\) mm, 20 mm"):
         render_with_report(scene_of((16.0, 20.0)), GreenArray(plate_greens(apart_mm), apart_mm, RATE_HZ))
-
-
-WRONG = {
-    "at_mm = [24, 0]\nlevel_db = 3": "level_db",
-    "at_mm = [24, 0]\nlevel_db = 0": "level_db",
-    "at_mm = [24, 0]\nradius_mm = -1": "radius_mm",
-    'at_mm = [24, 0]\npath = { kind = "point", at_mm = [0, 0] }': "path",
-    "at_mm = [24, 0]\nat = 3": "at",
-    "": "at_mm",
-    'path = { kind = "line", start_mm = [0, 0], end_mm = [9, 0] }': "speed_mm_s",
-}
-
-
-def test_a_wrong_table_is_refused_by_its_key():
-    text = '[[source]]\npath = { kind = "point", at_mm = [0, 0] }\nsignal = { kind = "impulse" }\n'
-    for lines, key in WRONG.items():
-        with pytest.raises(InputError, match=rf"quiet\[0\]\.{key}\b"):
-            read_scene(f"{text}[[quiet]]\n{lines}\n", Path("scene.toml"))

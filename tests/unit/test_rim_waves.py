@@ -15,6 +15,7 @@ from tests.unit.independent_plates import free_disk, lattice, reflected
 from wavefocus.calibration.coarse_grid.bounds import judged
 from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
 from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm
+from wavefocus.config.outline import Outline
 
 RNG = np.random.default_rng(4)
 ANGLE = 2 * np.pi * np.arange(5) / 5
@@ -55,14 +56,6 @@ def test_bounds_hold_the_stated_share_of_errors_without_the_noise_of_the_checks(
     assert np.median(scales) == pytest.approx(4.0, rel=0.2)
     assert np.median(by_noise) > 0.02
     assert np.mean(covered) == pytest.approx(stated, abs=0.05)
-
-
-def test_sizes_and_too_few_positions_are_refused():
-    transfer = np.ones((1, len(GRID_MM), len(ACTUATOR_MM)), complex)
-    with pytest.raises(ValueError, match="transfer has shape"):
-        RimWaves.fit([300.0], GRID_MM, ACTUATOR_MM, transfer[:, 1:])
-    with pytest.raises(ValueError, match="too few"):
-        RimWaves.fit([300.0], GRID_MM[:8], ACTUATOR_MM, transfer[:, :8])
 
 
 def scattered(count, radius_mm=45.0):
@@ -171,16 +164,9 @@ def ellipse(k, hz, points_mm, sources_mm):
 
 def outline(count, offset_mm):
     """Points on a stadium of 250 x 150 mm, moved outwards, and its normals there, (count, 2) each."""
-    radius_mm = 75.0 + offset_mm
-    along = (np.arange(count) + 0.5) / count * (200.0 + 2 * np.pi * radius_mm)
-    places, normals = np.empty((2, count, 2))
-    for index, at in enumerate(along):
-        half, rest = divmod(at, 100.0 + np.pi * radius_mm)
-        turn = max(rest - 100.0, 0.0) / radius_mm - np.pi / 2
-        normal = np.array([np.cos(turn), np.sin(turn)])
-        place = radius_mm * normal + [min(rest, 100.0) - 50.0, 0.0]
-        places[index], normals[index] = (place, normal) if half == 0 else (-place, -normal)
-    return places, normals
+    moved = Outline.stadium(250.0 + 2 * offset_mm, 150.0 + 2 * offset_mm)
+    places = moved.at((np.arange(count) + 0.5) / count * moved.perimeter_mm)
+    return places, (places - np.stack([places[:, 0].clip(-50.0, 50.0), np.zeros(count)], axis=1)) / (75.0 + offset_mm)
 
 
 def stadium(k, hz, points_mm, sources_mm):

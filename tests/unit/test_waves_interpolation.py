@@ -176,6 +176,7 @@ def test_a_bank_that_waves_cannot_be_fitted_to_is_refused():
     for position_mm, actuator_mm, message in (
         (lattice(11.0, 40.0), unknown_mm, "does not say where actuator 1 is"),
         (line_mm, ACTUATOR_MM, "on one line"),
+        (lattice(11.0, 40.0)[:8], ACTUATOR_MM, "8 measured positions are too few"),
     ):
         green = np.ones((len(position_mm), 2, TAPS))
         bank = GreenArray(green, position_mm, RATE_HZ, actuator_mm=actuator_mm, band_hz=BAND_HZ)
