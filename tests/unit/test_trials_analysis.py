@@ -114,7 +114,7 @@ def test_given_catch_trials_then_every_amplitude_is_held_against_them():
     ],
     ids=["usual", "one slip", "three slips"],
 )
-def test_answers_at_levels_rising_or_falling_have_the_fit_of_penalised_likelihood(levels, right, of):
+def test_answers_at_levels_have_the_fit_of_penalised_likelihood(levels, right, of):
     right, of = np.array(right), np.full(len(levels), of)
 
     def loss(point):
@@ -140,7 +140,9 @@ def test_answers_at_levels_rising_or_falling_have_the_fit_of_penalised_likelihoo
         there = minimize(lambda rest, x=x: loss((x, *rest)), best.x[1:], method="L-BFGS-B", bounds=bounds[1:])
         assert there.fun - best.fun == pytest.approx(1.92, abs=0.01)
     assert 0.0 < fit.deviance_p <= 1.0
-    # Where the share falls with the level, the fit mirrors that of one that rises.
+
+
+def test_a_share_that_falls_has_the_mirrored_fit_and_a_steep_one_its_interval():
     levels, right, of = [0.1, 0.2, 0.4, 0.8], [11, 13, 18, 20], [20] * 4
     rising = fit_psychometric(levels, right, of, guess=0.5)
     falling = fit_psychometric([1 / one for one in levels], right, of, guess=0.5, falling=True)
