@@ -44,7 +44,7 @@ docs: ## Build the documentation's site in site/, warnings being errors; open si
 test: ## Run unit, contract and wire tests, and one test of each command and tab
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
-	$(PY) -m pytest $(QUICK) $(ARGS)
+	$(PY) -m pytest --dist loadfile $(QUICK) $(ARGS)
 
 test-all: ## Run the tests that `make test` leaves out: whole commands, kills, captures in real time
 	@tools/system-packages.sh $(TEST_PACKAGES)

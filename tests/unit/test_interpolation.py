@@ -103,7 +103,7 @@ def greens_at(bank, kernel, points_mm):
     [
         ("square", -60.0, 0.01, 0.08),
         ("hexagonal", None, 0.005, 0.07),
-        ("irregular with holes", -60.0, 0.01, 0.08),
+        pytest.param("irregular with holes", -60.0, 0.01, 0.08, marks=pytest.mark.long),
     ],
 )
 def test_between_the_positions_the_error_is_within_the_marks_and_estimated(grid, noise_db, at_250_hz, at_450_hz):

@@ -134,11 +134,20 @@ def test_a_request_at_any_event_changes_states_by_the_table_and_ends(blueprint, 
 
 DARK = 'role = "recorder"\noperation = "read"\nkind = "dark"\nattempt = 1\nposition = '
 # In the pass, one position becomes valid and the next ten do not: it ends before the last one.
-FUTILE = [(lambda session: None, PositionStarted, 13, (1, *(f"{at}\ncount = 9" for at in range(2, 13))))]
-LAST = [(ACTS[name][0], PositionStarted, 2, ()) for name in ("stop", "pause")]
+FUTILE = (lambda session: None, PositionStarted, 13, (1, *(f"{at}\ncount = 9" for at in range(2, 13))))
+STOPPED, PAUSED = ((ACTS[name][0], PositionStarted, 2, ()) for name in ("stop", "pause"))
 
 
-@pytest.mark.parametrize(("act", "kind", "positions", "dark"), [*LAST, (at_once, CrosstalkMeasured, 2, ()), *FUTILE])
+@pytest.mark.parametrize(
+    ("act", "kind", "positions", "dark"),
+    [
+        STOPPED,
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (PAUSED, (at_once, CrosstalkMeasured, 2, ()), FUTILE)
+        ),
+    ],
+)
 def test_a_campaign_finishes_only_after_a_look_at_the_sentinel(tmp_path, act, kind, positions, dark):
     lab = write_lab(tmp_path)
     write_positions(lab, [(2.0 * x, 0.0) for x in range(positions)])

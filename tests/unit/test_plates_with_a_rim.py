@@ -64,7 +64,13 @@ def test_given_a_round_plate_then_the_elements_agree_with_its_closed_form():
 
 
 @pytest.mark.parametrize(
-    ("outline", "admittance"), [(STADIUM, 0.0), (STADIUM, 0.7), (Outline.rectangle(70.0, 40.0), 0.7), (SKEW, 0.0)]
+    ("outline", "admittance"),
+    [
+        (STADIUM, 0.7),
+        (SKEW, 0.0),
+        pytest.param(STADIUM, 0.0, marks=pytest.mark.long),
+        pytest.param(Outline.rectangle(70.0, 40.0), 0.7, marks=pytest.mark.long),
+    ],
 )
 def test_given_a_plate_with_a_rim_then_its_responses_are_those_of_all_elements(outline, admittance):
     elements = Elements(triangulate(outline, 0.7 * SPACING_MM))
@@ -178,7 +184,9 @@ def _solid_solved(elements, frequency_hz):
     return 1j * angular * np.stack(parts, axis=1)
 
 
-@pytest.mark.parametrize("frequency_hz", [pytest.param(60.0, marks=pytest.mark.nightly), 450.0])
+@pytest.mark.parametrize(
+    "frequency_hz", [pytest.param(60.0, marks=pytest.mark.nightly), pytest.param(450.0, marks=pytest.mark.long)]
+)
 def test_given_a_lossy_solid_then_the_tensor_is_that_of_finite_elements(frequency_hz):
     elements = Elements(triangulate(LOSSY_DISK, 0.5 * spacing_mm(DampedWave(5.0, 2500.0), 450.0)))
     solved = _solid_solved(elements, frequency_hz)

@@ -70,6 +70,7 @@ def test_every_key_of_a_template_is_explained_and_every_line_commented_out_is_a_
             assert key[1] in models[table].model_fields, line
 
 
+@pytest.mark.long
 def test_template_scene_runs_on_positions_for_2_s_clean_with_noise_beyond_the_band(tmp_path):
     write_templates(tmp_path, "virtual")
     scene = load_scene(tmp_path / "scene.toml")

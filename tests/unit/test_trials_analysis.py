@@ -109,8 +109,8 @@ def test_given_catch_trials_then_every_amplitude_is_held_against_them():
     ("levels", "right", "of"),
     [
         (np.geomspace(0.1, 1.0, 8), [21, 19, 24, 28, 33, 38, 39, 39], 40),
-        (0.1 * 2 ** np.arange(6), [32, 49, 60, 60, 59, 60], 60),
-        (0.05 * 2 ** np.arange(7), [51, 54, 70, 92, 99, 99, 99], 100),
+        pytest.param(0.1 * 2 ** np.arange(6), [32, 49, 60, 60, 59, 60], 60, marks=pytest.mark.long),
+        pytest.param(0.05 * 2 ** np.arange(7), [51, 54, 70, 92, 99, 99, 99], 100, marks=pytest.mark.long),
     ],
     ids=["usual", "one slip", "three slips"],
 )

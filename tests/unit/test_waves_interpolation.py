@@ -216,6 +216,7 @@ def values_of(path):
         return interpolation_method("waves").over(bank, POINTS_MM).waves.model.values(POINTS_MM[:5])
 
 
+@pytest.mark.long
 def test_the_model_is_kept_next_to_the_bank_and_never_used_for_other_contents(bank_file):
     kept, first = wave_file(bank_file), values_of(bank_file)
     content, written = kept.read_bytes(), kept.stat()

@@ -64,8 +64,7 @@ def spoil(name, kind, greens, position, rng):
 @pytest.mark.parametrize(
     ("name", "kinds"),
     [
-        pytest.param("disk", tuple(KINDS), id="disk-all"),
-        pytest.param("elements", tuple(KINDS), id="elements-all", marks=pytest.mark.long),
+        *(pytest.param(name, tuple(KINDS), id=f"{name}-all", marks=pytest.mark.long) for name in ("disk", "elements")),
         *(pytest.param(name, (kind,) * 8, marks=pytest.mark.nightly) for name in MAKERS for kind in KINDS),
     ],
 )

@@ -4,11 +4,16 @@ import os
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from tests.lab_files import ABSENT_RIG, change_text
 from tests.system.lines import of_linux, python
 
 ROOT = Path(__file__).parents[2]
-pytestmark = of_linux("a stand-in for the driver's library can be put on the loader's path on Linux alone")
+pytestmark = [
+    *of_linux("a stand-in for the driver's library can be put on the loader's path on Linux alone"),
+    pytest.mark.long,
+]
 
 SESSION = r"""
 import os, signal, sys, threading, warnings
