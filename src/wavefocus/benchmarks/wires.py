@@ -124,7 +124,7 @@ def _clock_errors(
     fitter = ClockFitter(signal_v)
     # The first frame that is received is the first one that the player does not leave out as silence, near sample 0.
     ratio, true_ratio = rate_ratio(RATE_HZ, INTERFACE_RATE_HZ), virtual_settings(rig_at()).clock_ratio
-    full_scale_v = setup.instruments.player.full_scale_v
+    full_scale_v = setup.player.full_scale_v
     frames = np.flatnonzero(np.abs(converted(signal_v, ratio).astype(np.float32)) > HALF_STEP * full_scale_v)
     first = (frames[0] - lead_samples(ratio)) / INTERFACE_RATE_HZ * RATE_HZ * true_ratio
     ratio_ppm: list[float] = []

@@ -43,8 +43,8 @@ def noise_share(error_db: NDArray[np.floating]) -> Float64Array:
     return np.asarray(np.minimum(10.0 ** (0.1 * np.asarray(error_db, np.float64)), 1.0))
 
 
-def bank_noise_error_db(bank: Bank, rows: int | slice = slice(None)) -> Float64Array | None:
-    """The same of every row of a bank, (positions, actuators), or of some positions.
+def bank_noise_error_db(bank: Bank) -> Float64Array | None:
+    """The same of every row of a bank, (positions, actuators).
 
     NaN where a ratio is unknown; None where the bank does not state its band and how it was measured.
     """
@@ -52,7 +52,7 @@ def bank_noise_error_db(bank: Bank, rows: int | slice = slice(None)) -> Float64A
     if ratios_db is None or period_s is None or bank.band_hz is None:
         return None
     response_s = bank.taps / bank.sample_rate_hz
-    return noise_error_db(ratios_db[rows], band_hz=bank.band_hz, response_s=response_s, period_s=period_s)
+    return noise_error_db(ratios_db, band_hz=bank.band_hz, response_s=response_s, period_s=period_s)
 
 
 def median_noise_error_db(bank: Bank) -> float | None:
