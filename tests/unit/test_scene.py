@@ -198,9 +198,9 @@ def test_kernel_interpolation_then_rests_between_jumps_sound_at_their_own_places
     path = TrajectoryPath(0.1 * np.arange(len(places_mm)), places_mm, [0, 1, 1, 0, *sounds, 0, 1] if stroke else sounds)
     scene, bank = scene_of(Source(path, Noise((80.0, 420.0), 1.0, 3)), interpolation="kernel"), plate_bank()
     sampled, course = sample_scene(scene, bank), path.trajectory(0.0, bank.sample_rate_hz)
-    events = sampled.sources[0].emission.events(0, course.sample[-1])
+    nodes = sampled.sources[0].emission.events(0, course.sample[-1]).nodes
     at_mm, heard = course.at(np.arange(course.sample[-1]))
-    found_mm = np.einsum("ij,ijk->ik", events.weights, sampled.interpolation.rows_of(bank).position_mm[events.rows])
+    found_mm = np.einsum("ij,ijk->ik", nodes.weights, sampled.interpolation.rows_of(bank).position_mm[nodes.rows])
     np.testing.assert_allclose(found_mm[heard != 0], at_mm[heard != 0], atol=1e-5)
     assert np.isin(PositionGrid(NOISE_MM).nearest(np.array(taps))[0], scene_rows(scene, NOISE_MM).path).all()
 

@@ -119,7 +119,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
     ],
     "write_field": [{"dtype": "int8"}],
     "write_drive": [{"force": "no"}],
-    "export_bank": [{"missing": "Nan"}, {"per": "actuators"}, {"to": "MAT"}, {"binary": 1}],
+    "export_bank": [{"missing": "Nan"}, {"to": "MAT"}, {"binary": 1}],
     "import_bank": [
         {"kind": "xyz"}, {"measurements": "rows"}, {"band_hz": (50.0, 450.0, 3.0)}, {"taps": 1.5},
         {"names": {"green": 3}}, {"length_unit": "furlong"},
