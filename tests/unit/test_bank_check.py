@@ -20,13 +20,6 @@ def responses():
     return (noise * np.exp(-np.arange(TAPS) / 15)).astype(np.float32)
 
 
-def measured(path, green, grid=None):
-    """A bank of six positions of which the first are measured."""
-    rows = np.zeros((POSITIONS, ACTUATORS, TAPS), np.float32)
-    rows[: len(green)] = green
-    return write_bank(path, rows, grid, rows=range(len(green)))
-
-
 def flip_in(path, dataset, byte, chunk=None):
     """Flip one bit of a dataset, or of one chunk of it, so many bytes from its beginning."""
     with h5py.File(path, "r") as file:
@@ -55,7 +48,7 @@ def row_bytes(path, name):
 def test_a_flipped_bit_is_an_error_at_its_position_and_opening_heals_figures(
     tmp_path, measured_rows, damage, position, heals
 ):
-    path = measured(tmp_path / "bank.h5", responses()[:measured_rows])
+    path = write_bank(tmp_path / "bank.h5", responses(), rows=range(measured_rows))
     name, *where = damage
     flip_in(path, name, *(where if where != [None] else [2 * row_bytes(path, name)]))
     found = check_bank(path)
@@ -79,7 +72,7 @@ def test_a_flipped_bit_is_an_error_at_its_position_and_opening_heals_figures(
 def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, position, severity, words):
     green = responses()
     green[rows] *= factor
-    (finding,) = check_bank(measured(tmp_path / "bank.h5", green))
+    (finding,) = check_bank(write_bank(tmp_path / "bank.h5", green))
     assert (finding.position, finding.severity) == (position, severity)
     assert finding.actuator == (2 if position is None else None)
     assert words in finding.message
@@ -88,7 +81,7 @@ def test_responses_that_cannot_be_then_are_named(tmp_path, rows, factor, positio
 def test_positions_over_range_poor_or_failed_or_at_one_place_are_named(tmp_path):
     grid = np.stack([np.arange(POSITIONS) * 4.0, np.zeros(POSITIONS)], axis=1)
     grid[5] = grid[0]
-    path = measured(tmp_path / "bank.h5", responses(), grid)
+    path = write_bank(tmp_path / "bank.h5", responses(), grid)
     with BankWriter.open(path) as writer:
         for position, status in ((1, Status.POOR_SIGNAL), (2, Status.FAILED), (4, Status.OVER_RANGE | Status.VALID)):
             writer.amend(position, status=int(status))
@@ -99,7 +92,7 @@ def test_positions_over_range_poor_or_failed_or_at_one_place_are_named(tmp_path)
 
 
 def test_a_check_during_a_run_or_without_the_checksum_of_contents_has_no_findings(tmp_path):
-    path = measured(tmp_path / "bank.h5", responses()[:3])
+    path = write_bank(tmp_path / "bank.h5", responses(), rows=range(3))
     with h5py.File(path, "r+") as file:  # as of an earlier version
         del file.attrs["contents_sha256"]
     assert check_bank(path) == []
@@ -109,7 +102,7 @@ def test_a_check_during_a_run_or_without_the_checksum_of_contents_has_no_finding
 
 
 def test_a_zeroed_ledger_page_then_is_found_by_every_reader_and_measured_again(tmp_path):
-    path = measured(tmp_path / "bank.h5", responses())
+    path = write_bank(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
         offset = file["durability/ledger"].id.get_offset() + 3 * 4096
     with path.open("r+b") as raw:
@@ -136,7 +129,7 @@ def test_a_zeroed_ledger_page_then_is_found_by_every_reader_and_measured_again(t
     ],
 )  # fmt: skip
 def test_a_changed_value_or_unit_that_no_resume_rewrites_then_is_found(tmp_path, change):
-    path = measured(tmp_path / "bank.h5", responses())
+    path = write_bank(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r+") as file:
         change(file)
     with pytest.raises(InputError):

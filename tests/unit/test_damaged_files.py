@@ -13,14 +13,13 @@ from wavefocus.calibration.check import check_file
 from wavefocus.storage.field_file import Field, FieldRowReader, read_field, write_field
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
-POSITION_MM = np.stack([np.arange(5) * 4.0, np.zeros(5)], axis=1)
 RNG = np.random.default_rng(0)
 LARGE = 10**12
 
 
 def a_bank(path):
     green = RNG.normal(size=(5, 3, 100)) * np.exp(-np.arange(100) / 7)
-    write_bank(path, green, POSITION_MM, rows=range(4))  # the last one is not measured
+    write_bank(path, green, rows=range(4))  # the last one is not measured
 
 
 def a_raw_file(path):
