@@ -4,7 +4,6 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
-from tests.system.lines import wait_until
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.protocols import RecordLabel, RecordRequest
 from wavefocus.mocks.wire.ni_server import NiServer
@@ -46,10 +45,6 @@ class DaqBench:
 
     def calls(self, name):
         return self.server.log.count(name)
-
-    def until_under_way(self, name):
-        """Wait until a call is being answered."""
-        wait_until(lambda: name in self.server.under_way, name)
 
 
 @contextmanager

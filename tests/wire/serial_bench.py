@@ -34,7 +34,6 @@ DIALECTS = {
 
 # Pseudo-terminals are a matter of POSIX; elsewhere the same tests run over TCP alone.
 LOCAL = "pty" if os.name == "posix" else "tcp"
-WIRES = tuple(dict.fromkeys((LOCAL, "tcp")))
 LIMIT_MRAD = 250.0
 PARK_MRAD = (-200.0, -200.0)
 # Rounding in the coarsest dialect: 1e-4 of the tangent of 50 degrees.

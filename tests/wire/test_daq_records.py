@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.system.lines import python
+from tests.system.lines import python, wait_until
 from tests.wire.daq_bench import TAKE, Tone, ask, check_tone, daq_bench, take_one
 from tests.wire.emulated import rig_text
 from wavefocus.configuration import load_rig
@@ -174,7 +174,7 @@ def test_a_record_starts_at_its_edge_and_another_thread_ends_the_wait_for_it(ben
         recorder.start(ask())  # whose edge does not come
         with ThreadPoolExecutor(1) as thread:
             reading = thread.submit(recorder.read, 600.0)
-            bench.until_under_way("WaitUntilTaskDone")
+            wait_until(lambda: "WaitUntilTaskDone" in bench.server.under_way, "the recorder waits")
             way_out()
             with pytest.raises(InstrumentError, match=rf"{TAKE}.*aborted"):
                 reading.result()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.lab_files import wire_fault
-from tests.wire.serial_bench import LOCAL, WIRES, mirror_bench
+from tests.wire.serial_bench import LOCAL, mirror_bench
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.serial_device import SerialMirror
 from wavefocus.drivers.serial_line import LineSettings, NoAnswerError, SerialLine
@@ -146,20 +146,3 @@ def test_half_a_line_and_bytes_that_are_no_text_are_told_as_they_came(wired):
     client.sendall(b"\xff1\n")
     with pytest.raises(NoAnswerError, match="not text"):
         line.receive(time.monotonic() + 30)
-
-
-@pytest.mark.parametrize("kind", WIRES)
-def test_given_a_peer_that_does_not_read_then_sending_ends(kind, tmp_path):
-    stall = wire_fault("mirror", "stalled", "any", at_call=1)
-    with mirror_bench("generic", kind, tmp_path, stall) as bench:
-        line = SerialLine("line", bench.far.address, LineSettings(115200, "\n", 0.3))
-        line.open()
-
-        def flood():
-            for _ in range(1000):
-                line.send("x" * 100_000)
-
-        with closing(line):
-            line.send("*IDN?")
-            with pytest.raises(NoAnswerError, match=r"did not take the command within 0\.3 s"):
-                flood()
