@@ -264,12 +264,6 @@ class LoggedFile(PositionedFile):
         self._syncs += 1
 
 
-class WithoutSecondBarrier(LoggedFile):
-    """Leaves out the barrier after a ledger row."""
-
-    barriers = (True, False)
-
-
 class WithoutFirstBarrier(LoggedFile):
     """Leaves out the barrier between Green's functions and ledger row."""
 
