@@ -35,12 +35,6 @@ break_every = 4
 """
 
 
-def arguments(lab, folder):
-    """Of the trials of a participant on the bank of a lab."""
-    files = ["--bank", str(lab / "plate.h5"), "--rig", str(lab / "rig.toml"), "--out", str(folder / "out")]
-    return [str(folder / "trials.toml"), *files, "--participant", "P01", "--fast"]
-
-
 @pytest.fixture
 def start(qtbot, measured, tmp_path):
     """Opens the window for a participant, on the measured bank."""
@@ -49,7 +43,9 @@ def start(qtbot, measured, tmp_path):
 
     def make(trials=TRIALS):
         (tmp_path / "trials.toml").write_text(trials, encoding="utf-8")
-        opened.append(window := TrialsWindow(arguments(measured, tmp_path)))
+        files = [tmp_path / "trials.toml", "--bank", measured / "plate.h5", "--rig", measured / "rig.toml"]
+        options = ["--out", tmp_path / "out", "--participant", "P01", "--fast"]
+        opened.append(window := TrialsWindow([str(one) for one in [*files, *options]]))
         return window
 
     yield make

@@ -12,19 +12,7 @@ import time
 import pytest
 
 from tests.lab_files import change_text
-from tests.system.captures import (
-    Listener,
-    Told,
-    answered,
-    capture,
-    captured,
-    empty_bank,
-    events_of,
-    held,
-    refused,
-    said_by,
-    wavefocus,
-)
+from tests.system.captures import Listener, capture, captured, empty_bank, events_of, held, refused, said_by, wavefocus
 from tests.system.conftest import add_to_rig, with_faults, write_lab
 from tests.system.lines import Lines, of_posix, python, wait_until
 from tests.unit.test_bank_writer import HOLD
@@ -147,7 +135,8 @@ def test_orders_of_other_processes_pause_resume_and_stop_and_the_bank_is_identic
     )
     with contextlib.redirect_stdout(listener):
         assert capture(lab, bank) == 130
-    assert Told(listener.told, "").states == ["running", "pausing", "paused", "running", "stopping", "stopped"]
+    states = [one["state"] for one in events_of(listener.told, "state_changed")]
+    assert states == ["running", "pausing", "paused", "running", "stopping", "stopped"]
     # The position under way is finished, no other is begun.
     for end, positions in (('"state": "paused"', 1), ('"state": "stopped"', 2)):
         before = listener.told[: listener.told.index(end)].rpartition("\n")[0]
@@ -185,7 +174,7 @@ def test_a_silent_process_has_its_order_withdrawn_and_status_says_how_long(lab, 
         assert not (lab / "plate.h5.orders").exists()
         assert str(owner.pid) in refused(capsys, "resume", bank, code=75)
         assert "owns the bank but has been silent for" in said_by(capsys, "status", bank).out
-        facts = answered(capsys, "status", bank)
+        facts = json.loads(said_by(capsys, "status", bank, "--json").out)
     assert facts["silent"] is True
     assert facts["last_sign_of_life"]["state"] == "running"
     assert facts["last_sign_of_life"]["age_s"] > 86_400
