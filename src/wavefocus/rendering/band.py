@@ -3,10 +3,10 @@
 In one block the spectrum of actuator i's drive is F_i = sum_J U_J G_iJ over the windows J of bank rows. A transform of
 n samples errs by at most 8 log2(n) units of roundoff of its norm (N. Higham, Accuracy and Stability of Numerical
 Algorithms, 2nd ed., theorem 24.2: 6.7 per factor 2), a product or sum by one unit per term. With
-c = sum_J max|U_J| |G_J|_2 all of it is at most `_rounding_units` times c: a row's error may lie in any bin, and so meet
-the largest value of its window. By Parseval the error in time is sqrt(2 / n) times that, twice per bin for the two
-signs of frequency. A sample lies in at most q = ceil(n / hop) blocks, so by Cauchy-Schwarz the blocks' errors add up to
-at most sqrt(q * sum of squares). Relative to drives without omission: error / (norm computed - error).
+c = sum_J max|U_J| |G_J|_2 all of it is at most `units` times c, see `Band.rounding_error`: a row's error may lie in any
+bin, and so meet the largest value of its window. By Parseval the error in time is sqrt(2 / n) times that, twice per bin
+for the two signs of frequency. A sample lies in at most q = ceil(n / hop) blocks, so by Cauchy-Schwarz the blocks'
+errors add up to at most sqrt(q * sum of squares). Relative to drives without omission: error / (norm computed - error).
 """
 
 from __future__ import annotations
@@ -53,12 +53,6 @@ class Band:
         """Type of spectra."""
         return np.complex64 if self.single else np.complex128
 
-    def _rounding_units(self, terms: float) -> float:
-        """Bound on rounding relative to c, for sums of so many terms."""
-        # Three transforms (of a row, of a window, and back), 8 units of roundoff per factor 2 of their length.
-        units = 3.0 * 8.0 * math.log2(max(self.fft_samples, 2)) + terms + 20.0
-        return units * (2.0**-24 if self.single else 2.0**-53)
-
     def rounding_error(self, coherent: float, terms: float) -> float:
         """Bound on the norm in time of what single precision costs one block; 0 in double precision.
 
@@ -67,7 +61,9 @@ class Band:
         """
         if not self.single:
             return 0.0
-        return math.sqrt(2.0 / self.fft_samples) * (self._rounding_units(terms) * coherent + UNDERFLOW * terms)
+        # Three transforms (of a row, of a window, and back), 8 units of roundoff per factor 2 of their length.
+        units = (3.0 * 8.0 * math.log2(max(self.fft_samples, 2)) + terms + 20.0) * 2.0**-24
+        return math.sqrt(2.0 / self.fft_samples) * (units * coherent + UNDERFLOW * terms)
 
 
 def tolerance_of(tolerance_db: float | None) -> float:

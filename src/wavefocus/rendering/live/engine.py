@@ -16,19 +16,7 @@ from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.blocks import CrossfadedBlocks
 from wavefocus.rendering.live.finer import finer_rows
-from wavefocus.rendering.live.lives import (
-    FADE_S,
-    HOLD_S,
-    JUMP_MM_S,
-    LOOK_S,
-    VELOCITY_S,
-    Emitted,
-    Life,
-    Timing,
-    default_signal,
-    emitted_by,
-    trajectory,
-)
+from wavefocus.rendering.live.lives import Emitted, Life, Timing, default_signal, emitted_by, trajectory
 from wavefocus.rendering.live.surface import PlayableSurface
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.trajectory import Trajectory
@@ -120,11 +108,7 @@ class LiveEngine:
         self.sufficient_samples = self._blocks.window_samples
         self._reach = self.sufficient_samples + block_samples
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
-        self._timing = Timing(
-            look=max(1, round(LOOK_S * self.rate_hz)), fade=max(1, round(FADE_S * self.rate_hz)),
-            hold=max(1, round(HOLD_S * self.rate_hz)), velocity=round(VELOCITY_S * self.rate_hz),
-            jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
-        )  # fmt: skip
+        self._timing = Timing(self.rate_hz)
         self._record, self._positions = record, bank.positions
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}

@@ -102,18 +102,15 @@ class Run(NamedTuple):
     nearest: int
 
 
-@dataclass(frozen=True, slots=True)
 class Timing:
     """Times in samples: of a fade, of holding without a position, over which velocity is taken; the speed of jumps.
 
     look: Between two looks at a course.
     """
 
-    look: int
-    fade: int
-    hold: int
-    velocity: int
-    jump_mm_per_sample: float
+    def __init__(self, rate_hz: float) -> None:
+        self.look, self.fade, self.hold = (max(1, round(time_s * rate_hz)) for time_s in (LOOK_S, FADE_S, HOLD_S))
+        self.velocity, self.jump_mm_per_sample = round(VELOCITY_S * rate_hz), JUMP_MM_S / rate_hz
 
 
 class Life:

@@ -47,8 +47,6 @@ class PathNodes:
         breaks = np.concatenate([[0.0], _corners(path, spacing_mm), [path.length_mm]])
         self._begins = breaks[:-1]
         parts: list[Float64Array] = []
-        self._first: list[int] = []
-        self._count: list[int] = []
         for begin, end in itertools.pairwise(breaks.tolist()):
             # No last step of next to nothing: polynomials through places that all but meet are worth nothing.
             steps = max(int(np.ceil((end - begin) / spacing_mm - 1e-3)), 1)
@@ -57,9 +55,8 @@ class PathNodes:
             # A corner is exact to rounding: its two nodes lie safely on their own sides of it.
             nodes[0] += _INSET * step if begin > 0 else 0.0
             nodes[-1] -= _INSET * step if end < path.length_mm else 0.0
-            self._first.append(sum(self._count))
-            self._count.append(steps + 1)
             parts.append(nodes)
+        self._parts, self._first = parts, np.cumsum([0, *map(len, parts)]).tolist()
         self.arc_length_mm = np.concatenate(parts)
 
     def weights(self, arc_length_mm: Float64Array) -> tuple[Int64Array, Float64Array]:
@@ -72,11 +69,10 @@ class PathNodes:
         weights = np.zeros((len(arc_length_mm), STENCIL))
         for number in np.unique(piece).tolist():
             chosen = np.flatnonzero(piece == number)
-            first, count = self._first[number], self._count[number]
-            mine = self.arc_length_mm[first : first + count]
-            width = min(STENCIL, count)
+            first, mine = self._first[number], self._parts[number]
+            width = min(STENCIL, len(mine))
             low = np.searchsorted(mine, arc_length_mm[chosen], side="right") - width // 2
-            low = np.clip(low, 0, count - width)
+            low = np.clip(low, 0, len(mine) - width)
             stencil = low[:, None] + np.arange(width)
             nodes[chosen] = first
             nodes[chosen[:, None], np.arange(width)] = first + stencil
