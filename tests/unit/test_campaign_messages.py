@@ -14,9 +14,9 @@ from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.campaign import control
 from wavefocus.campaign.sidecar_files import last_events, log_path
-from wavefocus.campaign.status import CampaignView, Heartbeat, Recovering, campaign_status
+from wavefocus.campaign.status import CampaignView, Heartbeat, campaign_status
 from wavefocus.commands.capture import resume
-from wavefocus.commands.status import is_paused
+from wavefocus.commands.status import is_paused, recovery
 from wavefocus.config.messages import campaign as told
 from wavefocus.config.messages import tag
 from wavefocus.config.messages.campaign import State
@@ -193,7 +193,7 @@ RUNNING = told.StateChanged(0.0, State.RUNNING, "7 positions to do")
 FAULT = told.Fault(1.0, "virtual mirror", "moving", "it is gone", "plug it in", 5, 1, True)
 LOST = told.StateChanged(1.0, State.RECOVERING, "virtual mirror: it is gone")
 TRIED = told.ReconnectTried(2.0, "mirror", "virtual mirror", 3, False, "no answer", 5.0, 60.0)
-WAITS = Recovering("virtual mirror", 3, "no answer", 5.0, 60.0)
+TRIES = ("instrument", "tries", "outcome", "next_try_s", "gives_up_s")
 PROGRESS = told.Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0)
 RECORD = told.RecordTaken(2.0, 5, 1, 2, 3)
 KEPT = told.PositionKept(2.0, 4, 1, "no better")
@@ -210,9 +210,9 @@ def after(bank, *events, owner=OWNER, beat=None):
         ([], State.IDLE, None),
         ([STARTED], State.IDLE, None),
         ([STARTED, RUNNING], State.RUNNING, None),
-        ([STARTED, RUNNING, FAULT, LOST], State.RECOVERING, Recovering("virtual mirror")),
-        ([STARTED, RUNNING, LOST], State.RECOVERING, Recovering()),
-        ([STARTED, RUNNING, FAULT, LOST, TRIED], State.RECOVERING, WAITS),
+        ([STARTED, RUNNING, FAULT, LOST], State.RECOVERING, ("virtual mirror", None, None, None, None)),
+        ([STARTED, RUNNING, LOST], State.RECOVERING, (None,) * 5),
+        ([STARTED, RUNNING, FAULT, LOST, TRIED], State.RECOVERING, ("virtual mirror", 3, "no answer", 5.0, 60.0)),
         ([STARTED, RUNNING, FAULT, LOST, TRIED, RUNNING], State.RUNNING, None),
         ([STARTED, RUNNING, told.StateChanged(3.0, State.FINISHED, "done")], State.IDLE, None),
         ([STARTED, RUNNING, told.SessionEnded(3.0, State.FINISHED, 9, 9, {})], State.IDLE, None),
@@ -221,7 +221,7 @@ def after(bank, *events, owner=OWNER, beat=None):
 )
 def test_given_events_then_the_state_is_that_of_the_latest_session(bank, events, state, recovering):
     status = after(bank, *events)
-    assert (status.state, status.recovering) == (state, recovering)
+    assert (status.state, recovery(status)) == (state, recovering and dict(zip(TRIES, recovering, strict=True)))
     assert (status.since is None) == (status.reason == "") == (state is State.IDLE)
 
 

@@ -40,21 +40,11 @@ from wavefocus.storage.ledger.owner import Owner
 GOING_ON = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING, State.RECOVERING})
 
 
-class Recovering(Message, frozen=True):
-    """The instrument that a campaign waits for, and the tries to connect to it again."""
-
-    instrument: str | None = None
-    tries: int | None = None
-    outcome: str | None = None
-    next_try_s: float | None = None
-    gives_up_s: float | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class CampaignStatus:
     """State of a session, since when and why; idle before it has begun.
 
-    recovering: The instrument it waits for.
+    tried: The latest try to connect to the instrument that it waits for.
     done, total: Positions measured, and all; by the latest progress.
     progress, progress_at: The latest progress, and when it was logged; None before the first position.
     planned_s: Seconds that the session was to take when it began.
@@ -68,7 +58,7 @@ class CampaignStatus:
     state: State = State.IDLE
     since: datetime | None = None
     reason: str = ""
-    recovering: Recovering | None = None
+    tried: ReconnectTried | None = None
     done: int = 0
     total: int = 0
     progress: Progress | None = None
@@ -91,16 +81,12 @@ class CampaignStatus:
             case SessionStarted(planned_s=planned_s, done=done, positions=total):
                 return CampaignStatus(planned_s=planned_s, done=done, total=total)
             case StateChanged(state=state, reason=reason):
-                recovering = None
-                if state is State.RECOVERING:
-                    recovering = Recovering(None if self.fault is None else self.fault.instrument)
-                changed = replace(self, state=state, since=logged.at, reason=reason, recovering=recovering)
+                changed = replace(self, state=state, since=logged.at, reason=reason, tried=None)
                 return changed if changed.goes_on else replace(changed, position=None)
             case SessionEnded(state=state, done=done):
-                return replace(self, state=state, recovering=None, done=done, position=None, record=None)
+                return replace(self, state=state, tried=None, done=done, position=None, record=None)
             case ReconnectTried() as tried if self.state is State.RECOVERING:
-                figures = tried.instrument, tried.number, tried.outcome, tried.next_try_s, tried.gives_up_s
-                return replace(self, recovering=Recovering(*figures))
+                return replace(self, tried=tried)
             case Fault() as fault:
                 return replace(self, fault=fault)
             case Progress(done=done, total=total) as progress:

@@ -78,7 +78,7 @@ def _campaign_facts(
         "state": stands.state,
         "state_since": stands.since and instant(stands.since),
         "state_reason": stands.reason if stands.since else None,
-        "recovering": None if stands.recovering is None else to_record(stands.recovering),
+        "recovering": recovery(stands),
         "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
         "last_sign_of_life": beat and {
             "at": beat.at.isoformat(), "age_s": round(beat.age_s(), 1), "state": beat.state, "reason": beat.reason,
@@ -96,6 +96,20 @@ def _campaign_facts(
         "crosstalk": None if leak is None else to_record(leak) | {"sentence": leak.reason or sentence(leak)},
         "kept_positions": [{"position": position, "reason": reason} for position, reason in stands.kept.items()],
     }  # fmt: skip
+
+
+def recovery(stands: CampaignStatus) -> dict[str, object] | None:
+    """The instrument that a campaign waits for, and the latest try to connect to it again; None where it does not."""
+    if stands.state is not State.RECOVERING:
+        return None
+    tried, waits_for = stands.tried, stands.tried or stands.fault
+    return {
+        "instrument": waits_for and waits_for.instrument,
+        "tries": tried and tried.number,
+        "outcome": tried and tried.outcome,
+        "next_try_s": tried and tried.next_try_s,
+        "gives_up_s": tried and tried.gives_up_s,
+    }
 
 
 def _bank_sentences(facts: Mapping[str, Any]) -> Iterator[str]:
@@ -169,7 +183,7 @@ def _running_sentences(who: str, stands: CampaignStatus, beat: Heartbeat | None,
         return
     if stands.state is State.RECOVERING and stands.since is not None:
         since = stands.since.astimezone()
-        tries = (stands.recovering and stands.recovering.tries) or "no"
+        tries = stands.tried.number if stands.tried else "no"
         yield (
             f"{who} is recovering since {since:%H:%M:%S}: {stands.reason} "
             f"({tries} tries so far); it goes on by itself when the instrument is back"
