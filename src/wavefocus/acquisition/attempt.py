@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -143,19 +143,13 @@ def require_same(raw: RawWriter, wanted: RawHeader) -> None:
 
     Raises InputError: sensitivity, gain, delay or range is not what the file says.
     """
-    for name, then, now in scale_differences(raw.header, wanted):
-        raise InputError(
-            f"{raw.path} was recorded with {name} {then}, the rig now has {now}; set the instrument as it was, or "
-            "start a new bank"
-        )
-
-
-def scale_differences(held: RawHeader, wanted: RawHeader) -> Iterator[tuple[str, object, object]]:
-    """Yield what scales recordings otherwise in two headers: the name, and the value of each."""
     for name in ("response_per_volt", "reference_gain", "inter_channel_delay_s", "volts_per_count"):
-        then, now = getattr(held, name), getattr(wanted, name)
+        then, now = getattr(raw.header, name), getattr(wanted, name)
         if not np.allclose(then, now, rtol=SAME, atol=1e-12):
-            yield name, then, now
+            raise InputError(
+                f"{raw.path} was recorded with {name} {then}, the rig now has {now}; set the instrument as it was, or "
+                "start a new bank"
+            )
 
 
 def _keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recording], leak_db: float = math.nan) -> None:
