@@ -27,7 +27,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def parser(commands: Sequence[Command] | None = None, words: Sequence[str] | None = None) -> Parser:
+def parser(words: Sequence[str] | None = None) -> Parser:
     """The parser of the command line.
 
     words: The command line to read; commands that it does not name get no arguments, which halves the time.
@@ -41,7 +41,7 @@ def parser(commands: Sequence[Command] | None = None, words: Sequence[str] | Non
     chosen = whole.add_subparsers(
         dest="command", metavar="COMMAND", required=True, help=argparse.SUPPRESS, prog="wavefocus"
     )
-    for one in COMMANDS if commands is None else commands:
+    for one in COMMANDS:
         general = [name for each in one.arguments for name in each.names if name in GENERAL]
         under = whole.of_commands[one.name] = chosen.add_parser(
             one.name,
@@ -61,7 +61,7 @@ def parsed(arguments: Sequence[str]) -> tuple[Command, dict[str, Any]]:
     """
     if gone := retired_command([word for word in arguments if not word.startswith("-")]):
         raise InputError(gone)
-    whole = parser(COMMANDS, arguments)
+    whole = parser(arguments)
     read, extra = whole.parse_known_args(arguments)
     given = vars(read)
     name = given.pop("command")
