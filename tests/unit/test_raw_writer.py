@@ -1,10 +1,13 @@
 """Keeping recordings: what is committed stays, whatever the disk does, and what is wrong is refused by a sentence."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
 
 from tests.lab_files import raw_header
+from wavefocus.acquisition.attempt import require_same
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
@@ -35,6 +38,14 @@ def made(tmp_path, positions=3):
     path = tmp_path / "a.raw.h5"
     create_raw(path, raw_header(positions))
     return path
+
+
+def test_given_recordings_of_another_scale_then_they_are_not_put_into_one_file(tmp_path):
+    words = r"a\.raw\.h5 was recorded with response_per_volt 0\.125, the rig now has 0\.05"
+    with RawWriter.open(made(tmp_path)) as writer:
+        require_same(writer, writer.header)
+        with pytest.raises(InputError, match=words):
+            require_same(writer, replace(writer.header, response_per_volt=0.05))
 
 
 def test_commits_are_read_by_plain_h5py_and_replaced_and_do_not_grow_the_file(tmp_path):
