@@ -157,9 +157,7 @@ class _VirtualRecorder(VirtualDevice, Recorder):
         lost = [*blind, *self._dropout(request, always=always)] if patched is None else []
         for first, stop in lost:
             response_v[first:stop] = self._settings.lost_signal_v * normal(generator, stop - first)
-        leaked_v = self._synthesis.crosstalk_v(request.samples, request.sample_rate_hz, start_ns, plays)
-        if leaked_v is not None:
-            response_v += leaked_v
+        self._synthesis.add_crosstalk(response_v, request.sample_rate_hz, start_ns, plays)
         if any(fault.kind == "dead_response" for fault in faults):
             response_v[:] = 0.0
         volts = np.empty((2, request.samples), dtype=np.float32)

@@ -265,11 +265,8 @@ class Synthesis:
         length = self._length(samples, rate_hz, start_ns, plays)
         reference_v = np.zeros(samples, dtype=np.float32)
         response_v = np.zeros(samples, dtype=np.float32)
-        responses: dict[tuple[float, float], Complex64Array] = {
-            spot.place_mm: np.zeros(0, dtype=np.complex64)
-            for spot in spots
-            if spot.place_mm is not None and patched is None
-        }
+        lit = [(spot, spot.place_mm) for spot in spots if spot.place_mm is not None and patched is None]
+        responses: dict[tuple[float, float], Complex64Array] = {place: np.zeros(0, np.complex64) for _, place in lit}
         for play in plays:
             offset = ((play.requested_ns - start_ns) * 1e-9 + (play.latency_s or 0.0)) * rate_hz
             scale = rate_hz / play.sample_rate_hz
@@ -304,15 +301,14 @@ class Synthesis:
                 total[: before.size] += before
                 responses[place_mm] = total
         response_of = {place: scipy.fft.irfft(spectrum, length) for place, spectrum in responses.items()}
-        for spot in spots:
-            if spot.place_mm is not None and patched is None:
-                response_v[spot.first : spot.stop] = response_of[spot.place_mm][spot.first : spot.stop]
+        for spot, place_mm in lit:
+            response_v[spot.first : spot.stop] = response_of[place_mm][spot.first : spot.stop]
         return reference_v, response_v
 
-    def crosstalk_v(
-        self, samples: int, sample_rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]
-    ) -> Float32Array | None:
-        """Volts of outputs that leak into the response input, float32 (samples,); None where nothing leaks.
+    def add_crosstalk(
+        self, response_v: Float32Array, sample_rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]
+    ) -> None:
+        """Add volts of outputs that leak into the response input to a response, float32 (samples,).
 
         The leak is electrical: it is there whatever the laser meets. Arguments: see `voltages`.
         """
@@ -320,8 +316,8 @@ class Synthesis:
         leaks = [(settings.channel_of_loopback, settings.crosstalk, settings.crosstalk_delay_s)]
         leaks += [(channel, share, 0.0) for channel, share in settings.pickup]
         if not any(share for _, share, _ in leaks):
-            return None
-        rate_hz = sample_rate_hz * settings.clock_ratio
+            return
+        samples, rate_hz = response_v.size, sample_rate_hz * settings.clock_ratio
         length = self._length(samples, rate_hz, start_ns, plays)
         leaked_v = np.zeros(samples, dtype=np.float32)
         for play in plays:
@@ -332,7 +328,7 @@ class Synthesis:
                     late = (delay_s - settings.inter_channel_delay_s) * rate_hz
                     volts = self._output(play, channel, length, scale, offset + late, rate_hz, samples)
                     leaked_v += volts * np.float32(share)
-        return leaked_v
+        response_v += leaked_v
 
     def spots(
         self, aims: Sequence[tuple[int, tuple[float, float] | None]], start_ns: int, samples: int, rate_hz: float

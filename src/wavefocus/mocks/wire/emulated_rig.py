@@ -120,9 +120,7 @@ class WireBench:
                 if spot.place_mm is None and patched is None:
                     lost_v = self._settings.lost_signal_v * self._generator.standard_normal(spot.stop - spot.first)
                     response_v[spot.first : spot.stop] = lost_v
-            leaked_v = synthesis.crosstalk_v(samples, rate_hz, start_ns, plays)
-            if leaked_v is not None:
-                response_v += leaked_v
+            synthesis.add_crosstalk(response_v, rate_hz, start_ns, plays)
             noise_v = self._generator.standard_normal((len(inputs), samples))
         if patched is None:
             response_v = response_v * self.output_scale()
