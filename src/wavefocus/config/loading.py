@@ -377,7 +377,6 @@ def hdf5_kind(path: Path) -> str:
     except (OSError, ValueError):
         return ""
     from wavefocus.storage import hdf5_reading  # with it comes h5py, which most files do not need
-    from wavefocus.storage.errors import InputError
 
     try:
         with hdf5_reading.opened(path) as content:

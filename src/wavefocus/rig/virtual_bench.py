@@ -31,10 +31,9 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         key, value, instead = plate.gone
         raise InputError(f'{key} = "{value}": {instead}; banks of such a plate are read, and not measured on')
     seed = emulation.seed if virtual is None else virtual.seed
-    noise_v = emulation.noise_v if virtual is None or virtual.noise_v is None else virtual.noise_v
-    crosstalk, leak_s = (
+    noise_v, crosstalk, leak_s = (
         getattr(emulation if virtual is None or getattr(virtual, key) is None else virtual, key)
-        for key in ("crosstalk", "crosstalk_delay_s")
+        for key in ("noise_v", "crosstalk", "crosstalk_delay_s")
     )
     delay_s = emulation.inter_channel_delay_s
     latency_s, gain = _outputs(rig, emulation)
