@@ -5,6 +5,7 @@ next question. Therefore no question follows an unanswered one directly: in betw
 something that only it answers so (its identity, as a rule), and whatever arrives before that is dropped.
 """
 
+import re
 import threading
 import time
 from collections import Counter
@@ -24,6 +25,14 @@ Answer = TypeVar("Answer")
 
 class UnreadableError(Exception):
     """The answer is not what this question can be answered with."""
+
+
+def matched(pattern: str, answer: str) -> re.Match[str]:
+    """Match a whole answer. Raises UnreadableError: it is another one."""
+    found = re.fullmatch(pattern, answer)
+    if found is None:
+        raise UnreadableError(answer)
+    return found
 
 
 class RefusedError(Exception):

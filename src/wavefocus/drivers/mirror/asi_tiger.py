@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError, matched
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, rig_key
@@ -261,7 +261,4 @@ def _match(pattern: str, answer: str) -> re.Match[str]:
         raise RefusedError(
             f"the controller answers :N-{code}: {meaning}", remedy, passing=passing, again=code in _ASKED_ONCE_MORE
         )
-    found = re.fullmatch(pattern, answer)
-    if found is None:
-        raise UnreadableError(answer)
-    return found
+    return matched(pattern, answer)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import TypeVar
 
-from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError, matched
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS
 from wavefocus.drivers.serial_device import Dialect, tolerance_key
@@ -123,7 +123,5 @@ def _busy(text: str) -> bool:
 
 
 def _angles(text: str) -> tuple[float, float]:
-    found = re.fullmatch(f"{_NUMBER},{_NUMBER}", text)
-    if found is None:
-        raise UnreadableError(text)
+    found = matched(f"{_NUMBER},{_NUMBER}", text)
     return float(found.group(1)), float(found.group(2))

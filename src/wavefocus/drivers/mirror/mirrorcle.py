@@ -30,7 +30,7 @@ _WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
 @MIRRORS.register
 @dataclass(kw_only=True)
 class MirrorcleMti(Dialect):
-    """The dialect ``mirrorcle-mti``."""
+    """The dialect ``mirrorcle-mti``; parked by a move, for disabled it would send the beam to the plate's middle."""
 
     full_scale_mrad: float = rig_key(
         "Full scale",
@@ -82,10 +82,6 @@ class MirrorcleMti(Dialect):
     def move(self, dialogue: Dialogue, x_mrad: float, y_mrad: float, doing: str) -> None:
         x, y = x_mrad / self.full_scale_mrad, y_mrad / self.full_scale_mrad
         dialogue.ask(Query(f"MTI+GT {x:.4f} {y:.4f} 0", _done), doing)
-
-    def park(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
-        # Disabling the mirror would send the beam to the middle of the plate; it is held aside instead.
-        super().park(dialogue, park_mrad)
 
 
 def _greeting(answer: str) -> str:

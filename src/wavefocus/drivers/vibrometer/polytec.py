@@ -22,7 +22,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError, matched
 from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading, rig_key
 from wavefocus.drivers.serial_device import SerialVibrometer, optional_answer
 
@@ -103,17 +103,12 @@ def sensitivity_m_s_per_v(text: str) -> float:
 
 
 def _delay_s(answer: str) -> float:
-    found = re.fullmatch(rf"{_NUMBER} ?(ns|us|ms|s)", _given(answer))
-    if found is None:
-        raise UnreadableError(answer)
+    found = matched(rf"{_NUMBER} ?(ns|us|ms|s)", _given(answer))
     return _number(found.group(1)) * _SECONDS[found.group(2)]
 
 
 def _level(answer: str) -> float:
-    found = re.fullmatch(_NUMBER, _given(answer))
-    if found is None:
-        raise UnreadableError(answer)
-    return min(1.0, _number(found.group()) / _FULL_SIGNAL_LEVEL)
+    return min(1.0, _number(matched(_NUMBER, _given(answer)).group()) / _FULL_SIGNAL_LEVEL)
 
 
 def _number(text: str) -> float:
@@ -172,10 +167,7 @@ class PolytecOfv3001(SerialVibrometer):
 
 
 def _range_number(answer: str) -> int:
-    found = re.fullmatch(r"(?:VELO)?([1-9])", answer.strip())
-    if found is None:
-        raise UnreadableError(answer)
-    return int(found.group(1))
+    return int(matched(r"(?:VELO)?([1-9])", answer.strip()).group(1))
 
 
 def _same_range(answer: str, number: int) -> int:
@@ -196,7 +188,7 @@ def _other_range(text: str) -> str | None:
 
 
 def _ofv3001_level(answer: str) -> float:
-    found = re.fullmatch(r"(?:LEV)?(\d{1,2})", answer.strip())
-    if found is None or int(found.group(1)) > FULL_LEVEL:
+    level = int(matched(r"(?:LEV)?(\d{1,2})", answer.strip()).group(1))
+    if level > FULL_LEVEL:
         raise UnreadableError(answer)
-    return int(found.group(1)) / FULL_LEVEL
+    return level / FULL_LEVEL
