@@ -119,7 +119,7 @@ NUMBER = 1
 class Opens:
     def open(self, settings): ...
 def driver(name, field=(), kind=int, base=Opens, **options):
-    fields = [(field, kind, rig_key("A key", "it", **options))] if field else []
+    fields = [(field, kind, rig_key("it", **options))] if field else []
     return make_dataclass(name.title(), fields, bases=(base,), namespace={"name": name})
 Good, Tiger, Virtual, Unable = driver("good"), driver("asi-tiger"), driver("virtual"), driver("unable", base=object)
 Plain = make_dataclass("Plain", [("number", int, 3)], bases=(Opens,), namespace={"name": "plain"})

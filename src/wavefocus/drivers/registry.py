@@ -134,7 +134,6 @@ class KeyMistakeError(ValueError):
 
 
 def rig_key(
-    title: str,
     description: str,
     *,
     default: Any = MISSING,
@@ -144,8 +143,7 @@ def rig_key(
 ) -> Any:
     """A field of a driver: a key of its table in the rig file.
 
-    title, description: For forms and reference pages; of a key without a default, the description also says what is
-        missing.
+    description: For comments in files and reference pages; of a key without a default, it also says what is missing.
     default: Where the key is left out; without one the key is needed.
     in_plan: A key must not change in a campaign unless it is ``"free"`` to, because rows measured with another value
         are of the same kind: an address, a time-out. ``"always"``: it is in the plan's hash at its default too, as in
@@ -153,7 +151,7 @@ def rig_key(
     pattern: A regular expression that texts match, and what is allowed, as the end of a sentence.
     **bounds: ``gt``, ``ge``, ``lt`` and ``le``, as in pydantic's ``Field``.
     """
-    about = {"title": title, "description": description, "in_plan": in_plan, "pattern": pattern, "bounds": bounds}
+    about = {"description": description, "in_plan": in_plan, "pattern": pattern, "bounds": bounds}
     return field(default=default, metadata=about)
 
 

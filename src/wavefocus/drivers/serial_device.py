@@ -90,9 +90,7 @@ class Dialect(ABC):
 
 def tolerance_key() -> Any:
     """The key ``tolerance_mrad`` of a mirror that reads back."""
-    return rig_key(
-        "Tolerance", "How far off its target a mirror that reads back may stand", default=0.5, in_plan="free", gt=0
-    )
+    return rig_key("How far off its target a mirror that reads back may stand", default=0.5, in_plan="free", gt=0)
 
 
 # Pause between two questions whether the mirror still moves.

@@ -12,11 +12,11 @@ class SoundDevice:
     """Any audio interface that PortAudio has a host API for."""
 
     host_api: str | None = rig_key(
-        "Host API", "PortAudio's name of the driver model; any, if left out", default=None, in_plan="free"
+        "PortAudio's name of the driver model; any, if left out", default=None, in_plan="free"
     )
-    device: str = rig_key("Device", "the interface's name, or a part of it that no other has", in_plan="free")
+    device: str = rig_key("the interface's name, or a part of it that no other has", in_plan="free")
     block_frames: int = rig_key(
-        "Block", "Frames per callback; 0 for what suits the host", default=0, in_plan="free", ge=0, le=1_000_000
+        "Frames per callback; 0 for what suits the host", default=0, in_plan="free", ge=0, le=1_000_000
     )
 
     name = "sounddevice"

@@ -14,31 +14,19 @@ ANALOG_INPUT = (r"ai\d{1,3}", 'must be "ai0", "ai1" and so on')
 class NiDaqmx:
     """NI-DAQmx on this computer, or behind NI's gRPC Device Server on another."""
 
-    device: str = rig_key("Device", 'the name that NI MAX shows, such as "Dev1"', in_plan="free")
+    device: str = rig_key('the name that NI MAX shows, such as "Dev1"', in_plan="free")
     address: str | None = rig_key(
-        "Address", "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
+        "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
     )
-    tls_root: str | None = rig_key(
-        "TLS root", "PEM file that has signed the server's certificate", default=None, in_plan="free"
-    )
-    tls_certificate: str | None = rig_key(
-        "TLS certificate", "PEM file of this client, for mutual TLS", default=None, in_plan="free"
-    )
-    tls_key: str | None = rig_key(
-        "TLS key", "PEM file of this client's key, for mutual TLS", default=None, in_plan="free"
-    )
-    reference_input: str = rig_key(
-        "Reference input", "Input of the loopback", default="ai0", in_plan="always", pattern=ANALOG_INPUT
-    )
-    response_input: str = rig_key(
-        "Response input", "Input of the vibrometer", default="ai1", in_plan="always", pattern=ANALOG_INPUT
-    )
+    tls_root: str | None = rig_key("PEM file that has signed the server's certificate", default=None, in_plan="free")
+    tls_certificate: str | None = rig_key("PEM file of this client, for mutual TLS", default=None, in_plan="free")
+    tls_key: str | None = rig_key("PEM file of this client's key, for mutual TLS", default=None, in_plan="free")
+    reference_input: str = rig_key("Input of the loopback", default="ai0", in_plan="always", pattern=ANALOG_INPUT)
+    response_input: str = rig_key("Input of the vibrometer", default="ai1", in_plan="always", pattern=ANALOG_INPUT)
     terminal: Literal["differential", "rse", "nrse", "pseudodifferential"] = rig_key(
-        "Terminal", "How the inputs are wired", default="differential", in_plan="always"
+        "How the inputs are wired", default="differential", in_plan="always"
     )
-    trigger: str | None = rig_key(
-        "Trigger", "Digital input whose rising edge starts a record", default=None, in_plan="free"
-    )
+    trigger: str | None = rig_key("Digital input whose rising edge starts a record", default=None, in_plan="free")
 
     name = "nidaqmx"
 

@@ -23,26 +23,24 @@ _ANALOG_OUTPUT = (r"ao\d{1,2}", 'must be "ao0", "ao1" and so on')
 class AnalogMirrorDriver:
     """A mirror on two analog outputs of an NI device, which may be the recorder's."""
 
-    device: str = rig_key("Device", 'the name that NI MAX shows, such as "Dev1"', in_plan="free")
+    device: str = rig_key('the name that NI MAX shows, such as "Dev1"', in_plan="free")
     address: str | None = rig_key(
-        "Address", "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
+        "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
     )
     x_output: str = rig_key(
-        "Output for x", "Analog output of the mirror that moves the beam in x", default="ao0", in_plan="free",
+        "Analog output of the mirror that moves the beam in x", default="ao0", in_plan="free",
         pattern=_ANALOG_OUTPUT,
     )  # fmt: skip
     y_output: str = rig_key(
-        "Output for y", "Analog output of the mirror that moves the beam in y", default="ao1", in_plan="free",
+        "Analog output of the mirror that moves the beam in y", default="ao1", in_plan="free",
         pattern=_ANALOG_OUTPUT,
     )  # fmt: skip
     volts_per_degree: float = rig_key(
-        "Volts per degree", "Volts per degree of the mirror, of which the beam turns by two; by its jumper",
+        "Volts per degree of the mirror, of which the beam turns by two; by its jumper",
         default=0.8, in_plan="free", gt=0, le=100,
     )  # fmt: skip
-    limit_v: float = rig_key("Limit in volts", "Largest voltage", default=9.5, in_plan="free", gt=0, le=10)
-    slew_v_per_s: float = rig_key(
-        "Slew rate", "Fastest change of a voltage, in V/s", default=500.0, in_plan="free", gt=0, le=1e6
-    )
+    limit_v: float = rig_key("Largest voltage", default=9.5, in_plan="free", gt=0, le=10)
+    slew_v_per_s: float = rig_key("Fastest change of a voltage, in V/s", default=500.0, in_plan="free", gt=0, le=1e6)
 
     name = "analog"
     without_keys = ("port", "baud", "identity")

@@ -57,13 +57,11 @@ class AsiTiger(Dialect):
     """The dialect ``asi-tiger``; reads back, says when it is idle."""
 
     axes: tuple[str, str] | None = rig_key(
-        "Axes",
         "Letters of the scanner's two axes; needed where the controller has two scanners",
         default=None,
         pattern=(r"[A-Za-z]", "must be the letter of an axis"),
     )
     beam_per_mirror: float = rig_key(
-        "Beam per mirror",
         "Degrees that the beam turns by per degree of the controller",
         default=2.0,
         in_plan="always",

@@ -33,14 +33,12 @@ class MirrorcleMti(Dialect):
     """The dialect ``mirrorcle-mti``; parked by a move, for disabled it would send the beam to the plate's middle."""
 
     full_scale_mrad: float = rig_key(
-        "Full scale",
         "the optical angle at full scale in mrad: its commands have no unit",
         in_plan="always",
         gt=0,
         lt=1000 * math.pi / 2,
     )
     setup: tuple[str, ...] = rig_key(
-        "Setup",
         "Commands of the mirror's data sheet, sent before it is enabled, each answered by MTI-OK",
         default=(),
         in_plan="free",

@@ -11,16 +11,16 @@ from wavefocus.drivers.registry import SHUTTERS, rig_key
 class NiShutterDriver:
     """A digital line that opens the shutter."""
 
-    device: str = rig_key("Device", 'the name that NI MAX shows, such as "Dev1"', in_plan="free")
+    device: str = rig_key('the name that NI MAX shows, such as "Dev1"', in_plan="free")
     address: str | None = rig_key(
-        "Address", "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
+        "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
     )
     line: str = rig_key(
-        "Line", "Digital output that the shutter is wired to", default="port1/line0", in_plan="free",
+        "Digital output that the shutter is wired to", default="port1/line0", in_plan="free",
         pattern=(r"port\d{1,2}/line\d{1,2}", 'must be "port1/line0" and so on'),
     )  # fmt: skip
     opens_when_high: bool = rig_key(
-        "Opens when high", "Whether a high line opens it; if not, it is open while nothing drives the line",
+        "Whether a high line opens it; if not, it is open while nothing drives the line",
         default=True, in_plan="free",
     )  # fmt: skip
 

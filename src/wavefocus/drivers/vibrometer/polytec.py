@@ -39,10 +39,8 @@ _SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 class Polytec(SerialVibrometer):
     """Polytec OFV-5000 controllers."""
 
-    decoder: int = rig_key("Decoder", "Number of the velocity decoder in use", default=1, in_plan="free", ge=0, le=9)
-    least_signal_level: float = rig_key(
-        "Least signal level", "Smallest signal level that will do", default=0.0, in_plan="free", ge=0, le=1
-    )
+    decoder: int = rig_key("Number of the velocity decoder in use", default=1, in_plan="free", ge=0, le=9)
+    least_signal_level: float = rig_key("Smallest signal level that will do", default=0.0, in_plan="free", ge=0, le=1)
 
     name = "polytec-ofv5000"
 
@@ -143,9 +141,7 @@ OFV3001_RANGES = {
 class PolytecOfv3001(SerialVibrometer):
     """Polytec OFV-3001 controllers, with velocity decoder OVD-01 or OVD-02."""
 
-    least_signal_level: float = rig_key(
-        "Least signal level", "Smallest signal level that will do", default=0.0, in_plan="free", ge=0, le=1
-    )
+    least_signal_level: float = rig_key("Smallest signal level that will do", default=0.0, in_plan="free", ge=0, le=1)
 
     name = "polytec-ofv3001"
 
