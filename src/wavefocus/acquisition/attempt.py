@@ -337,7 +337,7 @@ def next_attempt(attempt: Attempt, judgement: Judgement, earlier: Status, setup:
         following = replace(following, response_range_v=min(larger_v, default=used_v))
     dark = plan.staggered is None and any(defect.cure is Cure.MOVE for defect in judgement.defects)
     again = judgement.status & earlier & Status.POOR_SIGNAL and any(
-        defect.cure in (Cure.MOVE, Cure.REPEAT) and not defect.over_range for defect in judgement.defects
+        defect.cure in (Cure.MOVE, Cure.REPEAT) for defect in judgement.defects
     )
     if dark or again:
         following = replace(following, moved_mm=_aside_mm(following, plan))

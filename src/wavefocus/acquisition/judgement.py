@@ -26,7 +26,7 @@ class Cure(IntEnum):
     """What can help against a defect, the least hopeful last; `AGAIN` never moves aside, `REPEAT` at the second try."""
 
     AGAIN = 0
-    RANGE = 1
+    RANGE = 1  # only where the record was at the end of its range
     REPEAT = 2
     MOVE = 3
     NOTHING = 4
@@ -40,14 +40,12 @@ class RecordDefect:
     actuators: Whose records show it, the worst first.
     sentence: What was seen and what to do about it.
     cure: What the engine can try by itself.
-    over_range: Whether something was at the end of its range.
     """
 
     name: str
     actuators: tuple[int, ...]
     sentence: str
     cure: Cure
-    over_range: bool = False
 
 
 _DEAD = (
@@ -123,7 +121,7 @@ def _named(
     def name(worst: tuple[int, ...], title: str, sentence: str, cure: Cure, **more: object) -> None:
         record = {figure: figures[figure][worst[0]].item() for figure in figures.dtype.names or ()}
         words = sentence.format(records=_listed(worst), **record, **more)
-        found.append(RecordDefect(title, worst, words, cure, over_range=title == "clipping"))
+        found.append(RecordDefect(title, worst, words, cure))
         unnamed[list(worst)] = False
 
     if np.any(dead):
@@ -240,7 +238,7 @@ def judge(
     defects += _reference_level(estimate, before_db, limits, calibrated=calibrated)
     status = Status.NOT_MEASURED if defects else Status.VALID
     for defect in defects:
-        status |= Status.OVER_RANGE if defect.over_range else Status.POOR_SIGNAL
+        status |= Status.OVER_RANGE if defect.cure is Cure.RANGE else Status.POOR_SIGNAL
     if np.all(dead):
         status = Status.FAILED
     return Judgement(status, "; ".join(defect.sentence for defect in defects), score, tuple(defects))
@@ -273,7 +271,7 @@ def _over_range(estimate: Estimate, over_range: bool) -> Iterator[RecordDefect]:
             f"{who} reached the end of the input range, or is cut flat below it: where no larger range helps, lower "
             "sweep.amplitude_v or choose a wider range at the vibrometer"
         )
-        yield RecordDefect("over-range", worst, sentence, Cure.RANGE, over_range=True)
+        yield RecordDefect("over-range", worst, sentence, Cure.RANGE)
 
 
 def _unexplained(

@@ -169,7 +169,7 @@ def scan(
     *,
     attempts: int = 3,
     purpose: str = "scan",
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
     publish: Subscriber = lambda event: None,
     journal: ScanJournal | None = None,
 ) -> Scan:
@@ -213,7 +213,7 @@ class _ScanRun:
         recovery: Recovery,
         attempts: int,
         purpose: str,
-        on_progress: Callable[[int, int], None] | None,
+        on_progress: Callable[[int, int], None],
         journal: ScanJournal | None,
     ) -> None:
         self._journal = journal
@@ -347,8 +347,7 @@ class _ScanRun:
 
     def _count(self) -> None:
         self._done += 1
-        if self._on_progress is not None:
-            self._on_progress(self._done, len(self._place))
+        self._on_progress(self._done, len(self._place))
 
 
 def _quiet_above_hz(drive: Drive, bank: GreenSource, rows: Int64Array) -> float:
