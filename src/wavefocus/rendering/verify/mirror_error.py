@@ -104,21 +104,22 @@ class BankAsField:
 class _DisplacedField:
     """Fields at displaced places of some rows, by regression from the positions around each.
 
-    used, int64 (used rows,): Rows of all patches, whose values are needed.
+    green, complex128 (K, used rows, A): Transforms of the rows of all patches.
     """
 
     def __init__(self, surface: BankAsField, rows: Int64Array, frequency_hz: Float64Array) -> None:
         patches = [surface.patch(int(row)) for row in rows]
-        self.used = np.unique(np.concatenate([patch.rows for patch in patches]))
+        used = np.unique(np.concatenate([patch.rows for patch in patches]))
+        self.green = surface.green(used, frequency_hz)
         waves, alike = surface.waves.at(frequency_hz), [patch.key for patch in patches]
         self._groups = []
         for key in dict.fromkeys(alike):
             members = np.array([index for index, other in enumerate(alike) if other == key])
-            at = np.stack([np.searchsorted(self.used, patches[index].rows) for index in members])
+            at = np.stack([np.searchsorted(used, patches[index].rows) for index in members])
             self._groups.append((members, at, PatchKernel(waves, patches[members[0]].offset_mm)))
 
     def at(self, displacement_mm: Float64Array, values: Complex128Array) -> Complex128Array:
-        """Values (K, rows, columns) at a displaced place of each row, float64 (rows, 2), from those of `used`."""
+        """Values (K, rows, columns) at displaced places (rows, 2) of the rows, from those of the used rows."""
         found = np.empty((len(values), len(displacement_mm), values.shape[2]), np.complex128)
         for members, at, kernel in self._groups:
             weights = kernel.weights(displacement_mm[members])
@@ -147,8 +148,7 @@ class MirrorFit:
     def _part(self, frequencies: Int64Array, change: float) -> _Part:
         frequency_hz = self._block.frequency_hz[frequencies] / (1.0 + change)
         field = _DisplacedField(self._surface, self._rows, frequency_hz)
-        green = self._surface.green(field.used, frequency_hz)
-        values = np.einsum("kua,ak->ku", green, self._block.drive[0][:, frequencies])
+        values = np.einsum("kua,ak->ku", field.green, self._block.drive[0][:, frequencies])
         return field, values[..., None], frequencies
 
     def best(self) -> tuple[Float64Array, float]:
@@ -209,10 +209,9 @@ class MirrorFit:
 
 def displaced(surface: BankAsField, affine: Float64Array, block: Block, rows: Int64Array, change: float) -> Block:
     """A block with the Green's functions of displaced places, without the responses at which these are not known."""
-    frequency_hz = block.frequency_hz / (1.0 + change)
-    field = _DisplacedField(surface, rows, frequency_hz)
+    field = _DisplacedField(surface, rows, block.frequency_hz / (1.0 + change))
     by_mm = displacement_mm(affine, surface.place_mm[rows])
-    green = field.at(by_mm, surface.green(field.used, frequency_hz))
+    green = field.at(by_mm, field.green)
     known = surface.is_known(surface.place_mm[rows] + by_mm)[block.row_of]
     moved = block.with_green(np.moveaxis(green, 0, -1))
     return moved.of(np.flatnonzero(known)) if known.any() else moved
@@ -230,10 +229,9 @@ def sentinel_shift_mm(sentinel: Sentinel, bank: GreenSource) -> Float64Array | N
     if not surface.usable or excess <= len(block.response):
         return None
     field = _DisplacedField(surface, np.array([sentinel.position]), block.frequency_hz)
-    values = surface.green(field.used, block.frequency_hz)
 
     def left(by_mm: Float64Array) -> float:
-        green = field.at(np.asarray(by_mm)[None], values)[:, 0].T
+        green = field.at(np.asarray(by_mm)[None], field.green)[:, 0].T
         return energy(block.response - green * block.weight[:, None])
 
     steps = surface.spacing_mm * np.array([0.0, *_START_STEPS])
