@@ -132,8 +132,7 @@ def test_given_the_table_of_states_then_the_page_about_states_has_the_same_one()
     ("ahead_s", "silent"), [(-1.0, False), (-40.0, True), (0.5, False), (40.0, True), (3600.0, True), (-3e8, True)]
 )
 def test_a_clock_that_was_set_back_then_an_old_heartbeat_is_silent_all_the_same(ahead_s, silent):
-    now = datetime.now(UTC)
-    assert Heartbeat(now + timedelta(seconds=ahead_s), 12, "here").is_silent(now) is silent
+    assert Heartbeat(datetime.now(UTC) + timedelta(seconds=ahead_s), 12, "here").is_silent() is silent
 
 
 @pytest.mark.parametrize(

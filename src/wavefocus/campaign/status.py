@@ -154,20 +154,20 @@ class Heartbeat(Message, frozen=True):
         """When it will have finished, if nothing holds it up."""
         return None if self.remaining_s is None else finish_time(self.remaining_s, self.at).astimezone(UTC)
 
-    def age_s(self, now: datetime | None = None) -> float:
+    def age_s(self) -> float:
         """Seconds since then; below 0 where the clock was set back since, or is another machine's."""
-        return ((now or datetime.now(UTC)) - self.at).total_seconds()
+        return (datetime.now(UTC) - self.at).total_seconds()
 
-    def is_silent(self, now: datetime | None = None) -> bool:
+    def is_silent(self) -> bool:
         """Whether a process that lives would have written another one since.
 
         One that lives writes the time of now: a heartbeat from far ahead was written before the clock was set back.
         """
-        return abs(self.age_s(now)) > _SILENT_AFTER_S
+        return abs(self.age_s()) > _SILENT_AFTER_S
 
-    def age_words(self, now: datetime | None = None) -> str:
+    def age_words(self) -> str:
         """Its age for people: ``12 s ago``, or that its time is still to come."""
-        age_s = self.age_s(now)
+        age_s = self.age_s()
         return f"{hours(age_s)} ago" if age_s > -1 else f"{hours(-age_s)} ahead of this computer's clock"
 
     @classmethod
