@@ -19,12 +19,10 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, read_field
 
 if TYPE_CHECKING:
-    from wavefocus.rendering.drive.wav import Interface
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.field.quiet_levels import QuietLevel
     from wavefocus.rendering.greens.interpolation.errors import Interpolated
     from wavefocus.rendering.greens.source import GreenSource
-    from wavefocus.rendering.report.render_report import RenderReport
     from wavefocus.rendering.scene.model import Scene
 
 
@@ -75,6 +73,8 @@ def render(
     ((4, 3499), dtype('float64'))
     >>> wf.write_drive("stroke.h5", drive)
     """
+    from wavefocus.rendering.device import cuda_device
+    from wavefocus.rendering.drive.rendering import render_with_report
     from wavefocus.rendering.report.render_report import RenderWarning
     from wavefocus.rendering.scene.model import load_scene
 
@@ -82,7 +82,10 @@ def render(
     file = scene if isinstance(scene, str | Path) else None
     made = load_scene(scene) if isinstance(scene, str | Path) else scene
     with opened_bank(bank) as view, nullcontext() if file is None else naming(file, view):
-        drive, report = render_by_options(made, view, chosen, on_progress)
+        drive, report = render_with_report(
+            made, view, on_progress, method=chosen.method, tolerance_db=chosen.tolerance_db,
+            device=None if chosen.device == "cpu" else cuda_device(),
+        )  # fmt: skip
     for text in report.warnings:
         warnings.warn(text, RenderWarning, stacklevel=3)
     return drive
@@ -295,24 +298,3 @@ def naming(scene_file: str | Path, bank: GreenSource) -> Iterator[None]:
     except InputError as wrong:
         names_bank = isinstance(bank, Bank) and str(bank.path) in str(wrong)
         raise InputError(str(wrong) if names_bank else f"{scene_file}: {wrong}") from None
-
-
-def render_by_options(
-    scene: Scene,
-    bank: GreenSource,
-    options: RenderOptions,
-    on_progress: OnProgress | None = None,
-    interface: Interface | None = None,
-) -> tuple[Drive, RenderReport]:
-    """Render a scene as the options say, for an `interface` as of `SceneRenderer`.
-
-    Raises InputError: the scene does not fit the bank.
-    """
-    from wavefocus.rendering.device import cuda_device
-    from wavefocus.rendering.drive.rendering import render_with_report
-
-    gpu = None if options.device == "cpu" else cuda_device()
-    return render_with_report(
-        scene, bank, method=options.method, tolerance_db=options.tolerance_db, on_progress=on_progress,
-        interface=interface, device=gpu,
-    )  # fmt: skip

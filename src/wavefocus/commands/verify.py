@@ -22,11 +22,11 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
 from wavefocus.console import Exit, Report, progress, say
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drives import naming, render_by_options
+from wavefocus.drives import naming
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.input_files import input_files, require_sound, scan_rows
-from wavefocus.options import RenderOptions
 from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict as predict_field
 from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
@@ -154,7 +154,7 @@ class _Work:
         with self._step("render", 1) as report, naming(self.scene_file, bank):
             report(0, 1, "preparing the scene: its interpolation and quiet places")
             begun = self._begun(journals / files.JOURNAL_NAME, report)
-            drive, facts = begun or render_by_options(self.scene, bank, RenderOptions(), report)
+            drive, facts = begun or render_with_report(self.scene, bank, report)
             report(1, 1)
         for warning in facts.warnings:
             say(f"warning: {warning}")
@@ -212,7 +212,7 @@ class _Work:
         begun, earlier = identity_of(journal), self.scene.of_earlier_versions
         if begun is None or earlier is None:
             return None
-        rendered = render_by_options(earlier, self.bank, RenderOptions(), report)
+        rendered = render_with_report(earlier, self.bank, report)
         return rendered if self._identity(rendered[0]) == begun else None
 
     def _identity(self, drive: Drive) -> str:
