@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import time
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
 from wavefocus.acquisition.leak import mark_leaks
+from wavefocus.banks import LOG, OnProgress
 from wavefocus.calibration.estimator.estimate import bank_figures
 from wavefocus.calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
 from wavefocus.calibration.numerics import one_blas_thread
@@ -32,9 +32,6 @@ from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import RawHeader
 from wavefocus.storage.raw.writer import RawFile, open_raw
-
-OnProgress = Callable[[int, int], None]
-LOG = logging.getLogger("wavefocus")
 
 
 @dataclass(frozen=True, slots=True)
