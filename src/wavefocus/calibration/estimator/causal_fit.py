@@ -1,7 +1,6 @@
 """Least squares for a causal FIR of L taps from a response spectrum in a band, with a matrix or without."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
@@ -24,20 +23,6 @@ WEAK = 0.3
 GARROTE = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class _CausalSolution:
-    """Causal FIRs of a batch of spectra, and what they leave.
-
-    green, float32 (records, taps): On the playback clock.
-    whitened, missed, complex64 (records, bins): What the FIR leaves of the data, whitened and with the weight taken
-        off.
-    """
-
-    green: Float32Array
-    whitened: Complex64Array
-    missed: Complex64Array
-
-
 class CausalFit:
     """Solve ``min_g sum_k power_k |H_k - sum_n g_n exp(-j ratio w_k n)|^2 + ridge |g|^2`` for many H at once.
 
@@ -51,6 +36,8 @@ class CausalFit:
     period: Samples of the period.
     taps: Length L of the FIR.
     ridge: Penalty relative to the median power in band.
+
+    weight, float32 (bins,): What whitens a spectrum.
     """
 
     def __init__(self, omega: Float64Array, power: Float64Array, period: int, taps: int, ridge: float) -> None:
@@ -61,7 +48,7 @@ class CausalFit:
         self.rank = singular.size
         self._weak = np.flatnonzero(singular < WEAK)
         self.elements = matrix.shape[0]
-        self._weight = weight.astype(np.float32)
+        self.weight = weight.astype(np.float32)
         self._left = left.astype(np.float32)
         self._right = np.ascontiguousarray(right.astype(np.float32))
         self._nodes = 1e-6 * MAX_PPM * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
@@ -73,14 +60,17 @@ class CausalFit:
             solutions.append(scipy.linalg.solve(gram, skewed.T @ left, assume_a="pos").T)
         self._solutions = np.concatenate(solutions).astype(np.float32)
 
-    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> _CausalSolution:
+    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> tuple[Float32Array, Complex64Array]:
         """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,).
+
+        Returns float32 (records, taps): FIRs on the playback clock; complex64 (records, bins): what they leave of the
+        spectra times `weight`.
 
         A direction that the sweep hardly excites, at the band's very edge, gives its noise back magnified by
         the inverse of its singular value. Where noise alone explains it, it is better left at zero: the
         non-negative garrote (Breiman 1995). Strong directions pass untouched, so the fit stays linear there.
         """
-        weighted = spectrum * self._weight
+        weighted = spectrum * self.weight
         data = np.concatenate([weighted.real, weighted.imag], axis=1)
         coefficients = data @ self._left
         # Explicitly, since the difference of the two energies cancels to nothing in float32.
@@ -90,10 +80,10 @@ class CausalFit:
         noise = (GARROTE * variance).astype(np.float32)[:, None]
         squared = np.maximum(np.square(coefficients[:, self._weak]), np.float32(1e-30))
         coefficients[:, self._weak] *= np.maximum(1 - noise / squared, 0)
-        bins = self._weight.size
+        bins = self.weight.size
         whitened = np.empty((len(data), bins), dtype=np.complex64)
         whitened.real, whitened.imag = unexplained[:, :bins], unexplained[:, bins:]
-        return _CausalSolution(self._taps(coefficients, skew), whitened, whitened / self._weight)
+        return self._taps(coefficients, skew), whitened
 
     def _taps(self, coefficients: Float32Array, skew: Float64Array) -> Float32Array:
         """FIRs (records, L) on the playback clock; `skew` (records,) is each record's clock ratio minus 1."""
@@ -151,7 +141,7 @@ class ToeplitzFit:
     response makes the error least. It does to the directions that the sweep hardly excites what the garrote does
     in `CausalFit`.
 
-    omega, power, period, taps, ridge: See `CausalFit`.
+    omega, power, period, taps, ridge; weight: See `CausalFit`.
     """
 
     def __init__(self, omega: Float64Array, power: Float64Array, period: int, taps: int, ridge: float) -> None:
@@ -159,18 +149,18 @@ class ToeplitzFit:
         self._first = round(float(omega[0]) * period / (2 * np.pi))
         self._turn = 2 * np.pi / period
         self._square = 2 * power / period
-        self._weight = np.sqrt(self._square).astype(np.float32)
+        self.weight = np.sqrt(self._square).astype(np.float32)
         self.elements = 2 * omega.size
         # Directions that show in the band: its share of the taps, and a few at each of its edges.
         self.rank = int(min(taps, self.elements * taps / period + 2 * np.log(taps + 1)))
 
-    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> _CausalSolution:
-        """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,)."""
+    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> tuple[Float32Array, Complex64Array]:
+        """See `CausalFit`."""
         left = np.empty_like(spectrum)
         green = np.empty((len(spectrum), self._taps), dtype=np.float32)
         for row, values in enumerate(spectrum):
             left[row], green[row] = self._solved(values.astype(np.complex128), 1 + float(skew[row]))
-        return _CausalSolution(green, left, (left / self._weight).astype(np.complex64))
+        return green, left
 
     def _solved(self, spectrum: Complex128Array, ratio: float) -> tuple[Complex64Array, Float32Array]:
         turn = self._turn * ratio
@@ -185,7 +175,7 @@ class ToeplitzFit:
         for _ in range(2):
             green = conjugate_gradients(product, wanted, ridge, circulant_inverse(kernel, ridge), green)
             shown = fourier_sum(green, turn, self._first, spectrum.size)
-            left = self._weight * (spectrum - shown)
+            left = self.weight * (spectrum - shown)
             variance = float(np.vdot(left, left).real) / max(self.elements - self.rank, 1)
             energy = float(green @ green) / self._taps
             likely = min(max(variance / energy, self._ridge), MAX_RIDGE) if energy > 0 else ridge

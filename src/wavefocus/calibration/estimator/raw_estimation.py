@@ -369,8 +369,7 @@ def _with_silence(
     is_whole = header.averages is not None or period <= header.samples
     if header.schedule.is_sequential and taps <= period - sweep and is_whole:
         sweeps = _learn_sweeps(found, reference, header)
-        comparable = header.averages is not None
-        return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=comparable)
+        return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule)
 
     def clock(reference_v: Float32Array) -> tuple[float, float]:
         try:

@@ -123,7 +123,6 @@ class SequentialEstimator:
     taps: Length L of the FIRs, 1 to the excitation's silence.
     channels: How the channels see it.
     schedule: Which actuator in which record, sequential; without it record k is that of actuator k.
-    comparable: Whether the coherence of the repeats means something; else it is NaN.
 
     Raises InputError: a value outside the range above.
     """
@@ -135,7 +134,6 @@ class SequentialEstimator:
         channels: Channels = DIRECT,
         *,
         schedule: Schedule | None = None,
-        comparable: bool = True,
     ) -> None:
         if not 1 <= taps <= excitation.decay_samples:
             raise InputError(
@@ -146,7 +144,7 @@ class SequentialEstimator:
                 f"inter_channel_delay_s is {channels.inter_channel_delay_s:g}; allowed is at most decay_s either way"
             )
         self.excitation, self.taps = excitation, taps
-        self._schedule, self._comparable = schedule, comparable
+        self._schedule = schedule
         self._cutter = _SweepCutter(excitation, excitation.decay_samples - taps)
         omega, period = self._cutter.omega, self._cutter.period
         relative = self._cutter.power / self._cutter.median_power
@@ -161,7 +159,6 @@ class SequentialEstimator:
         low, high = np.searchsorted(hertz, [excitation.start_hz * (1 - EDGE), excitation.stop_hz * (1 + EDGE)])
         self._in_band = slice(int(low), int(high)) if high - low > hertz.size // 2 else slice(0, hertz.size)
         self._share = (self._in_band.stop - self._in_band.start) / hertz.size
-        self._weight = np.sqrt(2 * relative / period).astype(np.float32)[self._in_band]
         self._defects = DefectFinder(
             self._in_band, self._cutter.bins.start, period, excitation.averages, excitation.sample_rate_hz, taps,
             freedom=1 - self._fit.rank / self._fit.elements, is_swept=self._cutter.is_swept,
@@ -207,25 +204,25 @@ class SequentialEstimator:
         x, y = self._cutter.spectra(reference, starts), self._cutter.spectra(response, starts)
         reference_power = energy(x).sum(axis=1)
         transfer = (x.conj() * y).sum(axis=1) / np.maximum(reference_power, np.float32(FLOOR))
-        found = self._fit.solve(transfer * self._in_time, ratio - 1)
+        green, whitened = self._fit.solve(transfer * self._in_time, ratio - 1)
         here = self._in_band
         answered = energy(y[..., here]).sum(axis=(1, 2), dtype=np.float64)
         # What one relation to the reference leaves of each sweep.
         differing = y - transfer[:, None] * x
         coherence = np.full(answered.shape, np.nan, np.float32)
-        if self.excitation.averages > 1 and self._comparable:
+        if self.excitation.averages > 1:
             apart = energy(differing[..., here]).sum(axis=(1, 2), dtype=np.float64)
             coherence = (1 - (apart + FLOOR) / (answered + FLOOR)).astype(np.float32)
-        whole = energy(transfer[:, here] * self._weight).sum(axis=1, dtype=np.float64)
-        left = energy(found.whitened[:, here]).sum(axis=1, dtype=np.float64)
+        whole = energy(transfer[:, here] * self._fit.weight[here]).sum(axis=1, dtype=np.float64)
+        left = energy(whitened[:, here]).sum(axis=1, dtype=np.float64)
         variance = left / max(self._share * (self._fit.elements - self._fit.rank), 1.0)
         noise = variance * self._share * self._fit.elements
         gain = reference_power.sum(axis=1, dtype=np.float64) / self._cutter.power.sum()
-        missed = found.missed * self._in_time.conj()
+        missed = whitened / self._fit.weight * self._in_time.conj()
         defects = self._defects.find(response, levels, loudest - first, answered, x, differing, missed)
         defects["slip_db"] = slip_db
         return Estimate(
-            green=found.green * np.float32(self._scale),
+            green=green * np.float32(self._scale),
             snr_db=decibel(np.maximum(whole - noise, 0), noise),
             residual_db=decibel(left, whole),
             coherence=coherence,

@@ -142,7 +142,7 @@ class CausalConverter:
             fit = ToeplitzFit(turn, np.ones(len(turn)), self._period, self.taps, RIDGE)
             largest = np.abs(values).max(axis=1, keepdims=True)
             scale = np.where(largest > 0, largest, 1.0)  # single precision is not the limit
-            return np.asarray(fit.solve((values / scale).astype(np.complex64), np.zeros(len(values))).green * scale)
+            return np.asarray(fit.solve((values / scale).astype(np.complex64), np.zeros(len(values)))[0] * scale)
         if self._inverse is None:
             self._inverse = self._inverted(RIDGE)
             green = wanted @ self._inverse
