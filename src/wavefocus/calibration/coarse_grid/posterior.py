@@ -56,7 +56,7 @@ class FrequencyWaves:
     """The model of all actuators at one frequency.
 
     wavenumber: k in rad/mm.
-    pressure_share: See `own_waves`.
+    pressure_share: See `waves_of_actuators`.
     points_mm, float64 (positions, 2); actuator_mm, float64 (actuators, 2); ring_mm, float64 (sources, 2).
     power, float64 (actuators,): P, > 0.
     relative_level, float64 (positions, actuators): Square of level_i.
@@ -80,12 +80,13 @@ class FrequencyWaves:
         self._power, self._relative_level = power, relative_level
         self._values = transfer / np.sqrt(power)
         self._sources = outgoing(self.wavenumber, self._to_ring_mm)
-        (self._own,), count = waves_of_actuators([self.wavenumber], pressure_share, points_mm, actuator_mm)
+        (self._own,) = waves_of_actuators([self.wavenumber], pressure_share, points_mm, actuator_mm)
         met = np.square(np.abs(outgoing(self.wavenumber, distances_mm(actuator_mm, ring_mm))))
         seen = np.square(np.abs(self._sources)).mean(axis=0)
         self._image = met / (met @ seen)[:, None]
         self._even = 1.0 / seen.sum()
-        smeared = SMEARED_SHARE_OF_A_SOLID if pressure_share else SMEARED_SHARE
+        # A solid has six waves of its own: shear and pressure waves, each once of order 0 and twice of order 2.
+        count, smeared = (6, SMEARED_SHARE_OF_A_SOLID) if pressure_share else (1, SMEARED_SHARE)
         shares = np.where(np.arange(len(self._own)) < count, _OWN_SHARE, smeared)
         self._own_variance = shares[:, None] / np.square(np.abs(self._own)).mean(axis=1)
 
@@ -102,7 +103,7 @@ class FrequencyWaves:
         sources, first = outgoing_each([(k, 0), (k, 1)], self._to_ring_mm)
         source_slope = -self._to_ring_mm * first  # of H0(k r) by k
         step = _DERIVATIVE_STEP * k
-        (own, after, before), _ = waves_of_actuators(
+        own, after, before = waves_of_actuators(
             [k, k + step, k - step], self._share, self._points_mm, self._actuator_mm
         )
         own_slope = (after - before) / (2.0 * step)
@@ -197,7 +198,7 @@ class FrequencyWaves:
     def variance(self, points_mm: Float64Array, shares: Float64Array) -> Float64Array:
         """Variance of the waves at points (n, 2), without noise: (n, actuators)."""
         sources = outgoing(self.wavenumber, distances_mm(points_mm, self._ring_mm))
-        (own,), _ = waves_of_actuators([self.wavenumber], self._share, points_mm, self._actuator_mm)
+        (own,) = waves_of_actuators([self.wavenumber], self._share, points_mm, self._actuator_mm)
         variance = np.empty((len(points_mm), len(self._power)))
         for actuator, power in enumerate(self._power.tolist()):
             x, _, root, _ = self._scaled(actuator, shares)

@@ -98,36 +98,28 @@ def outgoing_at_all(wavenumbers: Complex128Array, distance_mm: Float64Array) -> 
     return np.ascontiguousarray(found.T).reshape(-1, *distance_mm.shape)
 
 
-def own_waves(
-    wavenumbers: Sequence[complex], pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
-) -> Complex128Array:
-    """Waves that each actuator sends out, (wave numbers, waves, points, actuators).
-
-    pressure_share: 0 for one scalar wave per actuator, as of a force across a plate or membrane. Above 0 for a force in
-        the plane of a solid: shear waves of wave number k and pressure waves of k times this share, each of orders 0
-        and 2 (the derivatives of H0 that make up Green's tensor of a solid).
-    """
-    if pressure_share:
-        return _waves_of_a_solid(wavenumbers, (1.0, pressure_share), points_mm, actuator_mm)
-    return outgoing_each([(k, 0) for k in wavenumbers], distances_mm(points_mm, actuator_mm))[:, None]
-
-
 def waves_of_actuators(
-    wavenumbers: Sequence[complex], pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
-) -> tuple[Complex128Array, int]:
-    """`own_waves` of some wave numbers, followed by those of other frequencies; how many are own.
+    wavenumbers: Sequence[complex],
+    pressure_share: float,
+    points_mm: Float64Array,
+    actuator_mm: Float64Array,
+    others: Sequence[float] = _SMEARED,
+) -> Complex128Array:
+    """Waves that each actuator sends out, then those of other frequencies, (wave numbers, waves, points, actuators).
 
     Green's functions are zero before their first tap, and limited to a band. Near an actuator the band-limited pulse
     begins earlier than that and is cut, which mixes frequencies, by some percent at the band's upper end.
 
-    Returns complex128 (wave numbers, waves, points, actuators), and the count.
+    pressure_share: 0 for one scalar wave per actuator, as of a force across a plate or membrane. Above 0 for a force in
+        the plane of a solid: shear waves of wave number k and pressure waves of k times this share, each of orders 0
+        and 2 (the derivatives of H0 that make up Green's tensor of a solid).
+    others: Wave numbers of the waves of other frequencies, over k.
     """
     if pressure_share:
-        found = _waves_of_a_solid(wavenumbers, (1.0, pressure_share, *_SMEARED), points_mm, actuator_mm)
-        return found, found.shape[1] * 2 // (2 + len(_SMEARED))
-    waves = [(share * k, 0) for k in wavenumbers for share in (1.0, *_SMEARED)]
+        return _waves_of_a_solid(wavenumbers, (1.0, pressure_share, *others), points_mm, actuator_mm)
+    waves = [(share * k, 0) for k in wavenumbers for share in (1.0, *others)]
     found = outgoing_each(waves, distances_mm(points_mm, actuator_mm))
-    return found.reshape(len(wavenumbers), -1, *found.shape[1:]), 1
+    return found.reshape(len(wavenumbers), -1, *found.shape[1:])
 
 
 def waves_of_actuators_at_all(
@@ -135,7 +127,7 @@ def waves_of_actuators_at_all(
 ) -> Complex64Array:
     """`waves_of_actuators` for many wave numbers: (frequencies, waves, points, actuators)."""
     if pressure_share:
-        each = (waves_of_actuators([k], pressure_share, points_mm, actuator_mm)[0][0] for k in wavenumbers.tolist())
+        each = (waves_of_actuators([k], pressure_share, points_mm, actuator_mm)[0] for k in wavenumbers.tolist())
         return np.stack([waves.astype(np.complex64) for waves in each])
     shares = np.array([1.0, *_SMEARED])
     found = outgoing_at_all((wavenumbers[:, None] * shares).ravel(), distances_mm(points_mm, actuator_mm))
@@ -261,7 +253,7 @@ def dispersion_of_own_waves(
         if not (np.isfinite(wavenumber) & (wavenumber.real > 0)).all():
             return 1.0
         share = float(np.clip(vector[4], 0.02, 1.0)) if pressure_share else 0.0
-        waves = own_waves(wavenumber.tolist(), share, points_mm, actuator_mm)
+        waves = waves_of_actuators(wavenumber.tolist(), share, points_mm, actuator_mm, ())
         basis = np.linalg.qr(waves.transpose(0, 3, 2, 1))[0]
         explained = np.square(np.abs(np.einsum("fapc,fap->fac", basis.conj(), values))).sum(axis=(1, 2))
         return float(1.0 - explained @ weight / len(frequency_hz))
