@@ -104,14 +104,12 @@ class Decimated:
     values, float32 (records, kept): The filtered recordings.
     first: Sample of the recordings at which the first value lies, negative: before they begin.
     step: Samples of the recordings from value to value.
-    highest: Upper end of the band in cycles per sample.
     inside: The values whose filter does not reach beyond the ends.
     """
 
     values: Float32Array
     first: int
     step: int
-    highest: float
     inside: slice
 
     def spectrum(self, turn: float, first: int, bins: int) -> Complex128Array:
@@ -141,7 +139,7 @@ def decimate(recordings: Float32Array, highest: float) -> Decimated:
             windows = np.lib.stride_tricks.sliding_window_view(padded, filter_.size)[::step]
             np.matmul(np.ascontiguousarray(windows), filter_, out=output)  # the filter is even
     # Output k looks at samples step * k - 2 * half ... step * k.
-    return Decimated(values, -half, step, highest, slice(-(-2 * half // step), (samples - 1) // step + 1))
+    return Decimated(values, -half, step, slice(-(-2 * half // step), (samples - 1) // step + 1))
 
 
 def decimation_step(highest: float) -> int:

@@ -14,7 +14,6 @@ class _ExportFormat:
     module: Module of this package with ``write(path, rows, on_progress)``; one that writes a folder has
         ``file_names(rows)`` and ``older_files(folder)`` too.
     title: The format's name in the command's help.
-    suffix: Ending of its files' names.
     folder: It writes a folder of files instead of one file.
     holds_nan: It can hold rows without a measurement.
     value_bytes: Bytes per tap, position and actuator.
@@ -22,20 +21,19 @@ class _ExportFormat:
 
     module: str
     title: str
-    suffix: str
     folder: bool = False
     holds_nan: bool = True
     value_bytes: int = 4
 
 
 EXPORTS = {
-    "sofa": _ExportFormat("sofa", "SOFA", ".sofa", value_bytes=8),
-    "uff": _ExportFormat("uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
-    "wav": _ExportFormat("wav", "WAV", ".wav", folder=True, holds_nan=False),
-    "mat": _ExportFormat("mat", "MATLAB", ".mat"),
-    "npz": _ExportFormat("named_arrays", "NumPy", ".npz"),
-    "netcdf": _ExportFormat("netcdf", "netCDF", ".nc"),
-    "csv": _ExportFormat("places", "a table of positions", ".csv", value_bytes=0),
+    "sofa": _ExportFormat("sofa", "SOFA", value_bytes=8),
+    "uff": _ExportFormat("uff", "universal files", holds_nan=False, value_bytes=20),
+    "wav": _ExportFormat("wav", "WAV", folder=True, holds_nan=False),
+    "mat": _ExportFormat("mat", "MATLAB"),
+    "npz": _ExportFormat("named_arrays", "NumPy"),
+    "netcdf": _ExportFormat("netcdf", "netCDF"),
+    "csv": _ExportFormat("places", "a table of positions", value_bytes=0),
 }
 
 

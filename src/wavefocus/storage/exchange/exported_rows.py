@@ -74,16 +74,16 @@ class ExportedRows:
             if on_progress is not None:
                 on_progress(index + 1, len(self.row))
 
-    def green(self, dtype: type[np.floating[Any]], on_progress: OnProgress | None = None) -> NDArray[Any]:
+    def green(self, on_progress: OnProgress | None) -> NDArray[np.float32]:
         """All Green's functions at once, (rows, actuators, taps); raises InputError beyond 4 GiB."""
         shape = (len(self.row), self.bank.actuators, self.bank.taps)
-        needed = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
+        needed = 4 * int(np.prod(shape, dtype=np.int64))
         if needed > MAX_BYTES:
             raise InputError(
                 f"{self.bank.path}: {shape[0]} positions take {needed / 2**30:.3g} GiB at once in this format, and"
                 f" {MAX_BYTES / 2**30:.3g} GiB are allowed; export some --positions at a time, or as wav"
             )
-        green = np.empty(shape, dtype)
+        green = np.empty(shape, np.float32)
         for index, (_, values) in enumerate(self.each(on_progress)):
             green[index] = values
         return green

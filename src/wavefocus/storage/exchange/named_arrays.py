@@ -70,7 +70,7 @@ def bank_arrays(rows: ExportedRows, on_progress: OnProgress | None) -> dict[str,
     """Rows of an export by name, with all that describes them; their numbers in the bank begin at 0."""
     bank = rows.bank
     arrays: dict[str, Any] = {
-        "green": rows.green(np.float32, on_progress),
+        "green": rows.green(on_progress),
         "position": rows.row,
         "position_mm": rows.position_mm,
         "actuator_mm": bank.actuator_mm,
