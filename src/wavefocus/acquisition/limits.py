@@ -18,8 +18,6 @@ the limit of the change between two looks; half of them would be near what a war
 taken out (0.2 to 0.9 % of 1.5 %, on soft and solid plates), double would leave rows of 12 % error valid."""
 GROUPS = 8
 """Parts of the band in which the drift has a coefficient each: dispersion changes little within them."""
-PER_MM = 0.6
-"""A place apart has another response: by its wave number, 0.59 per mm in a gel of 4.8 m/s at 450 Hz."""
 
 
 class Look(NamedTuple):
@@ -27,12 +25,10 @@ class Look(NamedTuple):
 
     green, float32 (actuators, taps): Green's functions.
     snr_db, float32 (actuators,): Signal-to-noise ratios of the records, NaN where unknown.
-    moved_mm: How far from the position, where the looks may differ in that; NaN where unknown.
     """
 
     green: Float32Array
     snr_db: Float32Array
-    moved_mm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,18 +53,13 @@ class DriftFigures:
     change: float = float("nan")
     step: float | None = None
 
-    @property
-    def is_step(self) -> bool:
-        """Whether the change since the latest good look is a step."""
-        return self.step is not None and self.step > 1.0
-
     def verdict(self, limits: DriftLimits) -> str:
         """``"steady"``, ``"warn"`` for a step, or ``"stop"``."""
         beyond = abs(self.level_db) > limits.stop_level_db + self.noise_db
         if beyond or abs(self.delay_samples) > limits.stop_delay_samples or self.correlation < limits.stop_correlation:
             return "stop"
         if self.step is not None:
-            return "warn" if self.is_step else "steady"
+            return "warn" if self.step > 1.0 else "steady"
         beyond = abs(self.level_db) > limits.warn_level_db + self.noise_db
         if beyond or abs(self.delay_samples) > limits.warn_delay_samples or self.correlation < limits.warn_correlation:
             return "warn"
@@ -92,8 +83,7 @@ def compare_looks(plan: Plan, position: int, first: Look, now: Look, good: Look 
     sweep, since = plan.excitation, good or first
 
     def share(look: Look) -> Float64Array:
-        noise = noise_share(row_error_db(plan, np.nan_to_num(look.snr_db, nan=200.0)))
-        return np.asarray(noise + np.nan_to_num(PER_MM * look.moved_mm) ** 2)
+        return noise_share(row_error_db(plan, np.nan_to_num(look.snr_db, nan=200.0)))
 
     noise, distance_mm = share(now), np.hypot(*(plan.actuator_mm - plan.position_mm[position]).T)
     rate_hz, shares = sweep.sample_rate_hz, ((share(first), noise), (share(since), noise))

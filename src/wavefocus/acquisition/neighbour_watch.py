@@ -1,20 +1,36 @@
 """Positions against their neighbours, or, on coarse grids, all others: what a position's own records cannot show."""
 
+from __future__ import annotations
+
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wavefocus.acquisition.attempt import MEASURED, AttemptResult
-from wavefocus.acquisition.judgement import Cure, Judgement, RecordDefect, differing, poor
-from wavefocus.acquisition.limits import Look, compare_looks
+from wavefocus.acquisition.judgement import (
+    Cure,
+    Judgement,
+    PositionRow,
+    RecordDefect,
+    difference,
+    differing,
+    in_band,
+    poor,
+)
 from wavefocus.acquisition.plan import Plan
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
+from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
+from wavefocus.calibration.evidence import CERTAIN_SHARE
 from wavefocus.calibration.neighbour_judge import NeighbourDifference, RowsAtFrequencies, judge_rows
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.ledger import Status
 from wavefocus.storage.bank.writer import BankWriter
+
+if TYPE_CHECKING:
+    from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
 
 NEIGHBOURHOOD = 250
 """So many nearest positions are enough to judge one."""
@@ -38,6 +54,7 @@ class NeighbourWatch:
         self._plan = plan
         self._bank = bank
         self._marked: dict[int, bool] = {}
+        self._waves: tuple[bytes, WavesFound | None] = b"", None
 
     def is_done(self, covered: Int64Array) -> bool:
         """Whether `mark` came to its end for these positions: the last of them says so."""
@@ -91,44 +108,50 @@ class NeighbourWatch:
         repeat: Whether the position is measured after all others, even where the bank holds nothing of it.
         replaceable: Whether a valid row may be replaced by another one.
         """
-        position, judgement, now = result.attempt.position, result.judgement, _look(result)
-        if now is None or not judgement.good:
+        position, judgement, row = result.attempt.position, result.judgement, self._row_of(result)
+        if row is None or result.estimate is None or not judgement.good:
             return result
         status = Status(int(self._bank.status[position]))
-        apart = None
-        if status & MEASURED:
-            record = self._bank.record(position)
-            held = Look(self._bank.green(position), record.snr_db, record.moved_mm)
-            apart = compare_looks(self._plan, position, held, now)
-        as_held = apart is not None and not apart.is_step
         must_agree, twice = status == Status.VALID, replaceable
         if (repeat or status) and (replaceable or not must_agree):
             judged = False
             if not self._alone()[position]:
-                judgement, judged = self.judge(position, now.green, judgement, as_held=as_held)
+                judgement, judged = self.judge(position, result.estimate.green, judgement)
             if not judged and self._plan.quality.confirms:
                 must_agree = twice = True
         if not (must_agree and judgement.good):
             return replace(result, judgement=judgement)
-        before = None if earlier is None else _look(earlier)
-        agrees = before is not None and not compare_looks(self._plan, position, before, now).is_step
-        if as_held or (twice and agrees):
+        apart: tuple[tuple[int, ...], str] = (), ""
+        if status & MEASURED:
+            record, sweep = self._bank.record(position), self._plan.excitation
+            held = in_band(self._bank.green(position), sweep.sample_rate_hz, sweep.band_hz)
+            apart = difference(PositionRow(held, record.snr_db, record.moved_mm), row)
+            if not apart[0]:
+                return result
+        before = None if earlier is None else self._row_of(earlier)
+        if twice and before is not None and not difference(before, row)[0]:
             return result
-        if apart is None:
-            return replace(result, judgement=replace(UNCONFIRMED, score=judgement.score))
-        what = f"{apart.step:.1f} times the smallest step that is marked ({apart})"
-        return replace(result, judgement=differing(what, judgement.score, replaceable=replaceable))
+        if apart[0]:
+            return replace(result, judgement=differing(*apart, judgement.score, replaceable=replaceable))
+        return replace(result, judgement=replace(UNCONFIRMED, score=judgement.score))
 
-    def judge(self, position: int, green: Float32Array, before: Judgement, *, as_held: bool) -> tuple[Judgement, bool]:
+    def _row_of(self, result: AttemptResult) -> PositionRow | None:
+        """What an attempt would put into the bank, to be compared; None where it has no estimate."""
+        if result.estimate is None:
+            return None
+        sweep = self._plan.excitation
+        spectrum = in_band(result.estimate.green, sweep.sample_rate_hz, sweep.band_hz)
+        return PositionRow(spectrum, result.estimate.snr_db, math.hypot(*result.attempt.moved_mm))
+
+    def judge(self, position: int, green: Float32Array, before: Judgement) -> tuple[Judgement, bool]:
         """Judge a repeat that is good by its own records.
 
-        Where it differs from its neighbours without a cause in level, time, wiring or place, and is what the bank
-        holds, it is the plate that differs there: the repeat is good.
+        Where it differs from its neighbours without a cause in level, time, wiring or place, and what the bank holds
+        differs in the same way, it is the plate that differs there: the repeat is good.
 
         position: Bank row.
         green, float32 (actuators, taps): The repeat.
         before: By its own records.
-        as_held: Whether it agrees with what the bank holds.
 
         Returns the judgement by its own records and its neighbours, and whether neighbours could judge it.
         """
@@ -137,11 +160,12 @@ class NeighbourWatch:
         rows = np.flatnonzero(usable)
         apart_mm = np.hypot(*(self._plan.position_mm[rows] - self._plan.position_mm[position]).T)
         rows = np.sort(rows[np.argsort(apart_mm, kind="stable")[:NEIGHBOURHOOD]])
-        found, judged = self._differences(rows, {position: green})
+        found, judged = self._differences(rows, {position: green}, self._waves_of_the_first_round)
         differences = found.get(position, ())
         if not differences:
             return before, position in judged
-        if as_held and all(difference.kind == "other" for difference in differences):
+        held = self._bank.green(position)
+        if all(difference.kind == "other" and _same(held, green, difference) for difference in differences):
             return before, True
         return _judgement(differences), True
 
@@ -156,7 +180,10 @@ class NeighbourWatch:
         return poor
 
     def _differences(
-        self, rows: Int64Array, instead: dict[int, Float32Array]
+        self,
+        rows: Int64Array,
+        instead: dict[int, Float32Array],
+        waves: Callable[[], WavesFound | None] | None = None,
     ) -> tuple[dict[int, tuple[NeighbourDifference, ...]], frozenset[int]]:
         """What differs, and the positions most of whose rows could be judged."""
         if not len(rows):
@@ -164,7 +191,7 @@ class NeighbourWatch:
         header, all_rows = self._bank.header, np.ones(len(rows), dtype=bool)
         on_grid = ~rows_off_grid(header.positions, header.check_rows, header.run_json)[rows]
         places = self._plan.position_mm[rows], self._plan.actuator_mm
-        verdict = judge_rows(*places, self._spectra(rows, instead), on_grid, all_rows)
+        verdict = judge_rows(*places, self._spectra(rows, instead), on_grid, all_rows, waves)
         found: dict[int, tuple[NeighbourDifference, ...]] = {}
         for contradiction in verdict.differences:
             row = int(rows[contradiction.position])
@@ -179,6 +206,20 @@ class NeighbourWatch:
         for number, row in enumerate(rows.tolist()):
             spectra.set(number, instead[row] if row in instead else self._bank.green(row))
         return spectra
+
+    def _waves_of_the_first_round(self) -> WavesFound | None:
+        """Waves of the rows that no pass has replaced; None where these are too few.
+
+        They are found once in a pass, and are the same wherever it was interrupted.
+        """
+        status, attempts = self._bank.status, self._bank.attempts
+        rows = np.flatnonzero((status == Status.VALID) & (attempts <= self._plan.quality.max_attempts))
+        key = rows.tobytes() + attempts[rows].tobytes()
+        if key != self._waves[0]:
+            places = self._plan.position_mm[rows], self._plan.actuator_mm
+            spectra, every = self._spectra(rows, {}), np.ones(len(rows), dtype=bool)
+            self._waves = key, waves_of_rows(*places, spectra.values, spectra.frequency_hz, every)
+        return self._waves[1]
 
 
 def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> Iterator[tuple[int, Judgement]]:
@@ -202,7 +243,10 @@ def _judgement(differences: tuple[NeighbourDifference, ...]) -> Judgement:
     return Judgement(Status.POOR_SIGNAL, "; ".join(defect.sentence for defect in defects), score, defects)
 
 
-def _look(result: AttemptResult) -> Look | None:
-    """What an attempt would put into the bank; None where it has no estimate."""
-    estimate = result.estimate
-    return None if estimate is None else Look(estimate.green, estimate.snr_db, math.hypot(*result.attempt.moved_mm))
+def _same(held: Float32Array, green: Float32Array, difference: NeighbourDifference) -> bool:
+    """Whether two measurements agree in the rows that differ from the neighbours."""
+    rows = list(difference.actuators)
+    apart = float(np.linalg.norm(held[rows].astype(np.float64) - green[rows]))
+    # The one explains what the other differs by.
+    allowed = np.sqrt(1 - CERTAIN_SHARE) * difference.relative
+    return apart <= float(allowed * np.linalg.norm(held[rows].astype(np.float64)))

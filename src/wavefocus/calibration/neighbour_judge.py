@@ -8,7 +8,7 @@ around. What is farther off is left out of all other predictions, the worst firs
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -276,6 +276,7 @@ def judge_rows(
     spectra: RowsAtFrequencies,
     usable: BoolArray,
     modelled: BoolArray | None = None,
+    waves: Callable[[], WavesFound | None] | None = None,
 ) -> NeighbourResult:
     """Judge the rows of a bank by all others.
 
@@ -285,6 +286,7 @@ def judge_rows(
     usable, bool (positions,): Rows that neighbours predict and judge.
     modelled, bool (positions,): Rows that waves predict and judge where the grid is too coarse for neighbours and the
         actuators' places are known; those off the grid, too. By default only neighbours judge.
+    waves: Gives the waves of rows that are right; None for none. By default they are found from the rows that count.
     """
     there = (np.abs(spectra.values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
     largest = np.abs(spectra.values[there]).max(initial=0.0)
@@ -297,8 +299,8 @@ def judge_rows(
         coarse = neighbours.spacing_mm > MIN_COARSE_MM or not neighbours.patches
         if not (wanted.any() and coarse and judge.judged[usable & there].mean() < TRUSTED):
             return judge.find()
-        verdict = _by_waves(measured, wanted, waves_of_rows(*measured, wanted))
-        if verdict is not None and verdict.differences:
+        verdict = _by_waves(measured, wanted, waves() if waves else waves_of_rows(*measured, wanted))
+        if verdict is not None and verdict.differences and waves is None:
             # Wrong rows had a part in the waves that were found.
             sound = wanted & ~np.isin(np.arange(len(wanted)), [one.position for one in verdict.differences])
             verdict = _by_waves(measured, wanted, waves_of_rows(*measured, sound)) or verdict
