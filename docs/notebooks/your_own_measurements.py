@@ -3,7 +3,7 @@
 #
 # Responses of a plate that you have measured yourself, with your own equipment, become a bank by `import_bank`. It
 # reads SOFA, universal files, MATLAB, NumPy, netCDF and folders of WAV files. Here it is a NumPy file of frequency
-# response functions, as a modal analysis leaves them: complex, one-sided, noisy, in mm/s per V, with the places in a
+# response functions, as a modal analysis leaves them: complex, one-sided, noisy, in m/s per V, with the places in a
 # table of their own.
 #
 # Files and pictures go to the folder that the environment variable FOLDER names.
