@@ -93,6 +93,7 @@ def test_other_positions_than_those_of_an_earlier_bank_are_refused(tmp_path, ask
         loaded(tmp_path, 'positions_file = "grid.csv"\ncheck_positions = 3')
 
 
+@pytest.mark.long
 def test_check_positions_are_measured_four_times_and_averaged(tmp_path):
     run = {
         "grid": {"margin_mm": 10.0, "check_positions": 3}, "sweep": {"duration_s": 0.2},

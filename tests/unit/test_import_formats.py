@@ -255,9 +255,15 @@ def test_a_sound_file_that_is_not_read_then_is_refused_by_name(imported, one_sou
 @pytest.mark.parametrize(
     ("kind", "held_in", "at", "unknown"),  # sizes that programs write which do not know it
     [
-        *((kind, "WAV", 4, (bytes(4), b"\xff" * 4)) for kind in ("PCM_24", "ULAW", "IMA_ADPCM")),
-        ("PCM_24", "RF64", 20, (bytes(8), b"\xff" * 8)), ("FLOAT", "W64", 16, (bytes(8), b"\xff" * 8)),
-        ("PCM_24", "AIFF", 4, (bytes(4), b"\x7f\0\0\x2e")), ("PCM_16", "AU", 8, (b"\xff" * 4,)),
+        ("PCM_24", "WAV", 4, (bytes(4), b"\xff" * 4)), ("FLOAT", "W64", 16, (bytes(8), b"\xff" * 8)),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (
+                *((kind, "WAV", 4, (bytes(4), b"\xff" * 4)) for kind in ("ULAW", "IMA_ADPCM")),
+                ("PCM_24", "RF64", 20, (bytes(8), b"\xff" * 8)), ("PCM_24", "AIFF", 4, (bytes(4), b"\x7f\0\0\x2e")),
+                ("PCM_16", "AU", 8, (b"\xff" * 4,)),
+            )
+        ),
     ],
 )  # fmt: skip
 def test_a_sound_file_that_is_read_then_says_how_its_samples_are_stored(

@@ -126,6 +126,7 @@ def test_between_the_positions_the_error_is_within_the_marks_and_estimated(grid,
         assert worst[band] > 0.4 * true.max()
 
 
+@pytest.mark.long
 def test_a_bank_in_another_unit_gives_the_same_rows_also_without_places_or_band():
     bank, scale, points_mm = plate_bank(), 1e-12, POINTS_MM[:8]
     scaled = GreenArray(bank.values * scale, bank.position_mm, bank.sample_rate_hz, band_hz=bank.band_hz)

@@ -302,6 +302,7 @@ def test_of_fingers_at_rest_each_source_is_quiet_at_the_others():
     assert np.square(quiet).sum() < MAX_ENERGY * np.square(plain).sum()
 
 
+@pytest.mark.long
 def test_fingers_near_one_another_sound_within_the_energy_and_it_is_said():
     alone = GreenArray(PLATE.values[:, :1], PLATE.position_mm, PLATE.sample_rate_hz, band_hz=PLATE.band_hz)
     for bank, kind, places_mm in (

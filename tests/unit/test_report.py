@@ -85,6 +85,7 @@ def test_the_report_shows_all_names_what_is_flawed_and_escapes_what_users_write(
     assert html.count("</title>") == 1
 
 
+@pytest.mark.long
 def test_given_a_scan_then_the_remarks_say_what_to_check():
     drive, (_, prediction) = first_focus(), rendered()
     few = scan_of(prediction.field[80:90], prediction.start_s, RATE_HZ, position_index=np.arange(80, 90))

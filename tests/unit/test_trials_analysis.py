@@ -63,6 +63,7 @@ def test_given_published_shares_then_wilson_s_intervals_are_theirs():
     assert shares_of(table_of(rows[:1]))[0].interval[1] == 1.0
 
 
+@pytest.mark.long
 def test_given_the_paper_s_answers_then_its_accuracies_come_out(paper):
     assert combinations_of(paper[1]) == (("speed_mm_s",), ("path",), ("signal",), ("speed_mm_s", "path"))
     shares = shares_of(paper[1])

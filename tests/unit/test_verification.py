@@ -135,6 +135,7 @@ def test_white_noise_of_known_level_is_error_and_noise_and_leaves_no_misfit():
     assert outcome.passed
 
 
+@pytest.mark.long
 def test_a_louder_or_later_scan_then_level_and_delay_are_found_and_the_verdict_is_no():
     late = compared(np.roll(prediction().field, 3, axis=1))
     assert late.fields.delay_samples == pytest.approx(3.0, abs=0.01)

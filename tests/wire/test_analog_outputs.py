@@ -136,6 +136,7 @@ def test_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(
     assert is_open_after(mirror.wait_settled, 1.0)
 
 
+@pytest.mark.long
 def test_box_is_unplugged_then_mirror_is_lost_and_points_again_once_it_is_back(rig):
     box, mirror, _ = rig
     arrives(mirror, 30.0, -20.0)
