@@ -111,6 +111,7 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     assert len(sound.waveform.getPlotItem().listDataItems()) == 2
     assert len(sound.spectrum.getPlotItem().listDataItems()) == 2
     sound.actuator.setCurrentIndex(0)
+    wait(qtbot, lambda: not hands.sweeping)  # a second sweep is not asked for before
     press(qtbot, sound.sweep)
     wait(qtbot, lambda: "✔" in sound.verdict.text())
     press(qtbot, tab.manual_page.mute)

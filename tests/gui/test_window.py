@@ -219,7 +219,6 @@ def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot, them
     assert share(tick, inside) > 0.04
 
 
-@pytest.mark.smoke
 def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path):
     loaded = set(python("-c", OPEN_WINDOW, cwd=tmp_path).stdout.split())
     assert "wavefocus.gui.verification.tab" in loaded

@@ -130,6 +130,7 @@ def test_a_changed_value_or_unit_that_no_resume_rewrites_then_is_found(tmp_path,
         check_bank(path)
 
 
+@pytest.mark.long
 def test_a_row_that_its_neighbours_contradict_is_named_unless_it_is_off_the_grid(tmp_path):
     axis_mm = 4.0 * np.arange(-3, 4)
     grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)

@@ -49,6 +49,7 @@ def test_a_rig_that_cannot_be_emulated_is_refused_in_one_line(tmp_path, capsys, 
     assert port.read_text(encoding="utf-8") == "precious"
 
 
+@pytest.mark.long
 def test_given_a_keyboard_then_the_spot_the_patch_bay_and_mistakes_are_answered(tmp_path):
     rig_file = tmp_path / "rig.toml"
     rig_file.write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
